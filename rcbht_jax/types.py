@@ -1,0 +1,70 @@
+"""Frozen pytree dataclasses shared by every room of the house; each field states its shape and unit.
+
+Axes are always Fx Fy Fz Mx My Mz, forces in newtons, moments in newton metres, times in seconds
+unless a field says samples. Padding is stated per class.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+Array = Any  # jax.Array or numpy.ndarray: host and device code share these containers
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LabelTrack:
+    """Published labels of one layer, in publication order, which is time order.
+
+    Every array has the same shape ``[..., slot]``. Padding: unused slots (at the end in the compact
+    form, anywhere in the dense form with one slot per step) hold label 0 and zeros elsewhere.
+    """
+
+    label: Array  # int8, code of rcbht_jax.labels; 0 = empty slot
+    t0: Array  # int32, first sample of the span
+    t1: Array  # int32, one past the last sample of the span
+    emit: Array  # int32, number of samples received when the label was published; -1 = not online
+    vmax: Array  # float, largest value of the fitted lines, N or Nm
+    vmin: Array  # float, smallest value of the fitted lines, N or Nm
+    avg: Array  # float, duration-weighted mean, N or Nm
+    grad: Array  # float, duration-weighted slope, N/s or Nm/s
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LabelTracks:
+    """The three layers of labels for the same lanes."""
+
+    primitive: LabelTrack
+    mc: LabelTrack
+    llb: LabelTrack
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """A data set in memory: one row per recording (one arm of one trial). Host arrays.
+
+    Padding: ``wrench`` beyond ``length`` is zero.
+    """
+
+    wrench: NDArray[np.float32]  # [recording, time, 6]
+    length: NDArray[np.int32]  # [recording] samples
+    dt: float  # seconds between samples
+    onset: NDArray[np.float64]  # [recording, 4] start of approach, rotation, insertion, mating; NaN = missing
+    onset_harmonised: NDArray[np.float64]  # [recording, 4] as above with the harmonised rotation boundary
+    trial: NDArray[np.str_]  # [recording] name of the trial; both arms of a trial share it
+    arm: NDArray[np.str_]  # [recording] "R" or "L"
+    source: NDArray[np.str_]  # [recording] data set, for example REAL_HIRO_ONE_SA_SUCCESS
+    session: NDArray[np.str_]  # [recording] recording session: A, B, C, ... or the data set's own
+    outcome: NDArray[np.str_]  # [recording] "success", "failure" or "unknown"
+    failure_type: NDArray[np.str_]  # [recording] sign pattern such as "+x-y+r"; "" = none
+    deviation: NDArray[np.float64]  # [recording, 3] x (m), y (m), roll (rad) from the nominal pose; NaN = unknown
+    note: NDArray[np.str_]  # [recording] what the importer had to say: semicolon-separated flags
+
+    def __len__(self) -> int:
+        return int(self.length.shape[0])
