@@ -23,8 +23,8 @@ Q19   pass 9.2 compares amplitudes twice        it compares amplitudes, then ave
 Q26   pass 9.5 in one order only                in either order
 ====  ========================================  ==================================================
 
-The floor of the fit test (Q6) is the parameter ``floor``. The endless loop on zero amplitudes (Q24) ends in both
-modes. The tolerance of 1.5 on amplitudes (Q19), always met, stays: no intended value is known.
+The floor of the fit test (Q6) is the parameter ``floor``. The endless loop on zero amplitudes (Q24) ends in
+both modes. The tolerance of 1.5 on amplitudes (Q19), always met, stays: no intended value is known.
 """
 
 from rcbht_jax.offline.encode import MIN_SAMPLES, OfflineLabels, encode, sample_times, state_vector

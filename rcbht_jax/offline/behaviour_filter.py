@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rcbht_jax.labels import LLB
-from rcbht_jax.offline.behaviours import (
-    AMP, AMP2, AVG, AVG2, LABEL, M1, M2, MX, MX1, MX2, NONE, T1E, T1S, T2E, T2S, TMID,
-)  # fmt: skip
+from rcbht_jax.offline import behaviours as llb
 from rcbht_jax.offline.rows import Row, Table, compact, near, ratio, unusable, wipe
 
 ROUNDS = 5
 _LARGER = 5.0  # ratio of amplitudes that ends pass 9.1
 _LONGER = 5.0  # ratio of durations beyond which pass 9.1 merges
-_BLOCKING_TAGS = (8.0, NONE)
+_BLOCKING_TAGS = (8.0, llb.NONE)
 _TRUNCATED_TAG = 6.0
 _FORCED = (LLB.PS, LLB.PL)
 _ADJUSTING = (LLB.AL, LLB.SH)
@@ -28,35 +26,35 @@ def absorb(rows: Table, i: int, label: LLB | None = None) -> None:
     """Merge the next row into row i, with a new label if given; the order of the steps matters."""
     row, gone = rows[i], rows[i + 1]
     if label is not None:
-        row[LABEL] = float(label)
-    row[AVG2] = gone[AVG2]
-    row[AVG] = (row[AVG] + gone[AVG]) / 2
-    row[MX1] = max(row[MX1], row[MX2])
-    row[MX] = max(row[MX], gone[MX])
-    row[AMP2] = gone[AMP2]
-    row[AMP] = max(row[AMP], gone[AMP])
-    row[M1] = row[M2] = row[LABEL]
-    row[T1E] = row[T2E]
-    row[T2S], row[T2E] = gone[T1S], gone[T2E]
+        row[llb.LABEL] = float(label)
+    row[llb.AVG2] = gone[llb.AVG2]
+    row[llb.AVG] = (row[llb.AVG] + gone[llb.AVG]) / 2
+    row[llb.MX1] = max(row[llb.MX1], row[llb.MX2])
+    row[llb.MX] = max(row[llb.MX], gone[llb.MX])
+    row[llb.AMP2] = gone[llb.AMP2]
+    row[llb.AMP] = max(row[llb.AMP], gone[llb.AMP])
+    row[llb.M1] = row[llb.M2] = row[llb.LABEL]
+    row[llb.T1E] = row[llb.T2E]
+    row[llb.T2S], row[llb.T2E] = gone[llb.T1S], gone[llb.T2E]
     # The repairs put the times back in order when the absorbed row is the earlier one.
-    if gone[T2E] == row[T1S]:
-        row[T1S] = gone[T1S]
-    if row[T1E] > row[T2E]:
-        row[T2E] = row[T1E]
-    if row[T2S] < row[T1S]:
-        row[T1S] = row[T2S]
-    if row[T2E] < gone[T1S]:
-        row[T1S] = row[T2S]
-    row[TMID] = (row[T1S] + row[T2E]) / 2
+    if gone[llb.T2E] == row[llb.T1S]:
+        row[llb.T1S] = gone[llb.T1S]
+    if row[llb.T1E] > row[llb.T2E]:
+        row[llb.T2E] = row[llb.T1E]
+    if row[llb.T2S] < row[llb.T1S]:
+        row[llb.T1S] = row[llb.T2S]
+    if row[llb.T2E] < gone[llb.T1S]:
+        row[llb.T1S] = row[llb.T2S]
+    row[llb.TMID] = (row[llb.T1S] + row[llb.T2E]) / 2
     wipe(gone)
 
 
 def _durations(this: Row, following: Row) -> tuple[float, float]:
-    first, second = this[T2E] - this[T1S], following[T2E] - following[T1S]
-    if this[M2] == _TRUNCATED_TAG:
-        first = this[T1E] - this[T1S]
-    elif following[M2] == _TRUNCATED_TAG:
-        second = following[T1E] - following[T1S]
+    first, second = this[llb.T2E] - this[llb.T1S], following[llb.T2E] - following[llb.T1S]
+    if this[llb.M2] == _TRUNCATED_TAG:
+        first = this[llb.T1E] - this[llb.T1S]
+    elif following[llb.M2] == _TRUNCATED_TAG:
+        second = following[llb.T1E] - following[llb.T1S]
     return first, second
 
 
@@ -69,8 +67,8 @@ def merge_short(rows: Table) -> Table:
     i = 0
     while i < len(rows) - 2:
         this, following = rows[i], rows[i + 1]
-        blocked = any(row[LABEL] == LLB.CT or row[M2] in _BLOCKING_TAGS for row in (this, following))
-        size = ratio(abs(following[AMP]), abs(this[AMP]))
+        blocked = any(row[llb.LABEL] == LLB.CT or row[llb.M2] in _BLOCKING_TAGS for row in (this, following))
+        size = ratio(abs(following[llb.AMP]), abs(this[llb.AMP]))
         if blocked or unusable(size):
             i += 1
             continue
@@ -95,39 +93,43 @@ def merge_where(rows: Table, rule: Rule, label: LLB | None = None) -> Table:
 def merge_repeats(rows: Table) -> Table:
     """9.4: until no equal labels are neighbours."""
     while True:
-        merged = merge_where(rows, lambda p, q: p[LABEL] == q[LABEL])
+        merged = merge_where(rows, lambda p, q: p[llb.LABEL] == q[llb.LABEL])
         if len(merged) == len(rows):
             return merged
         rows = merged
 
 
+def _alike(p: Row, q: Row, amplitude: float, average: float, clean: bool) -> bool:
+    return near(p[llb.AMP], q[llb.AMP], amplitude, clean) and near(p[llb.AVG], q[llb.AVG], average, clean)
+
+
 def push_and_pull(p: Row, q: Row, clean: bool = False) -> bool:
-    """9.2: the reference compares the amplitude twice, which is always met (Q19); ``clean`` the average too."""
-    column = AVG if clean else AMP
-    return (
-        {p[LABEL], q[LABEL]} == set(_FORCED)
-        and near(p[AMP], q[AMP], 1.5, clean)
-        and near(p[column], q[column], 1.0, clean)
-    )
+    """9.2: push beside pull; the comparison of the reference is always met (Q19), ``clean`` adds averages.
+
+    The reference compares the amplitude again where the average was meant.
+    """
+    if {p[llb.LABEL], q[llb.LABEL]} != set(_FORCED):
+        return False
+    return not clean or _alike(p, q, 1.5, 1.0, clean)
 
 
 def decreasing(p: Row, q: Row) -> bool:
     """9.3: alignment or shift followed by a smaller one."""
-    return p[LABEL] in _ADJUSTING and q[LABEL] in _ADJUSTING and q[AMP] < p[AMP]
+    return p[llb.LABEL] in _ADJUSTING and q[llb.LABEL] in _ADJUSTING and q[llb.AMP] < p[llb.AMP]
 
 
 def adjusted(p: Row, q: Row, clean: bool = False) -> bool:
     """9.5: alignment or shift followed by push or pull of like size; ``clean`` in either order (Q26)."""
-    ordered = p[LABEL] in _ADJUSTING and q[LABEL] in _FORCED
-    mirrored = clean and p[LABEL] in _FORCED and q[LABEL] in _ADJUSTING
-    return (ordered or mirrored) and near(p[AMP], q[AMP], 0.5, clean) and near(p[AVG], q[AVG], 1.0, clean)
+    ordered = p[llb.LABEL] in _ADJUSTING and q[llb.LABEL] in _FORCED
+    mirrored = clean and p[llb.LABEL] in _FORCED and q[llb.LABEL] in _ADJUSTING
+    return (ordered or mirrored) and _alike(p, q, 0.5, 1.0, clean)
 
 
 def fixed(p: Row, q: Row, clean: bool = False) -> bool:
     """9.6: fixed beside anything but contact and noise, of like size and average."""
-    others = (*_FORCED, *_ADJUSTING)
-    beside = (p[LABEL] == LLB.FX and q[LABEL] in others) or (q[LABEL] == LLB.FX and p[LABEL] in others)
-    return beside and near(p[AMP], q[AMP], 0.75, clean) and near(p[AVG], q[AVG], 0.75, clean)
+    labels = {p[llb.LABEL], q[llb.LABEL]}
+    others = {LLB.FX, *_FORCED, *_ADJUSTING}
+    return len(labels) == 2 and LLB.FX in labels and labels <= others and _alike(p, q, 0.75, 0.75, clean)
 
 
 def filter_behaviours(raw: Table, clean: bool = False) -> Table:

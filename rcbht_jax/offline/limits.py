@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import Primitive
-from rcbht_jax.thresholds import _FORCE_LIMITS, ROBOTS, validate
+from rcbht_jax.thresholds import preset, validate
 
 _SMALL_DOMAIN = 1.9
 _MARGIN = 0.02
@@ -43,10 +43,13 @@ def spectrum(impulse: float, constant: float) -> NDArray[np.float64]:
 
 
 def hand_set(extent: NDArray[np.float64], robot: str) -> NDArray[np.float64]:
-    """Limits ``[6, 4]`` without calibration files; HIRO's moments of small domain get a tenth."""
-    if robot not in ROBOTS:
-        raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
-    limits = np.tile(np.array(_FORCE_LIMITS[robot]), (6, 1))
+    """Limits ``[6, 4]`` without calibration files; HIRO's moments of small domain get a tenth.
+
+    Raises:
+        InputError: unknown robot.
+    """
+    force: NDArray[np.float64] = preset(robot).limits[0]
+    limits = np.tile(force, (6, 1))
     if robot == "hiro":
         small = (extent < _SMALL_DOMAIN) & (np.arange(6) >= 3)
         limits[small] /= _SCALE

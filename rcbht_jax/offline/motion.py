@@ -39,7 +39,6 @@ _SECOND = (
 _SINGLE = (_I, _D, _K)
 
 
-
 def group_of(label: float) -> int:
     """Group of a primitive label: positive, negative, constant, positive impulse, negative impulse."""
     return int(PRIMITIVE_GROUP[int(label)])

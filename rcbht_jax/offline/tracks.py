@@ -62,9 +62,9 @@ def _stack(axes: list[list[Floats]]) -> LabelTrack:
 def to_tracks(labels: OfflineLabels, dt: float) -> LabelTracks:
     """Filtered labels of the three layers as tracks ``[6, slot]``, padded to the longest axis.
 
-    Spans are rounded to samples: start to end of a primitive, start of the first to end of the second part of
-    the others. ``emit`` is -1. Of compositions and behaviours, ``vmax`` is the stored maximum, ``vmin`` lies one
-    amplitude below it, and ``grad`` is the duration-weighted slope of the filtered primitives within.
+    Spans are rounded to samples: start to end of a primitive, start of the first to end of the second part
+    of the others. ``emit`` is -1. Of compositions and behaviours, ``vmax`` is the stored maximum, ``vmin``
+    lies one amplitude below it, and ``grad`` is the duration-weighted slope of the primitives within.
 
     Args:
         labels: of one recording.

@@ -14,8 +14,8 @@ class Version:
     Attributes:
         key: name of the version.
         gated: adjustment runs (7.1) are merged only when they end before the last state of the vector.
-        amplitude_ends_pass: an amplitude ratio out of range ends passes 7.3 and 7.4 instead of skipping the row.
-        time_as_row: when no row ends after the second state, the last time in seconds serves as start row (7.0).
+        amplitude_ends_pass: an amplitude ratio out of range ends passes 7.3 and 7.4, else it skips the row.
+        time_as_row: when no row ends after the second state, the last time serves as start row (7.0).
         old_ending: the final partial window is tested like any other window, and the tail may be lost.
     """
 
