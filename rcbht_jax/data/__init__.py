@@ -1,0 +1,1 @@
+"""Readers of recorded trials and the store they are kept in."""

@@ -1,0 +1,171 @@
+"""Strict parser of the authors' whitespace-separated tables (``R_Torques.dat`` and its siblings).
+
+Spaces or tabs, trailing tabs, CRLF and blank lines are allowed; anything else that is not a complete table of
+finite numbers on an even time grid is an error that names the file and the line.
+Source: design page "offline taxonomy", section 2, and the data audit.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+
+MAX_BYTES = 512 * 2**20
+MIN_DT, MAX_DT = 1e-4, 1.0
+DT_TOLERANCE = 0.05  # of the time step: far above print rounding, far below a lost sample
+
+# Largest believable magnitude of each quantity, and what a larger one probably means.
+LIMITS = {
+    "wrench": (1e5, "are the values in newtons and newton metres"),
+    "joint angles": (10.0, "are the angles in radians, not degrees"),
+    "pose": (10.0, "are the values in metres and radians, not millimetres and degrees"),
+}
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TimedTable:
+    """One signal file: a time column and six value columns."""
+
+    time: Floats  # [n] seconds, evenly spaced
+    values: Floats  # [n, 6]
+    dt: float  # seconds between rows
+
+
+def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Floats:
+    """Read a table of finite numbers, array [rows, columns].
+
+    Raises:
+        InputError: the file is missing, larger than ``max_bytes``, empty, or has a line that is not exactly
+            ``columns`` finite numbers.
+    """
+    raw = _read_bytes(path, max_bytes)
+    if not raw.strip():
+        raise InputError(f"{path} is empty; expected lines of {columns} numbers.")
+    try:
+        table = np.loadtxt(io.StringIO(raw.decode("ascii"), newline=None), comments=None, ndmin=2)
+    except ValueError:
+        table = None
+    if table is None or table.shape[1] != columns:
+        table = _read_slowly(path, raw, columns)
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        row, column = bad[0]
+        where = f"{path}, line {_line_of_row(raw, int(row))}, column {column + 1}"
+        raise InputError(f"{where}: the value is {table[row, column]}; expected a finite number.")
+    return table
+
+
+def read_timed(path: Path, quantity: str, max_bytes: int = MAX_BYTES) -> TimedTable:
+    """Read a signal file: time (s) and six columns of ``quantity`` (a key of ``LIMITS``).
+
+    Raises:
+        InputError: as :func:`read_table`; also fewer than two rows, time that stands still, runs backwards or
+            is uneven, a time step outside 0.1 ms .. 1 s, or magnitudes that suggest other units.
+    """
+    table = read_table(path, 7, max_bytes)
+    if len(table) < 2:
+        raise InputError(f"{path} has one line; expected at least two, to know the time step.")
+    dt = _time_step(path, table[:, 0], max_bytes)
+    limit, hint = LIMITS[quantity]
+    large = np.argwhere(np.abs(table[:, 1:]) > limit)
+    if len(large):
+        row, column = large[0]
+        where = f"{path}, line {_line_of_row(_read_bytes(path, max_bytes), int(row))}, column {column + 2}"
+        value = table[row, column + 1]
+        raise InputError(f"{where}: {value:g} is too large for {quantity} (limit {limit:g}); {hint}?")
+    return TimedTable(table[:, 0], table[:, 1:], dt)
+
+
+def read_state_times(path: Path) -> Floats:
+    """Read a state file: start times [k] in seconds, k = 0 for an empty file.
+
+    Raises:
+        InputError: a line is not one finite number, or the times do not increase.
+    """
+    raw = _read_bytes(path, MAX_BYTES)
+    if not raw.strip():
+        return np.zeros(0)
+    times = read_table(path, 1)[:, 0]
+    step = np.diff(times)
+    if (step <= 0).any():
+        row = int(np.flatnonzero(step <= 0)[0]) + 1
+        raise InputError(
+            f"{path}, line {_line_of_row(raw, row)}: state time {times[row]:g} s does not come after "
+            f"{times[row - 1]:g} s; expected increasing times."
+        )
+    return times
+
+
+def _read_bytes(path: Path, max_bytes: int) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > max_bytes:
+            raise InputError(f"{path} has {size} bytes; expected at most {max_bytes}. Is it a trial's table?")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def _time_step(path: Path, time: Floats, max_bytes: int) -> float:
+    """The constant time step of a file, s, or the error that says where it is not one."""
+    step = np.diff(time)
+    dt = float(np.median(step))
+    uneven = np.flatnonzero((step <= 0) | (np.abs(step - dt) > DT_TOLERANCE * abs(dt)))
+    if len(uneven):
+        row = int(uneven[0]) + 1
+        where = f"{path}, line {_line_of_row(_read_bytes(path, max_bytes), row)}"
+        if step[row - 1] <= 0:
+            raise InputError(
+                f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; "
+                "expected time to increase."
+            )
+        raise InputError(
+            f"{where}: the time step is {step[row - 1]:g} s where the file's is {dt:g} s; "
+            "expected a constant step. Resample the file or cut it here."
+        )
+    if not MIN_DT <= dt <= MAX_DT:
+        raise InputError(
+            f"{path}: the time step is {dt:g} s; expected {MIN_DT:g} to {MAX_DT:g} s. Is the time in seconds?"
+        )
+    return dt
+
+
+def _read_slowly(path: Path, raw: bytes, columns: int) -> Floats:
+    """Line by line: finds the first bad line, or reads what the bulk reader was too narrow for."""
+    rows: list[list[float]] = []
+    for number, line in enumerate(raw.splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        values = [_number(word, f"{path}, line {number}") for word in words]
+        if len(values) != columns:
+            raise InputError(
+                f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?"
+            )
+        rows.append(values)
+    return np.array(rows, np.float64)
+
+
+def _number(word: bytes, where: str) -> float:
+    try:
+        # Python reads 1_000 as a number; no logger writes that.
+        if b"_" in word:
+            raise ValueError
+        return float(word)
+    except ValueError:
+        shown = word[:30].decode("ascii", "backslashreplace")
+        raise InputError(f"{where}: {shown!r} is not a number.") from None
+
+
+def _line_of_row(raw: bytes, row: int) -> int:
+    """Line number (from 1) of a table row (from 0); blank lines are not rows."""
+    filled = [number for number, line in enumerate(raw.splitlines(), start=1) if line.split()]
+    return filled[row]

@@ -1,0 +1,199 @@
+"""Small Zarr helpers shared by the store and the label tracks: checked arrays, atomic replacement."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import shutil
+import uuid
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from rcbht_jax.errors import InputError
+
+CHUNK_BYTES = 2**20
+CHUNKS_PER_SHARD = 32
+
+
+def check_target(path: Path, kind: str, overwrite: bool) -> None:
+    """Check that a group of format ``kind`` may be written at ``path``; see :func:`store.check_target`."""
+    if not path.name:
+        raise InputError(f'"{path}" is not a name for a store; expected for example trials.zarr.')
+    if not path.parent.is_dir():
+        raise InputError(
+            f"{path.parent} is not a folder; create it first, or choose another place for {path.name}."
+        )
+    if not os.path.lexists(path):
+        return
+    if not overwrite:
+        raise InputError(f"{path} exists already; choose another name, or pass --overwrite to replace it.")
+    # Only what this program made is ever deleted.
+    try:
+        ours = open_group(path).attrs.get("format") == kind
+    except InputError:
+        ours = False
+    if not ours or path.is_symlink():
+        raise InputError(
+            f"{path} exists and is not a store made by rcbht; move it away or choose another name."
+        )
+
+
+@contextmanager
+def replacing(path: Path, near: Path | None = None) -> Iterator[Path]:
+    """Give a temporary sibling to fill; on success it takes the place of ``path``, on failure it is removed.
+
+    ``near`` is whose sibling the temporary is (default ``path``). A killed process leaves at most a folder
+    whose name begins with a dot and contains ".partial-".
+    """
+    near = path if near is None else near
+    draft = near.with_name(f".{near.name}.partial-{uuid.uuid4().hex[:12]}")
+    try:
+        yield draft
+        _swap(draft, path)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def _swap(draft: Path, path: Path) -> None:
+    if not path.exists():
+        draft.rename(path)
+        return
+    old = draft.with_name(f"{draft.name}-old")
+    path.rename(old)
+    try:
+        draft.rename(path)
+    except BaseException:
+        old.rename(path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
+    """A new group with attributes.
+
+    Raises:
+        InputError: the attributes are not JSON values.
+    """
+    try:
+        json.dumps(attrs, allow_nan=False).encode()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"The attributes cannot be stored as JSON: {error}.") from error
+    return zarr.create_group(path, zarr_format=3, attributes=dict(attrs))
+
+
+def open_group(path: Path) -> zarr.Group:
+    """Open a group for reading.
+
+    Raises:
+        InputError: there is no readable Zarr v3 group at ``path``.
+    """
+    try:
+        if not path.is_dir():
+            raise InputError(
+                f'{path} does not exist or is no folder; expected a store made by "rcbht import".'
+            )
+        return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=False)
+    except InputError:
+        raise
+    except Exception as error:  # a foreign folder can fail in any way inside zarr
+        raise InputError(f'{path} is not a Zarr group; expected a store made by "rcbht import".') from error
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged store raises into one sentence."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # a damaged store can fail in any way inside zarr and its codecs
+        detail = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path} is damaged or incomplete ({detail}). Import or copy it again.") from error
+
+
+def write_array(
+    group: zarr.Group,
+    name: str,
+    values: NDArray[Any] | np.generic,
+    dimensions: tuple[str, ...],
+    dtype: str,
+    attrs: Mapping[str, str],
+) -> None:
+    """Write one array: chunked and sharded along its first dimension, compressed, with a CRC per chunk."""
+    values = np.asarray(values)
+    chunks, shards = _layout(values, dtype)
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        dtype=np.dtypes.StringDType() if dtype == "string" else dtype,
+        chunks=chunks,
+        shards=shards,
+        compressors=[ZstdCodec(level=3), Crc32cCodec()],
+        dimension_names=dimensions,
+        attributes=dict(attrs),
+        # A chunk of zeros is written too: then a missing file is a loss, and -0.0 survives.
+        config={"write_empty_chunks": True},
+    )
+    array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
+
+
+def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
+    """Read one array whole, strings as fixed-width NumPy strings; any dtype will do if ``dtype`` is None.
+
+    Raises:
+        InputError: it is missing or has another dtype.
+    """
+    array = group.get(name)
+    if not isinstance(array, zarr.Array):
+        raise InputError(
+            f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again."
+        )
+    values = np.asarray(array[...])
+    if dtype == "string":
+        return np.array(values.tolist(), np.str_)
+    if dtype is not None and values.dtype != dtype:
+        raise InputError(f"{group.store_path}: {name} is {values.dtype}; expected {dtype}.")
+    return values
+
+
+def consolidate(path: Path) -> None:
+    """Collect the metadata of all members in the root group, which makes opening by xarray one read."""
+    with warnings.catch_warnings():
+        # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(path, zarr_format=3)
+
+
+def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
+    """SHA-256 over shapes and values; strings as UTF-8, so that the width of their dtype does not matter."""
+    digest = hashlib.sha256()
+    for values in arrays:
+        array = np.ascontiguousarray(values)
+        digest.update(repr(array.shape).encode())
+        if array.dtype.kind == "U":
+            digest.update(json.dumps(array.tolist()).encode())
+        else:
+            digest.update(array.data)
+    return digest.hexdigest()
+
+
+def _layout(values: NDArray[Any], dtype: str) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
+    """Chunk and shard shapes: about 1 MiB per chunk, whole rows; strings and scalars in one piece."""
+    if values.ndim == 0:
+        return (), None
+    if dtype == "string" or values.size == 0:
+        return tuple(max(1, size) for size in values.shape), None
+    rows = max(1, min(len(values), CHUNK_BYTES // max(1, values[0].nbytes)))
+    per_shard = rows * min(CHUNKS_PER_SHARD, math.ceil(len(values) / rows))
+    return (rows, *values.shape[1:]), (per_shard, *values.shape[1:])

@@ -1,0 +1,62 @@
+"""Shared fixtures and the strictness under which every test runs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from jaxtyping import install_import_hook
+
+# Shapes and types are checked at run time under pytest only; must come before any import of the package.
+install_import_hook("rcbht_jax", "typechecking.check")
+
+import hypothesis  # noqa: E402
+import jax  # noqa: E402
+import pytest  # noqa: E402
+
+from rcbht_jax.data.hiro import import_hiro  # noqa: E402
+from rcbht_jax.data.store import read_recordings  # noqa: E402
+from rcbht_jax.types import Recordings  # noqa: E402
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+hypothesis.settings.register_profile("dev", deadline=None, max_examples=60)
+hypothesis.settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _external(variable: str, default: str) -> Path:
+    """A folder outside the project, or the reason why its tests are skipped."""
+    folder = Path(os.environ.get(variable) or ROOT / default)
+    if not folder.is_dir():
+        pytest.skip(f"the recorded data is not here; set {variable} to its folder (default {default})")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def hiro_dir() -> Path:
+    """The authors' data sets."""
+    return _external("RCBHT_DATA", "../shared/data/hiro")
+
+
+@pytest.fixture(scope="session")
+def golden_dir() -> Path:
+    """Reference results of the authors' programs and of the design."""
+    return _external("RCBHT_GOLDEN", "../shared/golden")
+
+
+@pytest.fixture(scope="session")
+def hiro_store(hiro_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All data sets imported once per session; read only."""
+    path = tmp_path_factory.mktemp("store") / "hiro.zarr"
+    import_hiro(hiro_dir, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def hiro_recordings(hiro_store: Path) -> Recordings:
+    """The content of ``hiro_store``; do not change its arrays."""
+    return read_recordings(hiro_store)
