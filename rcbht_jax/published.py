@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, name
-from rcbht_jax.offline import OfflineLabels
+from rcbht_jax.offline import OfflineLabels, state_onsets
 
 STATES = ("approach", "rotation", "insertion", "mating")
 Row = NDArray[np.int16]
@@ -134,10 +134,10 @@ def state_marks(onset: ArrayLike, recording: Sentences) -> list[float]:
     Raises:
         InputError: a state is missing.
     """
-    marks = [float(value) for value in np.asarray(onset, np.float64).ravel()[1:]]
+    marks = state_onsets(onset)[1:]
     if len(marks) == len(STATES) - 1:
         marks.append(recording["llb"][0].end[-1])
-    if len(marks) != len(STATES) or not np.all(np.isfinite(marks)):
+    if len(marks) != len(STATES):
         raise InputError(f"The state file gives {len(marks)} boundaries; expected four states.")
     return marks
 

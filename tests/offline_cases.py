@@ -1,4 +1,4 @@
-"""Reading of trials and golden tables for the tests of the offline taxonomy."""
+"""Trials, golden tables and hand-made rows for the tests of the offline taxonomy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, LLB, MC
 from rcbht_jax.offline import OfflineLabels, encode
 
 SETS = (
@@ -60,7 +60,7 @@ def encode_job(work: Job) -> OfflineLabels:
 
 
 def encode_all(jobs: Sequence[Job]) -> list[OfflineLabels]:
-    """Labels of many recordings, in fresh processes: there, the run-time type checks do not slow them down."""
+    """Labels of many recordings, in fresh processes, which the run-time type checks do not slow down."""
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(encode_job, jobs, chunksize=4))
 
@@ -75,3 +75,39 @@ def golden_axes(stored: dict[str, NDArray], trial: int, arm: int) -> Iterator[Go
             for layer in ("prim_raw", "prim", "mc_raw", "mc", "llb_raw", "llb")
         }
         yield Golden(str(stored["trial"][trial]), str(stored["arms"][arm]), axis, tables)
+
+
+def primitive_row(
+    start: float, end: float, low: float, high: float, label: int, slope: float = 1.0
+) -> list[float]:
+    """A primitive."""
+    return [float(x) for x in ((high + low) / 2, high, low, start, end, slope, label)]
+
+
+def motion_row(
+    label: MC,
+    times: tuple[float, float, float, float],
+    avg: float = 1.0,
+    amp: float = 1.0,
+    tags: tuple[int, int] = (1, 1),
+) -> list[float]:
+    """A motion composition whose maximum lies half an amplitude above its average."""
+    row = (label, avg, avg + amp / 2, amp, *tags, *times, (times[0] + times[3]) / 2)
+    return [float(x) for x in row]
+
+
+def motion_rows(labels: str, amp: float = 1.0) -> list[list[float]]:
+    """Compositions of one second each, by name."""
+    return [
+        motion_row(MC[label.upper()], (k, k + 0.5, k + 0.5, k + 1), amp=amp)
+        for k, label in enumerate(labels.split())
+    ]
+
+
+def behaviour_row(
+    label: LLB, start: float, end: float, avg: float = 1.0, amp: float = 1.0, tag: int = 1
+) -> list[float]:
+    """A low-level behaviour of two equal halves."""
+    middle = (start + end) / 2
+    row = (label, *[avg] * 6, *[amp] * 3, 1, tag, start, middle, middle, end, middle)
+    return [float(x) for x in row]

@@ -61,17 +61,29 @@ def sample_times(samples: int, dt: float) -> NDArray[np.float64]:
     return stamps
 
 
+def state_onsets(onset: ArrayLike) -> list[float]:
+    """Start times of the states, s, without the trailing not-a-numbers that stand for missing states.
+
+    Raises:
+        InputError: no states, too many, or not finite.
+    """
+    values: list[float] = np.asarray(onset, np.float64).ravel().tolist()
+    while values and np.isnan(values[-1]):
+        values.pop()
+    if not values:
+        raise InputError("The state vector is empty; expected the start times of one to five states.")
+    if len(values) > 5 or not np.all(np.isfinite(values)):
+        raise InputError(f"The state vector is {values}; expected one to five finite start times.")
+    return values
+
+
 def state_vector(onset: ArrayLike, t_end: float) -> list[float]:
     """State vector of section 2 from the values of a state file, s, and the last time stamp.
 
     Raises:
         InputError: no states, too many, or not finite.
     """
-    values = np.asarray(onset, np.float64).ravel().tolist()
-    if not values:
-        raise InputError("The state vector is empty; expected the start times of one to five states.")
-    if len(values) > 5 or not np.all(np.isfinite(values)):
-        raise InputError(f"The state vector is {values}; expected one to five finite start times.")
+    values = state_onsets(onset)
     if len(values) == 5:
         return [*values[:4], t_end]
     return values if values[-1] == t_end and len(values) > 1 else [*values, t_end]
@@ -94,8 +106,8 @@ def encode(
     Args:
         time: ``[n]`` seconds, from zero or later, increasing; see :func:`sample_times`.
         wrench: ``[n, 6]`` Fx Fy Fz Mx My Mz, N and Nm.
-        onset: start times of the states as in the state file, s; the first is zero. Both arms of a two-arm
-            trial use those of the right arm (Q1).
+        onset: start times of the states as in the state file, s; the first is zero, trailing not-a-numbers
+            are missing states. Both arms of a two-arm trial use those of the right arm (Q1).
         robot: one of ``rcbht_jax.thresholds.ROBOTS``; selects the hand-set limits.
         version: one of ``VERSIONS``.
         clean: apply the fixes listed in :mod:`rcbht_jax.offline`.

@@ -221,17 +221,19 @@ def merge_into_adjustments(rows: Table, start: int, clean: bool) -> Table:
 def merge_into_constants(rows: Table, start: int, clean: bool) -> Table:
     """7.7: different neighbours among increase, decrease, constant become a constant.
 
-    The amplitude tolerance of 1.5 is always met (Q19).
+    The amplitude tolerance of 1.5 is always met (Q19); ``clean`` takes the one of pass 7.6.
     """
+    amplitude = 0.5 if clean else 1.5
     for i in range(start, len(rows) - 1):
         labels = {rows[i][LABEL], rows[i + 1][LABEL]}
-        if len(labels) == 2 and labels < {MC.I, MC.D, MC.K} and _alike(rows[i], rows[i + 1], 1.5, 1.0, clean):
+        changing = len(labels) == 2 and labels < {MC.I, MC.D, MC.K}
+        if changing and _alike(rows[i], rows[i + 1], amplitude, 1.0, clean):
             absorb_next(rows, i, MC.K, amplitude=True)
     return compact(rows)
 
 
 def filter_motions(raw: Table, bounds: Boundaries, version: Version, clean: bool = False) -> Table:
-    """Filtered copy of raw motion compositions; ``clean`` makes closeness independent of sign (Q15)."""
+    """Filtered copy of raw motion compositions; ``clean`` fixes Q15 and Q19."""
     rows = [row[:] for row in raw]
     for _ in range(ROUNDS):
         start = start_row(rows, bounds, version)
