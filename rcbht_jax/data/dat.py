@@ -18,6 +18,7 @@ from rcbht_jax.errors import InputError
 
 MAX_BYTES = 512 * 2**20
 MIN_DT, MAX_DT = 1e-4, 1.0
+PLAIN = b"0123456789+-.eE \t\r\n"
 DT_TOLERANCE = 0.05  # of the time step: far above print rounding, far below a lost sample
 
 # Largest believable magnitude of each quantity, and what a larger one probably means.
@@ -49,10 +50,7 @@ def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Floats:
     raw = _read_bytes(path, max_bytes)
     if not raw.strip():
         raise InputError(f"{path} is empty; expected lines of {columns} numbers.")
-    try:
-        table = np.loadtxt(io.StringIO(raw.decode("ascii"), newline=None), comments=None, ndmin=2)
-    except ValueError:
-        table = None
+    table = _read_fast(raw)
     if table is None or table.shape[1] != columns:
         table = _read_slowly(path, raw, columns)
     bad = np.argwhere(~np.isfinite(table))
@@ -138,6 +136,16 @@ def _time_step(path: Path, time: Floats, max_bytes: int) -> float:
     return dt
 
 
+def _read_fast(raw: bytes) -> Floats | None:
+    """The table in one go; None where it is not made of complete lines of plain numbers."""
+    if raw.translate(None, PLAIN):
+        return None
+    try:
+        return np.loadtxt(io.StringIO(raw.decode("ascii"), newline=None), comments=None, ndmin=2)
+    except ValueError:
+        return None
+
+
 def _read_slowly(path: Path, raw: bytes, columns: int) -> Floats:
     """Line by line: finds the first bad line, or reads what the bulk reader was too narrow for."""
     rows: list[list[float]] = []
@@ -161,8 +169,8 @@ def _number(word: bytes, where: str) -> float:
             raise ValueError
         return float(word)
     except ValueError:
-        shown = word[:30].decode("ascii", "backslashreplace")
-        raise InputError(f"{where}: {shown!r} is not a number.") from None
+        shown = repr(word[:30]).removeprefix("b")
+        raise InputError(f"{where}: {shown} is not a number.") from None
 
 
 def _line_of_row(raw: bytes, row: int) -> int:

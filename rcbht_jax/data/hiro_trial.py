@@ -90,7 +90,7 @@ def _read_arm(
         notes.append(f"angles-length:{len(angles.time)}/{len(table.time)}")
     better = onset
     if hiro_onsets.needs_harmonising(onset, table.dt):
-        better, more = _harmonise(folder, arm, name, onset, table, angles, warn)
+        better, more = _harmonise(folder, arm, onset, table, angles, warn)
         notes += more
     deviation = np.array(name.deviation if name.deviation is not None else (np.nan,) * 3)
     if name.session == "B":
@@ -143,7 +143,6 @@ def _read_marks(folder: Path, arm: str, warn: Complain) -> tuple[NDArray[np.floa
 def _harmonise(
     folder: Path,
     arm: str,
-    name: TrialName,
     onset: NDArray[np.float64],
     table: dat.TimedTable,
     angles: dat.TimedTable | None,
@@ -151,10 +150,8 @@ def _harmonise(
 ) -> tuple[NDArray[np.float64], list[str]]:
     """Harmonised onset from the joint angles, else from the recorded pose, else by the fixed share."""
     if angles is not None:
-        q = angles.values.copy()
-        if name.session == "C":
-            q[:, 5] -= hiro_kinematics.FAILURE_SESSION_Q5_OFFSET
-        tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(q, arm)[1])
+        # Session C's offset of the last joint needs no removal: that joint does not change the tilt.
+        tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(angles.values, arm)[1])
         out, note = hiro_onsets.harmonised(onset, angles.time - table.time[0], tilt)
         return out, [note]
     pose = _read_signal(folder, arm, "CartPos", "pose", warn)

@@ -142,8 +142,6 @@ def write_array(
         compressors=[ZstdCodec(level=3), Crc32cCodec()],
         dimension_names=dimensions,
         attributes=dict(attrs),
-        # A chunk of zeros is written too: then a missing file is a loss, and -0.0 survives.
-        config={"write_empty_chunks": True},
     )
     array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
 
