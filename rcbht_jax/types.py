@@ -18,6 +18,25 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Item:
+    """A labelled span inside the encoder; every field has the same batch shape ``[...]``, its lanes.
+
+    Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
+    compiler may contract one into a fused multiply-add, hence streaming and batch agree bit for bit.
+    An empty slot has label 0; its other fields mean nothing.
+    """
+
+    label: Array  # int32, code of rcbht_jax.labels
+    t0: Array  # int32, first sample
+    t1: Array  # int32, one past the last sample
+    vmax: Array  # float, largest value of the fitted lines
+    vmin: Array  # float, smallest value of the fitted lines
+    area: Array  # float, sum of the samples = mean x duration in samples
+    rise: Array  # float, slope x duration in samples
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class LabelTrack:
     """Published labels of one layer, in publication order, which is time order.
 

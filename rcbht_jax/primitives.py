@@ -1,0 +1,77 @@
+"""Windows of samples to labelled straight-line segments (specification, sections 2.3 and 4.2)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rcbht_jax.labels import Primitive
+from rcbht_jax.types import Array, Item
+
+_UNROLLED = 64  # windows up to this many samples become straight-line code
+
+
+def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Item:
+    """Least-squares line through the first ``count`` samples of each lane's window.
+
+    The result does not depend on how a compiler fuses this code: no rounded product meets a sum
+    unfenced, and divisors hide behind barriers, lest they become reciprocals.
+
+    Args:
+        samples: float ``[window, ...]``, N or Nm, window >= 2.
+        count: int32 ``[...]``, samples that count, <= window; fewer than 2 give an empty item.
+        limits: float ``[4, ...]``, gradient limits per lane, largest first, N/s or Nm/s.
+        dt: seconds between samples.
+        t0: int32 ``[...]``, index of the first sample.
+
+    Returns:
+        one item per lane; its extremes are those of the line at the first and last sample.
+    """
+    dtype = samples.dtype
+    n = jnp.maximum(count, 2).astype(dtype)
+    total, moment = _sums(samples, count, (n - 1) / 2)
+    spread = jnp.asarray(_squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
+    n, spread, period = jax.lax.optimization_barrier((n, spread, jnp.full_like(n, dt)))
+    slope = moment / spread
+    half = jnp.abs(slope) * (n - 1) * period * 0.5
+    mean = total / n
+    rise = slope / (1 / n)
+    label = jnp.where(count >= 2, gradient_label(slope, limits), 0)
+    return Item(label, t0, t0 + count, mean + half, mean - half, total, rise)
+
+
+def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """dt times the sum of squared offsets from the middle of n = 0 ... window samples."""
+    n = np.arange(window + 1, dtype=np.float64)
+    return dt * (n * (n * n - 1) / 12)
+
+
+def _sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
+    """Sum and first moment about the middle of the samples that count, in order of time."""
+    lowest = jnp.finfo(samples.dtype).min
+
+    def add(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+        index, y = row
+        on = index < count
+        product = jnp.maximum((index.astype(y.dtype) - middle) * y, lowest)  # fence: no fused multiply-add
+        total = carry[0] + jnp.where(on, y, 0)
+        moment = carry[1] + jnp.where(on, product, 0)
+        return (total, moment), None
+
+    zero = jnp.zeros_like(samples[0])
+    index = jnp.arange(samples.shape[0], dtype=jnp.int32)
+    unroll: int | bool = True if samples.shape[0] <= _UNROLLED else _UNROLLED
+    sums, _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unroll)
+    return sums
+
+
+def gradient_label(slope: Array, limits: Array) -> Array:
+    """Primitive code int32 ``[...]`` of slopes ``[...]``; limits ``[4, ...]`` are inclusive on their larger side."""
+    size = jnp.abs(slope)
+    rank = jnp.sum(size[None] < limits, axis=0, dtype=jnp.int32)  # 0 impulse ... 3 small, 4 constant
+    up = slope > 0
+    ramp = jnp.where(up, rank, rank + (Primitive.BNEG - Primitive.BPOS))
+    impulse = jnp.where(up, jnp.int32(Primitive.PIMP), jnp.int32(Primitive.NIMP))
+    constant = jnp.int32(Primitive.CONS)
+    return jnp.where(rank == 4, constant, jnp.where(rank == 0, impulse, ramp))
