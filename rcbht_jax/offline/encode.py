@@ -128,7 +128,8 @@ def encode(
         _encode_axis(stamps, signal[:, axis], tuple(chosen[axis].tolist()), floor, bounds, rules, clean)
         for axis in range(6)
     ]
-    tables = {name: tuple(_array(axis[k], width) for axis in axes) for k, (name, width) in _LAYOUT}
+    layers = zip(WIDTHS.items(), zip(*axes, strict=True), strict=True)
+    tables = {name: tuple(_array(rows, width) for rows in layer) for (name, width), layer in layers}
     return OfflineLabels(
         **tables,
         thresholds=lim.mirrored(chosen),
@@ -138,9 +139,6 @@ def encode(
         samples=len(stamps),
         time_start=float(stamps[0]),
     )
-
-
-_LAYOUT = tuple(enumerate(WIDTHS.items()))
 
 
 def _array(rows: Table, width: int) -> NDArray[np.float64]:
