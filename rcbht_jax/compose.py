@@ -50,10 +50,7 @@ def push_primitive(h: Item, x: Item, gate: bool, contact_first: bool) -> tuple[I
     if gate:
         ax, ay, dx, dy = amplitude(h), amplitude(x), duration(h), duration(x)
         ok = (ax <= 2 * ay) & (ay <= 2 * ax) & (dx <= 5 * dy) & (dy <= 5 * dx)
-    if contact_first:
-        ok = ok & ~is_impulse(x.label)
-    else:
-        ok = ok | is_impulse(x.label)
+    ok = ok & ~is_impulse(x.label) if contact_first else ok | is_impulse(x.label)
     pair = both & (ok | is_impulse(h.label))
 
     row = jnp.int32(_PAIR_MC[0])

@@ -47,7 +47,7 @@ class EncoderConfig:
     adj_exempt: bool = True
     contact_first: bool = False
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
-    rule: pipe.Rule = "paper"
+    rule: Literal["paper", "similar"] = "paper"
     latency_cap: float | None = None
     noise_below: float = 0.1
 

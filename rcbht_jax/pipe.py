@@ -16,8 +16,6 @@ import jax.numpy as jnp
 from rcbht_jax.labels import LLB, MC, Primitive
 from rcbht_jax.types import Array, Item
 
-Rule = Literal["paper", "similar"]
-
 
 def is_impulse(label: Array) -> Array:
     """Whether primitive codes are impulses."""
@@ -49,7 +47,7 @@ class PipeRules:
 
     contact: Callable[[Array], Array]
     exempt: int | None = None
-    rule: Rule = "paper"
+    rule: Literal["paper", "similar"] = "paper"
     cap: int | None = None
     one_slot: bool = False
 
@@ -85,7 +83,7 @@ def merge(x: Item, y: Item, label: Array) -> Item:
     return Item(label, x.t0, y.t1, vmax, vmin, x.area + y.area, x.rise + y.rise)
 
 
-def over(x: Item, y: Item, rule: Rule) -> Array:
+def over(x: Item, y: Item, rule: str) -> Array:
     """Whether x may absorb y by the time-amplitude rule."""
     ax, ay, dx, dy = amplitude(x), amplitude(y), duration(x), duration(y)
     if rule == "paper":
