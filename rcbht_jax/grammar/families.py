@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def majority(words: Words, slots: int) -> NDArray[np.int64]:
     shape = (*words.code.shape[:2], slots + 1, words.size)
     lane = np.arange(shape[0] * shape[1]).reshape(*shape[:2], 1)
 
-    def spread(slot: NDArray[np.int64], weight: NDArray[np.int64]) -> NDArray[np.float64]:
+    def spread(slot: NDArray[np.int64], weight: NDArray[Any]) -> NDArray[np.float64]:
         index = ((lane * (slots + 1) + slot) * words.size + np.maximum(words.code - 1, 0)).ravel()
         sums = np.bincount(index, np.where(used, weight, 0).ravel(), int(np.prod(shape)))
         return sums.astype(np.float64).reshape(shape)

@@ -145,11 +145,7 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
 
 
 def _flat(values: NDArray[np.float64], columns: list[tuple[str, str]], family: str, layer: str) -> Features:
-    named = [
-        (f"{family}.{layer}.{axis}.{what}", f"{axis} {layer}: {text}")
-        for axis in AXES
-        for what, text in columns
-    ]
+    named = [(f"{family}.{layer}.{axis}.{what}", f"{axis} {layer}: {text}") for axis in AXES for what, text in columns]
     flat = values.reshape(values.shape[0], -1).astype(np.float32)
     return Features(flat, tuple(n for n, _ in named), (family,) * len(named), tuple(t for _, t in named))
 

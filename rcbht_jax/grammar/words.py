@@ -63,9 +63,7 @@ def clip(track: LabelTrack, intervals: Intervals, layer: str) -> Words:
     def gather(x: NDArray[Any]) -> NDArray[Any]:
         return np.where(used, np.take_along_axis(x, order, -1), 0)
 
-    value = {
-        k: gather(np.asarray(getattr(track, k), np.float64)[rows]) for k in ("vmax", "vmin", "avg", "grad")
-    }
+    value = {k: gather(np.asarray(getattr(track, k), np.float64)[rows]) for k in ("vmax", "vmin", "avg", "grad")}
     size = LAYER_SIZES[LAYERS.index(layer)]
     return Words(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
 

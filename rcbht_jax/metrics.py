@@ -1,0 +1,173 @@
+"""Scores: of classifications, of repeated cross-validation, and of beliefs that arrive step by step.
+
+Pure functions on host arrays. Class indices are integers 0, 1, ...; probabilities are ``[step, class]``.
+Definitions of the streaming numbers: the paper's section on online results (evaluation notes, "Definitions").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from rcbht_jax.errors import InputError
+
+Ints = NDArray[np.integer[Any]]
+Floats = NDArray[np.floating[Any]]
+
+THRESHOLDS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
+INADMISSIBLE = 0.5  # below this a belief counts for nothing
+
+
+def accuracy(truth: Ints, said: Ints) -> float:
+    """Share of ``[n]`` items whose class was said correctly.
+
+    Raises:
+        InputError: no items, or different numbers of them.
+    """
+    _same(truth, said)
+    return float(np.mean(truth == said))
+
+
+def recall(truth: Ints, said: Ints, classes: int) -> NDArray[np.float64]:
+    """Share of each class's items said correctly, ``[class]``; NaN where the class does not occur."""
+    table = confusion(truth, said, classes).astype(np.float64)
+    total = table.sum(1)
+    return np.divide(table.diagonal(), total, out=np.full(classes, np.nan), where=total > 0)
+
+
+def balanced_accuracy(truth: Ints, said: Ints) -> float:
+    """Mean recall over the classes that occur in ``truth``."""
+    _same(truth, said)
+    return float(np.nanmean(recall(truth, said, int(max(truth.max(), said.max())) + 1)))
+
+
+def confusion(truth: Ints, said: Ints, classes: int) -> NDArray[np.int64]:
+    """Counts ``[true class, said class]``."""
+    _same(truth, said)
+    return np.bincount(truth * classes + said, minlength=classes * classes).reshape(classes, classes)
+
+
+def _same(truth: Ints, said: Ints) -> None:
+    if truth.shape != said.shape or truth.size == 0:
+        raise InputError(f"{truth.size} true classes and {said.size} said ones cannot be compared.")
+
+
+def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95) -> tuple[float, float, float]:
+    """Mean and confidence limits of scores from repeated train/test splits, corrected for their overlap.
+
+    Nadeau and Bengio (2003): the variance of the mean of J scores is (1/J + n_test/n_train) s^2, with
+    J - 1 degrees of freedom. Limits are cut to [0, 1], where scores live.
+
+    Args:
+        scores: one per split, any shape, in [0, 1].
+        test_to_train: n_test / n_train, which is 1 / (k - 1) for k folds.
+        level: coverage.
+
+    Raises:
+        InputError: fewer than two scores.
+    """
+    if scores.size < 2:
+        raise InputError(f"an interval needs at least two scores; there are {scores.size}.")
+    mean = float(scores.mean())
+    error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
+    half = float(student.ppf(0.5 + level / 2, scores.size - 1) * error)
+    return mean, max(0.0, mean - half), min(1.0, mean + half)
+
+
+def overall_pr(probability: Floats, truth: Ints) -> float:
+    """The paper's OverallPr: mean over steps of (largest probability x correct)."""
+    return float(np.mean(_credit(probability, truth)))
+
+
+def class_pr(probability: Floats, truth: Ints) -> NDArray[np.float64]:
+    """The paper's ClassPr: as OverallPr over the steps of each class, ``[class]``; NaN where it has none."""
+    classes = probability.shape[1]
+    steps = np.bincount(truth, minlength=classes)
+    credit = np.bincount(truth, _credit(probability, truth), minlength=classes)
+    return np.divide(credit, steps, out=np.full(classes, np.nan), where=steps > 0)
+
+
+def macro_step_accuracy(probability: Floats, truth: Ints) -> float:
+    """Mean over the classes present of the share of their steps said correctly while streaming."""
+    _check(probability, truth)
+    return float(np.nanmean(recall(truth, probability.argmax(1), probability.shape[1])))
+
+
+def _check(probability: Floats, truth: Ints) -> None:
+    if probability.ndim != 2 or probability.shape[0] != truth.shape[0] or truth.size == 0:
+        raise InputError(
+            f"probabilities of shape {probability.shape} do not fit {truth.size} true classes; "
+            "expected one row per step."
+        )
+
+
+def _credit(probability: Floats, truth: Ints) -> NDArray[np.float64]:
+    _check(probability, truth)
+    return np.where(probability.argmax(1) == truth, probability.max(1), 0.0)
+
+
+def certainty(probability: Floats, k: float) -> NDArray[np.int8]:
+    """Per step 0 inadmissible (largest probability < 0.5), 1 uncertain (up to k), 2 certain (above k)."""
+    top = probability.max(1)
+    return ((top >= INADMISSIBLE).astype(np.int8) + (top > k)).astype(np.int8)
+
+
+def window_start(steps: int) -> int:
+    """First step of the paper's last third: int(2n/3) + 1, counted from 0."""
+    return 2 * steps // 3 + 1
+
+
+def certain_count(probability: Floats, truth: int, k: float) -> int:
+    """Steps in the last third of one trial that are correct with a probability above k."""
+    last = probability[window_start(len(probability)) :]
+    return int(np.sum((last.argmax(1) == truth) & (last.max(1) > k))) if len(last) else 0
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """The paper's counts for one threshold; every array is ``[class]``, NaN where a class has no trial."""
+
+    k: float
+    count_min: NDArray[np.float64]  # steps, smallest over the trials of the class
+    count_mean: NDArray[np.float64]
+    count_max: NDArray[np.float64]
+    avg_len: NDArray[np.float64]  # mean number of steps of the class
+    m_paper: NDArray[np.float64]  # count_mean / (avg_len / 3): can exceed 1 for trials longer than average
+    m_own: NDArray[np.float64]  # mean over trials of count / length of the trial's own window, in [0, 1]
+
+    def m_paper_of(self, count: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The paper's m of ``count_min``, ``count_mean`` or ``count_max``."""
+        return count / (self.avg_len / 3)
+
+
+def certainties(probabilities: Sequence[Floats], truth: Sequence[int], k: float = THRESHOLDS[0]) -> Certainty:
+    """Counts, AvgLen and m of a set of trials, each ``[step, class]`` with one true class.
+
+    Trials too short to have a last third (three steps or fewer) count in the paper's m, as in the paper,
+    and are left out of ``m_own``.
+
+    Raises:
+        InputError: no trials, or different numbers of trials and classes.
+    """
+    if not probabilities or len(probabilities) != len(truth):
+        raise InputError(f"{len(probabilities)} trials and {len(truth)} true classes cannot be compared.")
+    classes = probabilities[0].shape[1]
+    of_class = np.asarray(truth)
+    pairs = zip(probabilities, truth, strict=True)
+    counts = np.array([certain_count(p, c, k) for p, c in pairs], np.float64)
+    steps = np.array([len(p) for p in probabilities], np.float64)
+    window = np.array([max(0, len(p) - window_start(len(p))) for p in probabilities], np.float64)
+    own = np.divide(counts, window, out=np.full(len(counts), np.nan), where=window > 0)
+
+    def per_class(value: NDArray[np.float64], reduce: Any) -> NDArray[np.float64]:
+        chosen = [value[(of_class == c) & ~np.isnan(value)] for c in range(classes)]
+        return np.array([reduce(v) if v.size else np.nan for v in chosen])
+
+    low, mean, high = (per_class(counts, f) for f in (np.min, np.mean, np.max))
+    avg_len = per_class(steps, np.mean)
+    return Certainty(k, low, mean, high, avg_len, mean / (avg_len / 3), per_class(own, np.mean))
