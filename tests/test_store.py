@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,6 +19,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from hypothesis import given, settings
 
 from rcbht_jax.data import store, tracks, zarrio
@@ -40,9 +43,7 @@ def some_recordings(draw: st.DrawFn) -> Recordings:
     def words(elements: st.SearchStrategy[str]) -> np.ndarray:
         return np.array(draw(st.lists(elements, min_size=count, max_size=count)), np.str_)
 
-    onset, better, deviation = (
-        draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3)
-    )
+    onset, better, deviation = (draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3))
     return Recordings(
         wrench=wrench,
         length=length,
@@ -224,6 +225,26 @@ store.write_recordings(Path(sys.argv[1]), simple(), {})
     assert not path.exists()
     store.write_recordings(path, simple(), {})
     same(store.read_recordings(path), simple())
+
+
+def test_ctrl_c_waits_for_the_array_being_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    real = zarr.Group.create_array
+
+    def pressing(self: zarr.Group, name: str, **options: Any) -> Any:
+        if name == "onset":
+            os.kill(os.getpid(), signal.SIGINT)
+        array = real(self, name, **options)
+        done.append(name)
+        return array
+
+    monkeypatch.setattr(zarr.Group, "create_array", pressing)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        store.write_recordings(tmp_path / "x.zarr", simple(), {})
+    assert done == ["wrench", "length", "onset"]
+    assert signal.getsignal(signal.SIGINT) is handler
+    folder_is_clean(tmp_path)
 
 
 def files(path: Path) -> Iterator[Path]:

@@ -122,8 +122,7 @@ def _time_step(path: Path, time: Floats, max_bytes: int) -> float:
         where = f"{path}, line {_line_of_row(_read_bytes(path, max_bytes), row)}"
         if step[row - 1] <= 0:
             raise InputError(
-                f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; "
-                "expected time to increase."
+                f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; expected time to increase."
             )
         raise InputError(
             f"{where}: the time step is {step[row - 1]:g} s where the file's is {dt:g} s; "
@@ -155,9 +154,7 @@ def _read_slowly(path: Path, raw: bytes, columns: int) -> Floats:
             continue
         values = [_number(word, f"{path}, line {number}") for word in words]
         if len(values) != columns:
-            raise InputError(
-                f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?"
-            )
+            raise InputError(f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?")
         rows.append(values)
     return np.array(rows, np.float64)
 

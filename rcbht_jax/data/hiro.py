@@ -56,9 +56,7 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
         InputError: ``directory`` is no folder, is itself a trial, or holds no trial.
     """
     if not directory.is_dir():
-        raise InputError(
-            f"{directory} is not a folder; expected the folder of the data sets or one data set."
-        )
+        raise InputError(f"{directory} is not a folder; expected the folder of the data sets or one data set.")
     if _is_trial(directory):
         raise InputError(f"{directory} is a single trial; expected its parent folder, the data set.")
     children = _folders(directory)
@@ -66,9 +64,7 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
         return [(directory.resolve().name, child) for child in children]
     sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child))]
     if not sets:
-        raise InputError(
-            f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such."
-        )
+        raise InputError(f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such.")
     return [(child.name, folder) for child in sets for folder in _folders(child)]
 
 
@@ -110,9 +106,7 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
     return _pack(kept), report
 
 
-def import_hiro(
-    directory: Path, path: Path, overwrite: bool = False, progress: Progress = iter
-) -> ImportReport:
+def import_hiro(directory: Path, path: Path, overwrite: bool = False, progress: Progress = iter) -> ImportReport:
     """Read the authors' folder and write it as a store at ``path``.
 
     Raises:
@@ -159,9 +153,7 @@ def _without_copies(
         for folder in originals.values() if len(originals) > 1 else ():
             rest = [other.name for other in originals.values() if other != folder]
             others[folder] = ",".join(rest).replace(";", ",")
-            report.warnings.append(
-                (name(folder), f"identical to {', '.join(rest)}, whose name contradicts it.")
-            )
+            report.warnings.append((name(folder), f"identical to {', '.join(rest)}, whose name contradicts it."))
     return [
         _contradicted(record, others[record.folder]) if record.folder in others else record
         for arms in trials
@@ -176,9 +168,7 @@ def _contradicted(record: ArmRecord, other: str) -> ArmRecord:
     return with_note(untyped, f"contradictory-duplicate:{other}")
 
 
-def _same_time_step(
-    records: list[ArmRecord], name: Callable[[Path], str], report: ImportReport
-) -> list[ArmRecord]:
+def _same_time_step(records: list[ArmRecord], name: Callable[[Path], str], report: ImportReport) -> list[ArmRecord]:
     if not records:
         return []
     dt = Counter(round(record.table.dt, 6) for record in records).most_common(1)[0][0]

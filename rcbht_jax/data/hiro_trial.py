@@ -77,9 +77,7 @@ def read_trial(folder: Path, source: str, skip: Complain, warn: Complain) -> lis
     return records
 
 
-def _read_arm(
-    folder: Path, trial: str, arm: str, name: TrialName, table: dat.TimedTable, warn: Complain
-) -> ArmRecord:
+def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.TimedTable, warn: Complain) -> ArmRecord:
     notes = list(name.notes)
     if abs(table.time[0]) > table.dt / 2:
         notes.append(f"clock-starts-at:{table.time[0]:g}")
@@ -110,9 +108,7 @@ def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Complai
         return None
 
 
-def _read_onset(
-    folder: Path, arm: str, table: dat.TimedTable, warn: Complain
-) -> tuple[NDArray[np.float64], list[str]]:
+def _read_onset(folder: Path, arm: str, table: dat.TimedTable, warn: Complain) -> tuple[NDArray[np.float64], list[str]]:
     """State start times of an arm; a left arm without its own (fewer than two) takes the right arm's."""
     marks, notes = _read_marks(folder, arm, warn)
     if arm == "L" and len(marks) < 2:

@@ -58,9 +58,7 @@ def check_target(path: Path, overwrite: bool) -> None:
     zarrio.check_target(path, FORMAT, overwrite)
 
 
-def write_recordings(
-    path: Path, recordings: Recordings, attrs: Mapping[str, Any], overwrite: bool = False
-) -> None:
+def write_recordings(path: Path, recordings: Recordings, attrs: Mapping[str, Any], overwrite: bool = False) -> None:
     """Write recordings as a store, atomically.
 
     Args:
@@ -100,15 +98,11 @@ def read_recordings(path: Path) -> Recordings:
     """
     group = open_store(path)
     with zarrio.reading(path):
-        arrays = {
-            variable: zarrio.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()
-        }
+        arrays = {variable: zarrio.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
         dt = float(zarrio.read_array(group, "dt", "float64")[()])
         expected = group.attrs["content_sha256"]
     if zarrio.content_hash([*arrays.values(), np.float64(dt)]) != expected:
-        raise InputError(
-            f"{path} is damaged: its content does not match its checksum. Import or copy it again."
-        )
+        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
     recordings = Recordings(dt=dt, **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()})
     try:
         validate(recordings)
@@ -134,9 +128,7 @@ def open_store(path: Path) -> zarr.Group:
     """
     group = zarrio.open_group(path)
     if group.attrs.get("format") != FORMAT:
-        raise InputError(
-            f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".'
-        )
+        raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
     if group.attrs.get("format_version") != FORMAT_VERSION:
         raise InputError(
             f"{path} has format version {group.attrs.get('format_version')}; expected {FORMAT_VERSION}. "
@@ -165,9 +157,7 @@ def validate(recordings: Recordings) -> None:
     """
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or wrench.shape[2] != 6 or 0 in wrench.shape:
-        raise InputError(
-            f"wrench has shape {wrench.shape}; expected [recordings, samples, 6], none of them 0."
-        )
+        raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, 6], none of them 0.")
     _check_shapes(recordings, len(wrench))
     if not (np.isfinite(recordings.dt) and recordings.dt > 0):
         raise InputError(f"dt is {recordings.dt}; expected a positive number of seconds.")
@@ -190,9 +180,7 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         shape = (count, *(width[dimensions[1]] if len(dimensions) > 1 else ()))
         kind = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
         if array.shape != shape or not kind:
-            raise InputError(
-                f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}."
-            )
+            raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
 
 
 def _check_words(name: str, values: NDArray[np.str_], allowed: tuple[str, ...]) -> None:

@@ -100,9 +100,7 @@ def _read_layer(group: zarr.Group, layer: str) -> dict[str, Any]:
     sub = group[layer]
     if not isinstance(sub, zarr.Group):
         raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
-    return {
-        name: zarrio.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()
-    }
+    return {name: zarrio.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()}
 
 
 def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:

@@ -7,6 +7,8 @@ import json
 import math
 import os
 import shutil
+import signal
+import threading
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,9 +32,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
     if not path.name:
         raise InputError(f'"{path}" is not a name for a store; expected for example trials.zarr.')
     if not path.parent.is_dir():
-        raise InputError(
-            f"{path.parent} is not a folder; create it first, or choose another place for {path.name}."
-        )
+        raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
     if not os.path.lexists(path):
         return
     if not overwrite:
@@ -43,9 +43,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
     except InputError:
         ours = False
     if not ours or path.is_symlink():
-        raise InputError(
-            f"{path} exists and is not a store made by rcbht; move it away or choose another name."
-        )
+        raise InputError(f"{path} exists and is not a store made by rcbht; move it away or choose another name.")
 
 
 @contextmanager
@@ -79,6 +77,26 @@ def _swap(draft: Path, path: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block is done.
+
+    Zarr works in background tasks: cut off, they would go on writing into a draft that is being removed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if pressed:
+        raise KeyboardInterrupt
+
+
+@uninterrupted()
 def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
     """A new group with attributes.
 
@@ -100,9 +118,7 @@ def open_group(path: Path) -> zarr.Group:
     """
     try:
         if not path.is_dir():
-            raise InputError(
-                f'{path} does not exist or is no folder; expected a store made by "rcbht import".'
-            )
+            raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
         return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=False)
     except InputError:
         raise
@@ -122,6 +138,7 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path} is damaged or incomplete ({detail}). Import or copy it again.") from error
 
 
+@uninterrupted()
 def write_array(
     group: zarr.Group,
     name: str,
@@ -146,6 +163,7 @@ def write_array(
     array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
 
 
+@uninterrupted()
 def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     """Read one array whole, strings as fixed-width NumPy strings; any dtype will do if ``dtype`` is None.
 
@@ -154,9 +172,7 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     """
     array = group.get(name)
     if not isinstance(array, zarr.Array):
-        raise InputError(
-            f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again."
-        )
+        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
     values = np.asarray(array[...])
     if dtype == "string":
         return np.array(values.tolist(), np.str_)
@@ -165,6 +181,7 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     return values
 
 
+@uninterrupted()
 def consolidate(path: Path) -> None:
     """Collect the metadata of all members in the root group, which makes opening by xarray one read."""
     with warnings.catch_warnings():
