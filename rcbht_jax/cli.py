@@ -72,9 +72,7 @@ def overview(names: Sequence[str] = tuple(COMMANDS)) -> str:
     """The list of commands, without importing any of them."""
     width = max(len(name) for name in names)
     lines = [f"  {name:{width}}  {COMMANDS[name][1]}" for name in names]
-    usage = (
-        "usage: rcbht COMMAND [options]; every command has --help, and --json for a machine-readable result"
-    )
+    usage = "usage: rcbht COMMAND [options]; every command has --help, and --json for a machine-readable result"
     return "\n".join([usage, "", *lines, "", "example: rcbht info hiro.zarr"])
 
 

@@ -137,9 +137,7 @@ WORDS = st.one_of(
 
 
 @given(words=st.lists(WORDS, max_size=5))
-def test_any_words_end_in_status_zero_or_two(
-    words: list[str], tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_any_words_end_in_status_zero_or_two(words: list[str], tmp_path_factory: pytest.TempPathFactory) -> None:
     before = Path.cwd()
     os.chdir(tmp_path_factory.getbasetemp())
     try:

@@ -190,9 +190,7 @@ def test_bulk_reading_is_fast(tmp_path: Path) -> None:
     # 94 MB must import in less than 45 s: 2 MB/s; the bulk path is 20 times faster than that.
     path = tmp_path / "t.dat"
     path.write_bytes(
-        b"".join(
-            b"%.3f\t1.23456 \t-2.34567e-05 \t3 \t0.1 \t-0.2 \t0.3 \t\n" % (k * 0.005) for k in range(40000)
-        )
+        b"".join(b"%.3f\t1.23456 \t-2.34567e-05 \t3 \t0.1 \t-0.2 \t0.3 \t\n" % (k * 0.005) for k in range(40000))
     )
     start = time.perf_counter()
     dat.read_timed(path, "wrench")

@@ -26,9 +26,9 @@ def test_every_torque_table_becomes_a_recording(hiro_dir: Path, hiro_recordings:
     files = Counter(path.parts[-3] for path in hiro_dir.glob("*/*/?_Torques.dat"))
     assert set(files) == set(SETS) - {"SIM_HIRO_ONE_SA_ERROR_CHARAC"}
     assert Counter(hiro_recordings.source.tolist()) == files
-    assert len(
-        set(zip(hiro_recordings.source, hiro_recordings.trial, hiro_recordings.arm, strict=True))
-    ) == len(hiro_recordings)
+    assert len(set(zip(hiro_recordings.source, hiro_recordings.trial, hiro_recordings.arm, strict=True))) == len(
+        hiro_recordings
+    )
 
 
 def test_sessions_and_outcomes(hiro_recordings: Recordings) -> None:
@@ -42,16 +42,12 @@ def test_sessions_and_outcomes(hiro_recordings: Recordings) -> None:
         "SIM2": "success",
     }
     assert pairs == set(expected.items())
-    number = np.array(
-        [int(name[-2:]) for name in hiro_recordings.trial[np.isin(hiro_recordings.session, ("A", "B"))]]
-    )
+    number = np.array([int(name[-2:]) for name in hiro_recordings.trial[np.isin(hiro_recordings.session, ("A", "B"))]])
     session = hiro_recordings.session[np.isin(hiro_recordings.session, ("A", "B"))]
     np.testing.assert_array_equal(session == "A", number <= 21)
 
 
-def test_state_times_and_lengths_match_the_reference_list(
-    golden_dir: Path, hiro_recordings: Recordings
-) -> None:
+def test_state_times_and_lengths_match_the_reference_list(golden_dir: Path, hiro_recordings: Recordings) -> None:
     listed = json.loads((golden_dir / "online_reference" / "trials.json").read_text())
     rows = {
         (trial, arm): index
@@ -137,10 +133,7 @@ def resampled(recordings: Recordings, index: int, shift: float) -> np.ndarray:
     return np.stack(
         [
             np.stack(
-                [
-                    np.interp(np.linspace(a, b, 100), time, recordings.wrench[index, :samples, k])
-                    for k in range(6)
-                ],
+                [np.interp(np.linspace(a, b, 100), time, recordings.wrench[index, :samples, k]) for k in range(6)],
                 1,
             )
             for a, b in pairwise(edges)
@@ -198,11 +191,7 @@ def test_known_defects_are_reported_not_fatal(hiro_store: Path, hiro_recordings:
 
 def test_wrench_is_the_file_to_six_digits(hiro_dir: Path, hiro_recordings: Recordings) -> None:
     index = row(hiro_recordings, "20160930-HIRO_ERROR-02")
-    lines = (
-        (hiro_dir / "REAL_HIRO_ONE_SA_ERROR_CHARAC/20160930-HIRO_ERROR-02/R_Torques.dat")
-        .read_text()
-        .split("\n")
-    )
+    lines = (hiro_dir / "REAL_HIRO_ONE_SA_ERROR_CHARAC/20160930-HIRO_ERROR-02/R_Torques.dat").read_text().split("\n")
     last = [float(word) for word in lines[hiro_recordings.length[index] - 1].split()]
     got = hiro_recordings.wrench[index, hiro_recordings.length[index] - 1]
     assert [float(f"{value:.6g}") for value in got] == last[1:]

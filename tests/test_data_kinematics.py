@@ -80,9 +80,7 @@ def test_left_arm_is_the_mirror_image() -> None:
 def test_rotations_are_orthonormal_and_rpy_inverts() -> None:
     rpy = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 3))
     turn = hiro_kinematics.rpy_rotation(rpy)
-    np.testing.assert_allclose(
-        turn @ turn.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turn.shape), atol=1e-12
-    )
+    np.testing.assert_allclose(turn @ turn.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turn.shape), atol=1e-12)
     np.testing.assert_allclose(np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), rpy[:, 2], atol=1e-12)
     np.testing.assert_allclose(-np.arcsin(turn[:, 2, 0]), rpy[:, 1], atol=1e-12)
     np.testing.assert_allclose(np.arctan2(turn[:, 2, 1], turn[:, 2, 2]), rpy[:, 0], atol=1e-12)

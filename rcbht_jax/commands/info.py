@@ -32,9 +32,7 @@ class Info(Command):
         recordings, attrs = read_recordings(self.store), read_attrs(self.store)
         keys = zip(recordings.source, recordings.session, recordings.outcome, recordings.arm, strict=True)
         rows = [tuple(str(word) for word in key) for key in keys]
-        groups = [
-            _describe(recordings, key, np.array([row == key for row in rows])) for key in dict.fromkeys(rows)
-        ]
+        groups = [_describe(recordings, key, np.array([row == key for row in rows])) for key in dict.fromkeys(rows)]
         flags = Counter(
             flag.split(":")[0].split("=")[0] for note in recordings.note for flag in note.split(";") if flag
         )
@@ -52,9 +50,7 @@ class Info(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         head = f"{result['store']}: {result['recordings']} recordings at {1 / result['dt']:g} Hz"
-        columns = (
-            f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)  onsets missing"
-        )
+        columns = f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)  onsets missing"
         lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", "", columns]
         for group in result["groups"]:
             low, middle, high = group["seconds"]
