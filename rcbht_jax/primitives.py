@@ -49,7 +49,7 @@ def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[
 
 def _sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
     """Sum and first moment about the middle of the samples that count, in order of time."""
-    lowest = jnp.finfo(samples.dtype).min
+    lowest = float(np.finfo(samples.dtype).min)
 
     def add(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
         index, y = row

@@ -39,6 +39,23 @@ class It:
         return self.vmax - self.vmin
 
 
+class Watch:
+    """Compares numbers and remembers each answer, and whether single precision could have given the other one."""
+
+    def __init__(self) -> None:
+        self.answers: list[bool] = []
+        self.near: list[bool] = []
+
+    def ge(self, a: float, b: float, level: float) -> bool:
+        self.near.append(bool(abs(a - b) <= 32 * 2.0**-24 * level))
+        self.answers.append(bool(a >= b))
+        return self.answers[-1]
+
+    def amp_ge(self, x: It, factor: float, y: It) -> bool:
+        level = max(abs(v) for v in (x.vmax, x.vmin, y.vmax, y.vmin))
+        return self.ge(x.amp, factor * y.amp, (1 + factor) * level)
+
+
 def merge(x: It, y: It, label: int) -> It:
     d = x.dur + y.dur
     return It(
@@ -51,10 +68,8 @@ def group(label: int) -> str:
     return next(letter for letter, g in zip("PNKpn", GROUPS, strict=True) if label in g)
 
 
-def gradient_label(g: float, limits) -> int:
-    imp, big, med, small = limits
-    a = abs(g)
-    rank = 0 if a >= imp else 1 if a >= big else 2 if a >= med else 3 if a >= small else 4
+def gradient_label(g: float, limits, level: float, watch: Watch) -> int:
+    rank = sum(not watch.ge(abs(g), limit, level) for limit in limits)
     if rank == 4:
         return 7
     if rank == 0:
@@ -62,13 +77,14 @@ def gradient_label(g: float, limits) -> int:
     return rank if g > 0 else rank + 3
 
 
-def fit(y, t0: int, dt: float, limits) -> It:
+def fit(y, t0: int, dt: float, limits, watch: Watch) -> It:
     n = len(y)
     k = [j - (n - 1) / 2 for j in range(n)]
-    g = sum(a * float(b) for a, b in zip(k, y, strict=True)) / (dt * sum(a * a for a in k))
-    avg = sum(float(b) for b in y) / n
+    g = sum(a * b for a, b in zip(k, y, strict=True)) / (dt * sum(a * a for a in k))
+    avg = sum(b for b in y) / n
     half = abs(g) * (n - 1) * dt / 2
-    return It(gradient_label(g, limits), t0, t0 + n, avg + half, avg - half, avg, g)
+    level = max(abs(b) for b in y) * sum(abs(a) for a in k) / (dt * sum(a * a for a in k))
+    return It(gradient_label(g, limits, level, watch), t0, t0 + n, avg + half, avg - half, avg, g)
 
 
 @dataclass
@@ -77,7 +93,8 @@ class Pipe:
     adj_exempt: bool = True
     slots: int = 2
     cap: int | None = None
-    repeat: str = "running"
+    rule: str = "paper"
+    watch: Watch = field(default_factory=Watch)
     A: It | None = None
     B: It | None = None
 
@@ -89,9 +106,11 @@ class Pipe:
     def contact(self, x: It) -> bool:
         return x.label in ({8, 9}, {5, 6, 7}, {2})[self.layer]
 
-    @staticmethod
-    def over(x: It, y: It) -> bool:
-        return x.amp >= 5 * y.amp and x.dur >= 5 * y.dur
+    def over(self, x: It, y: It) -> bool:
+        if self.rule == "similar":
+            near = self.watch.amp_ge(y, 1 / 5, x) and self.watch.amp_ge(x, 1 / 5, y)
+            return near and x.dur > 5 * y.dur
+        return self.watch.amp_ge(x, 5, y) and x.dur >= 5 * y.dur
 
     def decide(self, a: It, b: It, closed: bool) -> str:
         if self.contact(a) or self.contact(b):
@@ -168,14 +187,16 @@ class Pipe:
         return out
 
 
-def gated(x: It, y: It) -> bool:
-    return x.amp <= 2 * y.amp and y.amp <= 2 * x.amp and x.dur <= 5 * y.dur and y.dur <= 5 * x.dur
+def gated(x: It, y: It, watch: Watch) -> bool:
+    near = watch.amp_ge(y, 0.5, x) and watch.amp_ge(x, 0.5, y)
+    return near and x.dur <= 5 * y.dur and y.dur <= 5 * x.dur
 
 
 @dataclass
 class ComposeMC:
     gate: bool = True
     contact_first: bool = False
+    watch: Watch = field(default_factory=Watch)
     H: It | None = None
 
     def pairable(self, x: It, y: It) -> bool:
@@ -183,7 +204,7 @@ class ComposeMC:
             return True
         if y.label in PI | NI:
             return not self.contact_first
-        return gated(x, y) if self.gate else True
+        return gated(x, y, self.watch) if self.gate else True
 
     @staticmethod
     def single(x: It) -> It:
@@ -209,16 +230,16 @@ class ComposeMC:
 @dataclass
 class ComposeLLB:
     dt: float
+    watch: Watch = field(default_factory=Watch)
     H: It | None = None
 
-    @staticmethod
-    def pair(x: It, y: It) -> int | None:
+    def pair(self, x: It, y: It) -> int | None:
         if x.label in {5, 6, 7} and y.label in {5, 6, 7}:
             return CT
         if x.label != y.label:
             return None
         if x.label == 1:
-            return SH if y.amp > x.amp else AL
+            return AL if self.watch.amp_ge(x, 1, y) else SH
         return {2: PS, 3: PL, 4: FX}.get(x.label)
 
     def single(self, x: It) -> It:
@@ -253,13 +274,15 @@ class Chain:
     options: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        o = {"gate": True, "contact_first": False, "adj_exempt": True, "slots": 2, "cap": None} | self.options
-        pipe = {"adj_exempt": o["adj_exempt"], "slots": o["slots"], "cap": o["cap"]}
+        o = {"gate": True, "contact_first": False, "adj_exempt": True, "slots": 2, "cap": None, "rule": "paper"}
+        o |= self.options
+        self.watch = Watch()
+        pipe = {key: o[key] for key in ("adj_exempt", "slots", "cap", "rule")} | {"watch": self.watch}
         self.stages = [
             (Pipe(0, **pipe), 0),
-            (ComposeMC(o["gate"], o["contact_first"]), None),
+            (ComposeMC(o["gate"], o["contact_first"], self.watch), None),
             (Pipe(1, **pipe), 1),
-            (ComposeLLB(self.dt), None),
+            (ComposeLLB(self.dt, self.watch), None),
             (Pipe(2, **pipe), 2),
         ]
         self.out = ([], [], [])
@@ -278,14 +301,13 @@ class Chain:
             self.push(items, now, i + 1, True)
 
 
-def encode(y, dt: float, limits, window: int = 5, **options):
-    """Labels of one axis: three lists of (item, number of samples received at publication, end of stream)."""
+def encode(y, dt: float, limits, window: int = 5, **options) -> Chain:
+    """Chain after the whole of one axis; ``out`` has three lists of (item, samples received at publication, flushed)."""
     chain = Chain(window, dt, limits, options)
     n = len(y)
-    for t0 in range(0, n - window + 1, window):
-        chain.push([fit(y[t0 : t0 + window], t0, dt, limits)], t0 + window)
-    rest = n % window
-    if rest >= 2:
-        chain.push([fit(y[n - rest :], n - rest, dt, limits)], n)
-    chain.flush(n if rest >= 2 else n - rest)  # a single left-over sample is never part of a window
-    return chain.out
+    for t0 in range(0, n, window):
+        piece = y[t0 : t0 + window]
+        if len(piece) >= 2:
+            chain.push([fit(piece, t0, dt, limits, chain.watch)], t0 + len(piece))
+    chain.flush(n - (n % window == 1))  # a single left-over sample is never part of a window
+    return chain
