@@ -302,7 +302,7 @@ class Chain:
 
 
 def encode(y, dt: float, limits, window: int = 5, **options) -> Chain:
-    """Chain after the whole of one axis; ``out`` has three lists of (item, samples received at publication, flushed)."""
+    """Chain after the whole of one axis; ``out`` has three lists of (item, samples received, flushed)."""
     chain = Chain(window, dt, limits, options)
     n = len(y)
     for t0 in range(0, n, window):
