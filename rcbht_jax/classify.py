@@ -11,12 +11,14 @@ score. Items of one group (a trial) are never on both sides.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.svm import SVC
 
@@ -31,7 +33,9 @@ Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
-_MAX_ITERATIONS = 1_000_000  # of the quadratic programme: a bound on time, reached by hopeless costs only
+# Bounds on the iterations of the solver, reached only by costs that are hopeless for overlapping classes.
+_MIN_ITERATIONS = 20_000
+_ITERATIONS_PER_ITEM = 100
 
 
 @dataclass(frozen=True)
@@ -174,13 +178,7 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
     center, width = _scaler(x, spec.scaling)
     scaled = (x - center) / width
     gamma = _gamma(scaled, spec.gamma)
-    machine = SVC(
-        C=spec.cost,
-        kernel=spec.kernel,
-        degree=DEGREE,
-        gamma=gamma,
-        class_weight="balanced" if spec.balanced else None,
-    ).fit(scaled, y)
+    machine = _solved(scaled, y, kernel=spec.kernel, cost=spec.cost, balanced=spec.balanced, gamma=gamma)
     # scikit-learn turns the sign around when there are two classes only.
     sign = -1.0 if len(classes) == 2 else 1.0
     return SvmModel(
@@ -194,6 +192,21 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
         dual=sign * machine.dual_coef_,
         intercept=sign * machine.intercept_,
     )
+
+
+def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, gamma: float = 1.0) -> Any:
+    """A fitted ``SVC``; ``fit_status_`` is 1 where it stopped at the bound on iterations."""
+    machine = SVC(
+        C=cost,
+        kernel=kernel,
+        degree=DEGREE,
+        gamma=gamma,
+        class_weight="balanced" if balanced else None,
+        max_iter=max(_MIN_ITERATIONS, _ITERATIONS_PER_ITEM * len(y)),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return machine.fit(x, y)
 
 
 def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:
@@ -272,18 +285,14 @@ def predictions_of_kernel(
     """Class index ``[test item]`` for each cost, given kernel values against the training items.
 
     Once no dual variable reaches its bound the solution no longer depends on the cost, so the path along
-    the (increasing) costs ends there and the last answer stands for the rest.
+    the (increasing) costs ends there and the last answer stands for the rest. It also ends where the solver
+    gives up, since larger costs are harder still.
     """
     said: list[NDArray[np.int64]] = []
     share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
     for cost in costs:
-        machine = SVC(
-            C=cost,
-            kernel="precomputed",
-            class_weight="balanced" if balanced else None,
-            max_iter=_MAX_ITERATIONS,
-        ).fit(train, y)
+        machine = _solved(train, y, kernel="precomputed", cost=cost, balanced=balanced)
         said.append(machine.predict(test).astype(np.int64))
-        if np.abs(machine.dual_coef_).max() < cost * share:
+        if machine.fit_status_ == 1 or np.abs(machine.dual_coef_).max() < cost * share:
             break
     return said + [said[-1]] * (len(costs) - len(said))

@@ -69,7 +69,7 @@ def load(path: Path) -> TrainedModel:
         InputError: the file is missing, damaged, or not a model of this format.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             meta = json.loads(str(archive["meta"]))
             if meta["format"] != FORMAT:
                 raise InputError(f"{path} has the format {meta['format']}; this version reads {FORMAT}.")
