@@ -1,0 +1,1 @@
+"""Re-runnable experiments: each module writes one JSON result under ``experiments/results``."""

@@ -1,0 +1,41 @@
+"""One way to keep a result: small JSON with what is needed to repeat it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jax
+
+import rcbht_jax
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def machine() -> str:
+    """The machine in words."""
+    devices = ", ".join(sorted({device.device_kind for device in jax.devices()}))
+    return f"{os.cpu_count()} CPU cores ({platform.machine()}), JAX {jax.__version__} on {devices}"
+
+
+def write_result(name: str, command: str, result: Any, seed: int | None = None) -> Path:
+    """Write ``experiments/results/<name>.json`` and print it."""
+    record = {
+        "command": command,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": machine(),
+        "rcbht_jax_version": rcbht_jax.__version__,
+        "seed": seed,
+        "result": result,
+    }
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    draft = path.with_suffix(".partial")
+    draft.write_text(json.dumps(record, indent=1) + "\n")
+    draft.replace(path)
+    print(path.read_text())
+    return path
