@@ -33,9 +33,9 @@ Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
-# Bounds on the iterations of the solver, reached only by costs that are hopeless for overlapping classes.
+# Bound on the solver's iterations while selecting, reached only by costs that are hopeless for overlapping classes.
 _MIN_ITERATIONS = 20_000
-_ITERATIONS_PER_ITEM = 100
+_PER_ITEM = 100
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Grid:
     """What nested selection may choose from; ties go to the earlier kernel, no scaling, the smaller cost."""
 
     kernels: tuple[str, ...] = KERNELS
-    costs: tuple[float, ...] = COSTS  # increasing
+    costs: tuple[float, ...] = COSTS  # increasing; those too hard to solve are passed over
     scalings: tuple[bool, ...] = (False, True)
     gamma: str = "auto"
     balanced: bool = False  # balanced class weights, and selection by balanced accuracy
@@ -178,7 +178,7 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
     center, width = _scaler(x, spec.scaling)
     scaled = (x - center) / width
     gamma = _gamma(scaled, spec.gamma)
-    machine = _solved(scaled, y, kernel=spec.kernel, cost=spec.cost, balanced=spec.balanced, gamma=gamma)
+    machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
     # scikit-learn turns the sign around when there are two classes only.
     sign = -1.0 if len(classes) == 2 else 1.0
     return SvmModel(
@@ -194,15 +194,15 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
     )
 
 
-def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, gamma: float = 1.0) -> Any:
-    """A fitted ``SVC``; ``fit_status_`` is 1 where it stopped at the bound on iterations."""
+def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterations: int, gamma: float = 1.0) -> Any:
+    """A fitted ``SVC``; its ``fit_status_`` is 1 if it stopped at the bound on iterations (-1 = none)."""
     machine = SVC(
         C=cost,
         kernel=kernel,
         degree=DEGREE,
         gamma=gamma,
         class_weight="balanced" if balanced else None,
-        max_iter=max(_MIN_ITERATIONS, _ITERATIONS_PER_ITEM * len(y)),
+        max_iter=iterations,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -286,13 +286,15 @@ def predictions_of_kernel(
 
     Once no dual variable reaches its bound the solution no longer depends on the cost, so the path along
     the (increasing) costs ends there and the last answer stands for the rest. It also ends where the solver
-    gives up, since larger costs are harder still.
+    gives up: larger costs are harder still, and repeating the last solved answer keeps ties from choosing them.
     """
     said: list[NDArray[np.int64]] = []
     share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
     for cost in costs:
-        machine = _solved(train, y, kernel="precomputed", cost=cost, balanced=balanced)
+        machine = _solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
+        if said and machine.fit_status_ == 1:
+            break
         said.append(machine.predict(test).astype(np.int64))
-        if machine.fit_status_ == 1 or np.abs(machine.dual_coef_).max() < cost * share:
+        if np.abs(machine.dual_coef_).max() < cost * share:
             break
     return said + [said[-1]] * (len(costs) - len(said))

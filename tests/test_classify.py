@@ -83,13 +83,22 @@ def test_the_cost_path_that_ends_early_equals_separate_fits(kernel, balanced):
         x, y = blobs(4, 3, spread=spread)
         y = np.where(np.arange(len(y)) < 12, 0, y)  # uneven classes
         train, test = np.arange(40), np.arange(40, 60)
-        costs = COSTS[2:7]
+        costs = COSTS[2:6]
         path = predictions(x, y, train, test, SvmSpec(kernel, balanced=balanced), costs)
         assert len(path) == len(costs)
         for cost, said in zip(costs, path, strict=True):
             weight = "balanced" if balanced else None
             alone = SVC(C=cost, kernel=kernel, gamma="auto", class_weight=weight).fit(x[train], y[train])
             np.testing.assert_array_equal(said, alone.predict(x[test]))
+
+
+def test_costs_that_cannot_be_solved_repeat_the_last_answer():
+    x, y = blobs(0, 2, items=80, spread=5)
+    train, test = np.arange(60), np.arange(60, 80)
+    path = predictions(x, y, train, test, SvmSpec("linear"), (1.0, 1e7, 1e8))
+    np.testing.assert_array_equal(path[0], SVC(C=1.0, kernel="linear").fit(x[train], y[train]).predict(x[test]))
+    np.testing.assert_array_equal(path[1], path[0])
+    np.testing.assert_array_equal(path[2], path[0])
 
 
 @settings(max_examples=25)
