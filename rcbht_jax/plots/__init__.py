@@ -1,0 +1,10 @@
+"""Figures of recordings and their labels, as matplotlib objects without any global state.
+
+Nothing here computes results or touches ``pyplot`` and ``rcParams``: figures can be made in threads and servers.
+"""
+
+from rcbht_jax.plots.canvas import save
+from rcbht_jax.plots.label_map import label_map
+from rcbht_jax.plots.trial import trial_figure
+
+__all__ = ["label_map", "save", "trial_figure"]

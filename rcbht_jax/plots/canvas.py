@@ -1,0 +1,102 @@
+"""What all figures share: the canvas, colours of text, legends of labels, atomic saving."""
+
+from __future__ import annotations
+
+import errno
+import uuid
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
+from rcbht_jax.types import LabelTracks, Recordings
+
+# Fields written into the file that would differ from run to run are left out.
+_METADATA: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+_LAYER_TITLES = {"primitive": "Primitives", "mc": "Motion compositions", "llb": "Low-level behaviours"}
+
+
+def new_figure(inches: tuple[float, float], dpi: int) -> Figure:
+    """An empty figure that draws itself in memory."""
+    figure = Figure(figsize=inches, dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
+    """Check that the tracks are those of the recordings.
+
+    Raises:
+        InputError: they differ in number, or a track is not [recording, 6, slot].
+    """
+    for layer in LAYERS:
+        shape = np.shape(getattr(tracks, layer).label)
+        if len(shape) != 3 or shape[:2] != (len(recordings), 6):
+            raise InputError(f"{layer} labels have shape {shape}; expected [{len(recordings)} recordings, 6, slots].")
+
+
+def text_color(color: str) -> str:
+    """Black or white, whichever reads better on ``color``."""
+    red, green, blue = to_rgb(color)
+    return "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"
+
+
+def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple[float, float], columns: int) -> None:
+    """A legend of the given labels of one layer, its lower left corner at ``anchor`` (figure coordinates)."""
+    handles = [
+        Patch(
+            facecolor=COLORS[layer][code - 1],
+            edgecolor="0.4",
+            linewidth=0.5,
+            label=f"{name(layer, code)}  {MEANING[layer][code - 1]}",
+        )
+        for code in sorted(codes)
+    ]
+    legend = figure.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=anchor,
+        ncols=columns,
+        title=_LAYER_TITLES[layer],
+        fontsize=10,
+        title_fontsize=10.5,
+        frameon=False,
+        borderpad=0,
+        columnspacing=1.2,
+        handlelength=1.4,
+        labelspacing=0.3,
+        alignment="left",
+    )
+    legend.set_gid(f"legend-{layer}")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced when complete.
+
+    Raises:
+        InputError: another suffix, no such folder, or the file cannot be written there.
+        OSError: the disk is full.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise InputError(f"{path} does not end in {', '.join(_METADATA)}; the suffix decides the format of a figure.")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; choose another name for the figure.")
+    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
+    try:
+        figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
+        draft.replace(path)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise
+        raise InputError(f"{path} cannot be written: {error.strerror or error}.") from error
+    finally:
+        draft.unlink(missing_ok=True)

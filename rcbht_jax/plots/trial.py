@@ -1,0 +1,257 @@
+"""One trial: six wrench axes, each with its fitted lines and the three layers of labels underneath."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import AXES, COLORS, LAYERS, name
+from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, text_color
+from rcbht_jax.published import STATES
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+
+INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels
+LEFT, RIGHT, BOTTOM, TOP = 0.062, 0.985, 0.105, 0.938
+_FIELDS = tuple(field.name for field in fields(LabelTrack))
+_BAND_TITLES = ("primitive", "MC", "LLB")
+_RED = "#b2182b"  # of the state boundaries
+_STYLE: dict[bool, Any] = {False: "solid", True: (0, (4, 3))}  # by Mark.dashed
+_LETTER = 8.0  # pixels of one letter of a label's name, at most
+
+
+@dataclass(frozen=True)
+class Mark:
+    """The start of a state."""
+
+    seconds: float
+    text: str
+    dashed: bool  # a boundary of the harmonised states, not one that the controller logged
+
+
+@dataclass(frozen=True)
+class _View:
+    """What part of a trial is shown, in seconds."""
+
+    start: float
+    stop: float
+    dt: float
+
+    @property
+    def pixels(self) -> float:
+        """Pixels per second."""
+        return INCHES[0] * DPI * (RIGHT - LEFT) / (self.stop - self.start)
+
+
+def trial_figure(
+    recordings: Recordings,
+    tracks: LabelTracks,
+    index: int,
+    *,
+    window: int | None = None,
+    seconds: tuple[float, float] | None = None,
+) -> Figure:
+    """Wrench, fitted lines, labels and state boundaries of one recording.
+
+    Args:
+        recordings: data set.
+        tracks: its labels ``[recording, 6, slot]``.
+        index: row of the recording.
+        window: samples per straight-line fit, for the title.
+        seconds: first and last moment to show; default the whole recording.
+
+    Raises:
+        InputError: no such row, the tracks are not those of the recordings, or nothing lies within ``seconds``.
+    """
+    check_rows(recordings, tracks)
+    if not 0 <= index < len(recordings):
+        raise InputError(f"There is no recording {index}; the data set holds {len(recordings)}.")
+    view = _view(recordings, index, seconds)
+    marks = [mark for mark in state_marks(recordings, index) if view.start <= mark.seconds < view.stop]
+    figure = new_figure(INCHES, DPI)
+    panels = _panels(figure)
+    used: dict[str, set[int]] = {layer: set() for layer in LAYERS}
+    for axis, (signal, band) in enumerate(panels):
+        lanes = [_lane(getattr(tracks, layer), index, axis, view) for layer in LAYERS]
+        _draw_signal(signal, recordings, index, axis, lanes[0], view)
+        _draw_bands(band, lanes, view)
+        _draw_marks((signal, band), marks)
+        for layer, lane in zip(LAYERS, lanes, strict=True):
+            used[layer].update(int(code) for code in lane.label)
+    _name_marks(panels[0][0], marks, view)
+    panels[-1][1].set_xlabel("time, s", fontsize=11)
+    figure.suptitle(_title(recordings, index, window), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
+    _legends(figure, used)
+    _key(figure, panels[0][0], marks)
+    return figure
+
+
+def state_marks(recordings: Recordings, index: int) -> list[Mark]:
+    """Starts of the states of one recording; a harmonised start is listed where it differs from the logged one."""
+    rows = zip(STATES, recordings.onset[index], recordings.onset_harmonised[index], strict=True)
+    marks = []
+    for state, logged, harmonised in rows:
+        if not np.isnan(logged):
+            marks.append(Mark(float(logged), state, False))
+        if not np.isnan(harmonised) and not abs(harmonised - logged) < recordings.dt / 2:
+            marks.append(Mark(float(harmonised), f"{state}, harmonised", True))
+    return sorted(marks, key=lambda mark: mark.seconds)
+
+
+def fitted_lines(lane: LabelTrack, dt: float) -> NDArray[np.float64]:
+    """End points (seconds, N or Nm) of the lines of primitives ``[slot]``: float ``[slot, 2, 2]``.
+
+    A line runs from the first to the last sample of its span and passes through the mean at its middle.
+    """
+    first, last = lane.t0 * dt, (lane.t1 - 1) * dt
+    half = np.asarray(lane.grad, np.float64) * (last - first) / 2
+    begin, end = np.stack([first, lane.avg - half], -1), np.stack([last, lane.avg + half], -1)
+    return np.stack([begin, end], 1)
+
+
+def _view(recordings: Recordings, index: int, seconds: tuple[float, float] | None) -> _View:
+    duration = float(recordings.length[index] * recordings.dt)
+    start, stop = (0.0, duration) if seconds is None else seconds
+    if not 0 <= start < min(stop, duration):
+        raise InputError(f"Nothing lies between {start:g} s and {stop:g} s; the recording has {duration:g} s.")
+    return _View(start, min(stop, duration), recordings.dt)
+
+
+def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
+    """The labels of one axis that are in view, without empty slots."""
+    columns = {field: np.asarray(getattr(track, field))[index, axis] for field in _FIELDS}
+    seen = (columns["t1"] * view.dt > view.start) & (columns["t0"] * view.dt < view.stop)
+    kept = (columns["label"] > 0) & seen
+    return LabelTrack(**{field: values[kept] for field, values in columns.items()})
+
+
+def _panels(figure: Figure) -> list[tuple[Axes, Axes]]:
+    """Six pairs of axes, signal above bands, all with one time axis."""
+    grid = figure.add_gridspec(len(AXES), 1, left=LEFT, right=RIGHT, bottom=BOTTOM, top=TOP, hspace=0.13)
+    panels: list[tuple[Axes, Axes]] = []
+    for axis in range(len(AXES)):
+        pair = grid[axis].subgridspec(2, 1, height_ratios=(2.5, 1.0), hspace=0)
+        signal = figure.add_subplot(pair[0], sharex=panels[0][0] if panels else None)
+        band = figure.add_subplot(pair[1], sharex=signal)
+        signal.set_gid(f"signal-{AXES[axis]}")
+        band.set_gid(f"labels-{AXES[axis]}")
+        signal.tick_params(labelbottom=False, bottom=False, labelsize=10)
+        band.tick_params(labelbottom=axis == len(AXES) - 1, labelsize=10)
+        panels.append((signal, band))
+    return panels
+
+
+def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primitives: LabelTrack, view: _View) -> None:
+    values = recordings.wrench[index, : recordings.length[index], axis]
+    times = np.arange(len(values)) * recordings.dt
+    ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round")
+    # Primitives of one window touch the next one nowhere: round caps let a chain of them read as one line.
+    lines = LineCollection(
+        list(fitted_lines(primitives, recordings.dt)), colors="black", linewidths=1.0, capstyle="round"
+    )
+    lines.set_gid("fits")
+    ax.add_collection(lines, autolim=False)
+    shown = values[(times >= view.start) & (times <= view.stop)]
+    low, high = float(shown.min()), float(shown.max())
+    margin = max(0.08 * (high - low), 1e-3)
+    ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
+    ax.set_ylabel(f"{AXES[axis]}, {'N' if axis < 3 else 'Nm'}", fontsize=12)
+    ax.grid(axis="y", color="0.9", linewidth=0.8)
+    ax.set_axisbelow(True)
+
+
+def _draw_bands(ax: Axes, lanes: list[LabelTrack], view: _View) -> None:
+    for row, (layer, lane) in enumerate(zip(LAYERS, lanes, strict=True)):
+        start, stop = lane.t0 * view.dt, lane.t1 * view.dt
+        low, high = np.full(len(start), row + 0.06), np.full(len(start), row + 0.94)
+        corners = [(start, low), (start, high), (stop, high), (stop, low)]
+        # White rims part equal neighbours, but would wash out spans of a few pixels.
+        rims = np.where((stop - start) * view.pixels > 6, 0.8, 0.0)
+        band = PolyCollection(
+            list(np.stack([np.stack(corner, -1) for corner in corners], 1)),
+            facecolors=[COLORS[layer][code - 1] for code in lane.label],
+            edgecolors="white",
+            linewidths=rims,
+        )
+        band.set_gid(layer)
+        ax.add_collection(band, autolim=False)
+        for text, middle, color in _names(layer, lane, view):
+            ax.text(middle, row + 0.52, text, color=color, fontsize=9, ha="center", va="center", clip_on=True)
+    ax.set(ylim=(3, 0))
+    ax.set_yticks([0.5, 1.5, 2.5], _BAND_TITLES)
+    ax.tick_params(axis="y", length=0, labelsize=9)
+
+
+def _names(layer: str, lane: LabelTrack, view: _View) -> Iterator[tuple[str, float, str]]:
+    """Names of the labels whose visible span is wide enough: text, middle in seconds, colour."""
+    for code, t0, t1 in zip(lane.label, lane.t0, lane.t1, strict=True):
+        start, stop = max(t0 * view.dt, view.start), min(t1 * view.dt, view.stop)
+        text = name(layer, int(code))
+        if (stop - start) * view.pixels > _LETTER * len(text) + 5:
+            yield text, (start + stop) / 2, text_color(COLORS[layer][code - 1])
+
+
+def _draw_marks(axes: tuple[Axes, Axes], marks: list[Mark]) -> None:
+    for ax in axes:
+        for mark in marks:
+            ax.axvline(mark.seconds, color=_RED, linewidth=1.3, linestyle=_STYLE[mark.dashed], gid="state")
+
+
+def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
+    """Names of the states above the topmost axes, one line up where they would overlap."""
+    ends: list[float] = []
+    for mark in marks:
+        width = (len(mark.text) * 7.6 + 10) / view.pixels
+        fits = mark.seconds + width < view.stop
+        left = mark.seconds if fits else mark.seconds - width
+        row = next((row for row, end in enumerate(ends) if end <= left), len(ends))
+        ends[row : row + 1] = [left + width]
+        ax.annotate(
+            mark.text,
+            (mark.seconds, 1.0),
+            (3 if fits else -3, 5 + 16 * row),
+            xycoords=ax.get_xaxis_transform(),
+            textcoords="offset points",
+            ha="left" if fits else "right",
+            color=_RED,
+            fontsize=11,
+            fontstyle="italic" if mark.dashed else "normal",
+        )
+
+
+def _title(recordings: Recordings, index: int, window: int | None) -> str:
+    arm = {"R": "right arm", "L": "left arm"}.get(str(recordings.arm[index]), "")
+    kind = f" ({recordings.failure_type[index]})" if recordings.failure_type[index] else ""
+    facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{kind}", arm]
+    if window is not None:
+        facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
+    return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(facts)}"
+
+
+def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
+    for layer, left in zip(LAYERS, (LEFT, 0.37, 0.64), strict=True):
+        if used[layer]:
+            label_legend(figure, layer, used[layer], (left, 0.008), 2)
+
+
+def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
+    """What the lines are, in the upper right corner."""
+    handles: list[Artist] = [ax.lines[0], ax.collections[0]]
+    words = ["wrench", "fitted lines"]
+    for dashed, text in ((False, "state starts, logged"), (True, "harmonised")):
+        if any(mark.dashed == dashed for mark in marks):
+            handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))
+            words.append(text)
+    figure.legend(
+        handles, words, loc="upper right", bbox_to_anchor=(RIGHT, 0.988), ncols=len(words),
+        fontsize=11, frameon=False, borderpad=0, borderaxespad=0,
+    )  # fmt: skip
