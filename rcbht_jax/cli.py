@@ -21,6 +21,7 @@ from rcbht_jax.errors import InputError
 # Words of the command -> (module:class, one line for the overview). Modules are imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
     "import hiro": ("rcbht_jax.commands.import_hiro:ImportHiro", "read the authors' trials into a store"),
+    "bench": ("rcbht_jax.commands.bench:Bench", "measure the encoders on this machine"),
     "encode": ("rcbht_jax.commands.encode:Encode", "label every recording of a store"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),

@@ -88,6 +88,16 @@ class EncoderState:
     reals: Array  # float [32, ...], vmax, vmin, area, rise of each item
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Published:
+    """What one step publishes, packed for the loop; :func:`unpack` gives the labels. Stacks of steps lead."""
+
+    ints: Array  # int32 [9, ...], label, t0, t1 of each layer's item
+    reals: Array  # float [12, ...], vmax, vmin, area, rise of each layer's item
+    emit: Array  # int32 [...], samples received
+
+
 def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
     return EncoderState(
@@ -97,7 +107,7 @@ def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float3
     )
 
 
-def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, LabelTracks]:
+def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, Published]:
     """One full window of samples for every lane.
 
     Args:
@@ -107,12 +117,19 @@ def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Arra
         window: float ``[config.window, ..., axis]``, N and Nm.
 
     Returns:
-        the new state and at most one label per layer and lane (arrays ``[..., axis]``; label 0 = none).
+        the new state and at most one label per layer and lane, packed.
     """
     count = jnp.full_like(state.time, config.window)
     x = primitives.fit(window, count, _lane_limits(limits, window), config.dt, state.time)
-    state, out = _advance(config, state, x, count)
-    return state, _tracks(out, state.time)
+    return _advance(config, state, x, count)
+
+
+def unpack(published: Published) -> LabelTracks:
+    """Labels of one step, arrays ``[...]`` like the lanes; label 0 where nothing was published.
+
+    Under a scan, apply it to each step by ``jax.vmap`` or leave the packed form as it is.
+    """
+    return LabelTracks(*(_track(x, published.emit) for x in _unpack(published.ints, published.reals)))
 
 
 def flush(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
@@ -133,7 +150,7 @@ def flush(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array
     rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
     x = primitives.fit(rest, count, _lane_limits(limits, rest, shape), config.dt, state.time)
     state, out = _advance(config, state, x, jnp.where(x.label > 0, count, 0))
-    joined = _join(jax.tree.map(lambda leaf: leaf[:, None], _tracks(out, state.time)), drain(config, state))
+    joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
 
 
@@ -187,15 +204,14 @@ def encode_lanes(
     size = jnp.clip(count[None] - start, 0, window)
     x = primitives.fit(full, size, limits[:, None], config.dt, start)
 
-    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, tuple[Array, Array]]:
+    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, Published]:
         label, *values = row
         size = jnp.where(label > 0, jnp.minimum(end - state.time, window), 0)
         return _advance(config, state, Item(label, state.time, state.time + size, *values), size)
 
-    first, end = state.time, state.time + count
-    state, (ints, reals) = jax.lax.scan(body, state, (x.label, x.vmax, x.vmin, x.area, x.rise))
-    emit = first[None] + jnp.minimum(start + window, count[None])
-    return state, _tracks((jnp.moveaxis(ints, 0, -1), jnp.moveaxis(reals, 0, -1)), emit.T)
+    end = state.time + count
+    state, out = jax.lax.scan(body, state, (x.label, x.vmax, x.vmin, x.area, x.rise))
+    return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
 
 
 def _join(a: LabelTracks, b: LabelTracks) -> LabelTracks:
@@ -209,10 +225,8 @@ def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = Non
     return jnp.moveaxis(wide, -1, 0).reshape(4, *like.shape[1:])
 
 
-def _advance(
-    config: EncoderConfig, state: EncoderState, x: Item, count: Array
-) -> tuple[EncoderState, tuple[Array, Array]]:
-    """Window item through pipe, composer, pipe, composer, pipe (section 4.7); packed published items."""
+def _advance(config: EncoderConfig, state: EncoderState, x: Item, count: Array) -> tuple[EncoderState, Published]:
+    """Window item through pipe, composer, pipe, composer, pipe (section 4.7)."""
     pa, pb, hm, ma, mb, hl, la, lb = _unpack(state.ints, state.reals)
     pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
     hm, m = compose.push_primitive(hm, p, config.gate, config.contact_first)
@@ -220,7 +234,8 @@ def _advance(
     hl, l = compose.push_composition(hl, m, config.short)
     la, lb, l = pipe.push(la, lb, l, config.rules(2))
     ints, reals = _pack([pa, pb, hm, ma, mb, hl, la, lb])
-    return EncoderState(state.time + count, ints, reals), _pack([p, m, l])
+    state = EncoderState(state.time + count, ints, reals)
+    return state, Published(*_pack([p, m, l]), state.time)
 
 
 def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
@@ -280,10 +295,6 @@ def _unpack(ints: Array, reals: Array) -> list[Item]:
         Item(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
         for k in range(count)
     ]
-
-
-def _tracks(packed: tuple[Array, Array], emit: Array) -> LabelTracks:
-    return LabelTracks(*(_track(x, emit) for x in _unpack(*packed)))
 
 
 def _track(x: Item, emit: Array) -> LabelTrack:

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax.encoder import EncoderConfig, EncoderState, flush, init, step
+from rcbht_jax.encoder import EncoderConfig, EncoderState, flush, init, step, unpack
 from rcbht_jax.errors import InputError
 from rcbht_jax.thresholds import Thresholds
 from rcbht_jax.types import LabelTracks
 
 _step = jax.jit(step, static_argnums=0)
+_unpack = jax.jit(unpack)
 _flush = jax.jit(flush, static_argnums=0)
 
 
@@ -55,17 +56,17 @@ class Stream:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {self._axes}].")
         if not np.isfinite(chunk).all():
             raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
-        out = []
+        outs = []
         while len(chunk):
             taken = chunk[: self._config.window - self._count]
             self._rest[self._count : self._count + len(taken)] = taken
             self._count += len(taken)
             chunk = chunk[len(taken) :]
             if self._count == self._config.window:
-                self._state, tracks = _step(self._config, self._limits, self._state, jnp.array(self._rest))
+                self._state, out = _step(self._config, self._limits, self._state, jnp.array(self._rest))
                 self._count = 0
-                out.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], tracks))
-        return out
+                outs.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(out)))
+        return outs
 
     def peek(self) -> LabelTracks:
         """Provisional labels as if the stream ended now; nothing changes (section 4.8)."""

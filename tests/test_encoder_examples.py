@@ -22,10 +22,10 @@ config = EncoderConfig(window=W)
 def feed(spans: list[tuple[str, int, float]], options: EncoderConfig = config) -> tuple[list, list, list]:
     """Windows of given labels and amplitudes through the chain: per layer (label, seconds, published at)."""
     state = encoder.init((1,))
-    out: tuple[list, list, list] = ([], [], [])
+    words: tuple[list, list, list] = ([], [], [])
 
     def keep(tracks: encoder.LabelTracks) -> None:
-        for rows, layer, track in zip(out, labels.LAYERS, (tracks.primitive, tracks.mc, tracks.llb), strict=True):
+        for rows, layer, track in zip(words, labels.LAYERS, (tracks.primitive, tracks.mc, tracks.llb), strict=True):
             for slot in np.flatnonzero(np.asarray(track.label)):
                 code, t0, t1, emit = (int(np.ravel(getattr(track, f))[slot]) for f in ("label", "t0", "t1", "emit"))
                 rows.append((labels.name(layer, code), round(t0 * DT, 3), round(t1 * DT, 3), round(emit * DT, 3)))
@@ -34,10 +34,10 @@ def feed(spans: list[tuple[str, int, float]], options: EncoderConfig = config) -
         for _ in range(windows):
             values = [jnp.full(1, v, jnp.float32) for v in (amp / 2, -amp / 2, 0.0, 0.0)]
             x = Item(jnp.full(1, CODES[name], jnp.int32), state.time, state.time + W, *values)
-            state, packed = advance(options, state, x, jnp.full(1, W, jnp.int32))
-            keep(encoder._tracks(packed, state.time))
+            state, out = advance(options, state, x, jnp.full(1, W, jnp.int32))
+            keep(encoder.unpack(out))
     keep(jax.jit(encoder.drain, static_argnums=0)(options, state))
-    return out
+    return words
 
 
 advance = jax.jit(encoder._advance, static_argnums=0)
