@@ -53,7 +53,7 @@ def batch_encoder(wrench: NDArray[np.float32], window: int) -> dict[str, float]:
         "lanes": len(wrench) * 6,
         "compile_seconds": compile_seconds,
         "samples_per_second": wrench.size / seconds,
-        "working_memory_over_wrench": memory.temp_size_in_bytes / wrench.nbytes,
+        "working_memory_over_wrench": memory.temp_size_in_bytes / wrench.nbytes if memory else float("nan"),
         "label_bytes_per_slot": labels / slots,
     }
 

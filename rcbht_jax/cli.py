@@ -23,6 +23,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import hiro": ("rcbht_jax.commands.import_hiro:ImportHiro", "read the authors' trials into a store"),
     "bench": ("rcbht_jax.commands.bench:Bench", "measure the encoders on this machine"),
     "encode": ("rcbht_jax.commands.encode:Encode", "label every recording of a store"),
+    "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
+    "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),
     "plot map": ("rcbht_jax.commands.plot:PlotMap", "draw the label map of a store"),

@@ -102,7 +102,8 @@ class Encode(Command):
             tracks = encode_recordings(
                 config, thresholds, recordings.wrench, recordings.length, progress=lambda n: bar.update(n)
             )
-        return tracks, {"semantics": "online", "config": asdict(config), "thresholds": thresholds.limits.tolist()}
+        how = {"semantics": "online", "window": self.window, "config": asdict(config)}
+        return tracks, {**how, "thresholds": thresholds.limits.tolist()}
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         def bar(indices: Iterable[int]) -> Iterable[int]:

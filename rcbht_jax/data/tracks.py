@@ -80,6 +80,24 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     return LabelTracks(**{layer: LabelTrack(**arrays[layer]) for layer in LAYERS}), dict(group.attrs)
 
 
+def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
+    """The label tracks of that name; without a name, the only ones there are.
+
+    Raises:
+        InputError: there are none, or none of that name, or several and no name.
+    """
+    known = list_tracks(path)
+    if not known:
+        raise InputError(f'{path} has no label tracks; run "rcbht encode {path}" first.')
+    if not name and len(known) > 1:
+        raise InputError(f"{path} has several label tracks; choose one with --tracks: {', '.join(known)}.")
+    if name and name not in known:
+        raise InputError(
+            f'{path} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(known)}.'
+        )
+    return (name or known[0], *read_tracks(path, name or known[0]))
+
+
 def list_tracks(path: Path) -> list[str]:
     """Names of the label tracks in a store, sorted.
 

@@ -1,0 +1,149 @@
+"""``rcbht train`` and ``rcbht evaluate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from rcbht_jax.classify import Grid
+from rcbht_jax.commands import Command
+from rcbht_jax.data.store import read_recordings
+from rcbht_jax.data.tracks import choose_tracks
+from rcbht_jax.evaluate import Protocol, evaluate, train
+from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.model_file import save
+from rcbht_jax.tasks import TaskSpec
+
+
+@dataclass(frozen=True)
+class _Learning(Command):
+    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    """Store with label tracks, made by "rcbht encode"."""
+    task: Literal["states", "outcome", "failure-type"] = "states"
+    """What to tell apart."""
+    tracks: str = ""
+    """Label tracks to use, where the store has several."""
+    boundaries: Literal["recorded", "harmonised", "merged"] = "harmonised"
+    """States: where rotation ends; merged joins rotation and insertion."""
+    arms: Literal["R", "L", "both"] = "R"
+    """Arm whose labels to read."""
+    source: tuple[str, ...] = ()
+    """Data sets; default all."""
+    session: tuple[str, ...] = ()
+    """Recording sessions, for example A B; default all."""
+    features: tuple[Literal["sentence", "histogram", "ngram", "duration", "attributes", "offset"], ...] = (
+        "histogram",
+        "ngram",
+        "attributes",
+    )
+    """Feature families; duration and offset tell data sets apart that words would not."""
+    kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
+    """Kernels to choose from."""
+    costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))
+    """Values of C to choose from."""
+    seed: int = 0
+    """Of the folds."""
+
+    @property
+    def spec(self) -> TaskSpec:
+        return TaskSpec(self.task, self.boundaries, self.arms, self.source, self.session)
+
+    @property
+    def grid(self) -> Grid:
+        return Grid(kernels=self.kernels, costs=self.costs)
+
+
+@dataclass(frozen=True)
+class Evaluate(_Learning):
+    """Measure how well the labels tell states, outcomes or failure types apart.
+
+    Trials are never divided between training and test; kernel, C and scaling are chosen inside the training
+    folds. Beside the score stand what the duration alone and the most frequent class achieve on the same folds.
+
+    Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
+    """
+
+    train_on: tuple[str, ...] = ()
+    """Sessions to train on, instead of cross-validation."""
+    test_on: tuple[str, ...] = ()
+    """Sessions to test on."""
+    folds: int = 5
+    """Folds of the cross-validation."""
+    repeats: int = 10
+    """Repetitions of the cross-validation with other folds."""
+
+    def run(self) -> dict[str, Any]:
+        name, tracks, attrs = choose_tracks(self.store, self.tracks)
+        protocol = Protocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
+        families = FeatureSpec(families=self.features)
+        result = evaluate(read_recordings(self.store), tracks, self.spec, families, protocol, attrs)
+        return {"tracks": name, **result.to_json()}
+
+    def text(self, result: dict[str, Any]) -> str:
+        items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
+        lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
+        lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
+        lines.append(f"{'':24}accuracy (95% interval)    balanced accuracy")
+        rows = (("labels + SVM", "score"), ("duration alone", "duration_baseline"), ("majority", "majority_baseline"))
+        lines += [f"{title:24}{_scores(result[key])}" for title, key in rows]
+        if "fold_min_mean_max" in result["score"]:
+            low, mean, high = result["score"]["fold_min_mean_max"]
+            lines.append(f"folds of a run, min / mean / max as the paper reports: {low:.3f} / {mean:.3f} / {high:.3f}")
+        chosen, count = next(iter(result["chosen"].items()))
+        lines.append(f"chosen most often: {chosen} ({count} of {sum(result['chosen'].values())} folds)")
+        lines += ["confusion, rows = truth:", *_table(result["classes"], result["confusion"])]
+        return "\n".join([*lines, f"Read with care: {result['confounds']}"])
+
+
+@dataclass(frozen=True)
+class Train(_Learning):
+    """Train a classifier on all sentences of a task and write it as a model file.
+
+    Example: rcbht train hiro.zarr --task states --session A B -o states.model
+    """
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")] = Path("rcbht.model")
+    """Model file to write: arrays and JSON, no code."""
+
+    def run(self) -> dict[str, Any]:
+        name, tracks, attrs = choose_tracks(self.store, self.tracks)
+        families = FeatureSpec(families=self.features)
+        model = train(read_recordings(self.store), tracks, self.spec, families, self.grid, attrs, self.seed)
+        save(self.out, model)
+        chosen = model.svm.spec
+        return {
+            "model": str(self.out),
+            "tracks": name,
+            "classes": list(model.svm.classes),
+            "kernel": chosen.kernel,
+            "cost": chosen.cost,
+            "scaling": chosen.scaling,
+            **model.extra,
+        }
+
+    def text(self, result: dict[str, Any]) -> str:
+        return (
+            f"{result['model']}: {', '.join(result['classes'])} from {result['items']} sentences of "
+            f"{result['trials']} trials; {result['kernel']} kernel, C = {result['cost']:g}"
+        )
+
+
+def _scores(score: dict[str, Any]) -> str:
+    return "     ".join(_interval(score[key]) for key in ("accuracy", "balanced_accuracy"))
+
+
+def _interval(score: dict[str, float]) -> str:
+    limits = f"({score['low']:.3f} to {score['high']:.3f})" if "low" in score else ""
+    return f"{score['mean']:.3f} {limits:16}"
+
+
+def _table(classes: list[str], confusion: list[list[int]]) -> list[str]:
+    width = max(max(len(name) for name in classes), 6)
+    head = " " * width + "".join(f"  {name[:8]:>8}" for name in classes)
+    return [head] + [
+        f"{name:{width}}" + "".join(f"  {count:8d}" for count in row)
+        for name, row in zip(classes, confusion, strict=True)
+    ]
