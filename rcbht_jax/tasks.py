@@ -100,8 +100,10 @@ def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
         rows, names, edges = _states(recordings, rows, spec.boundaries, dropped)
     else:
         rows, names, edges = _whole(recordings, rows, spec.task, dropped)
-    order = {"states": STATES + MERGED_STATES, "outcome": OUTCOMES, "failure-type": FAILURE_TYPES}[spec.task]
-    classes = tuple(c for c in dict.fromkeys(order) if c in set(names.ravel().tolist()))
+    states = MERGED_STATES if spec.boundaries == "merged" else STATES
+    order = {"states": states, "outcome": OUTCOMES, "failure-type": FAILURE_TYPES}[spec.task]
+    present = set(names.ravel().tolist())
+    classes = tuple(c for c in order if c in present)
     if len(classes) < 2:
         raise InputError(
             f"the task {spec.task} finds {len(classes)} classes in the {len(rows)} trials that pass the filters; "
