@@ -108,15 +108,11 @@ def test_sentence_histogram_and_bigrams_equal_painting(seed, rows, dense):
             np.testing.assert_allclose(family_of(made, f"histogram.{layer}.Fz.time")[number], time, atol=1e-6)
             codes = [int(w["label"]) for w in words]
             count = [codes.count(c) / max(len(codes), 1) for c in range(1, size + 1)]
-            np.testing.assert_allclose(
-                family_of(made, f"histogram.{layer}.Fz.count")[number], count, atol=1e-6
-            )
+            np.testing.assert_allclose(family_of(made, f"histogram.{layer}.Fz.count")[number], count, atol=1e-6)
             pairs = np.zeros((size, size))
             for a, b in itertools.pairwise(codes):
                 pairs[a - 1, b - 1] += 1 / (len(codes) - 1)
-            np.testing.assert_allclose(
-                family_of(made, f"ngram.{layer}.Fz.")[number], pairs.ravel(), atol=1e-6
-            )
+            np.testing.assert_allclose(family_of(made, f"ngram.{layer}.Fz.")[number], pairs.ravel(), atol=1e-6)
 
 
 @settings(max_examples=20, deadline=None)
@@ -157,9 +153,7 @@ def one_lane(*words: tuple[int, int, int]) -> LabelTracks:
     """The same spans (label, t0, t1) on every axis and layer of one recording."""
     label, t0, t1 = (np.tile(np.array(x, np.int32), (1, 6, 1)) for x in zip(*words, strict=True))
     zero = np.zeros(label.shape)
-    track = LabelTrack(
-        label=label.astype(np.int8), t0=t0, t1=t1, emit=t1, vmax=zero, vmin=zero, avg=zero, grad=zero
-    )
+    track = LabelTrack(label=label.astype(np.int8), t0=t0, t1=t1, emit=t1, vmax=zero, vmin=zero, avg=zero, grad=zero)
     return LabelTracks(track, track, track)
 
 
@@ -237,9 +231,7 @@ def test_without_offset_and_duration_a_constant_bias_changes_nothing():
     moved = LabelTracks(*(biased(getattr(tracks, layer)) for layer in LAYERS))
     rows = intervals((0, 0, 40), (1, 4, 22))
     spec = replace(ALL, families=("sentence", "histogram", "ngram", "attributes"))
-    np.testing.assert_allclose(
-        features(tracks, rows, spec).values, features(moved, rows, spec).values, atol=1e-5
-    )
+    np.testing.assert_allclose(features(tracks, rows, spec).values, features(moved, rows, spec).values, atol=1e-5)
     spec = replace(ALL, families=("offset",))
     assert not np.allclose(features(tracks, rows, spec).values, features(moved, rows, spec).values, atol=1e-2)
 
@@ -273,9 +265,7 @@ def test_bad_intervals_are_refused(row):
         features(make_tracks(1), intervals(row), ALL)
 
 
-@pytest.mark.parametrize(
-    "bad", [{"families": ("words",)}, {"layers": ()}, {"slots": (0, 1, 1)}, {"ngram": 4}]
-)
+@pytest.mark.parametrize("bad", [{"families": ("words",)}, {"layers": ()}, {"slots": (0, 1, 1)}, {"ngram": 4}])
 def test_bad_specifications_are_refused(bad):
     with pytest.raises(InputError):
         FeatureSpec(**bad)
