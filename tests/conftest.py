@@ -32,7 +32,10 @@ def _external(variable: str, default: str) -> Path:
     """A folder outside the project, or the reason why its tests are skipped."""
     folder = Path(os.environ.get(variable) or ROOT / default)
     if not folder.is_dir():
-        pytest.skip(f"the recorded data is not here; set {variable} to its folder (default {default})")
+        reason = f"the recorded data is not here; set {variable} to its folder (default {default})"
+        if os.environ.get("RCBHT_REQUIRE_DATA"):
+            pytest.fail(reason)
+        pytest.skip(reason)
     return folder
 
 

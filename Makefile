@@ -1,0 +1,50 @@
+# Everything sets itself up: only Python 3.11 or later with venv and pip is needed.
+PYTHON ?= python3
+VENV ?= .venv
+JOBS ?= 2
+DATA ?= ../shared/data/hiro
+OUT ?= demo-out
+
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help venv test lint format demo bench constraints clean
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
+
+venv: $(INSTALLED) ## make the virtual environment .venv, when pyproject.toml or constraints.txt changed
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo 'rcbht-jax needs Python 3.11 or later as "$(PYTHON)"; name another one: make PYTHON=python3.12 venv' >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+test: $(INSTALLED) ## run all tests
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+lint: $(INSTALLED) ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(INSTALLED) ## put the style right
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+demo: $(INSTALLED) ## from the recorded trials to a report: DATA=folder OUT=folder
+	$(BIN)/rcbht demo $(DATA) $(OUT)
+
+bench: $(INSTALLED) ## measure the encoders on this machine
+	$(BIN)/rcbht bench
+
+constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
+	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
+	@touch $(INSTALLED)
+
+clean: ## remove what make and the tests leave behind
+	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
