@@ -36,7 +36,7 @@ format: $(INSTALLED) ## put the style right
 	$(BIN)/ruff format .
 
 demo: $(INSTALLED) ## from the recorded trials to a report: DATA=folder OUT=folder
-	$(BIN)/rcbht demo $(DATA) $(OUT)
+	$(BIN)/rcbht demo $(DATA) --out $(OUT)
 
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench
