@@ -46,9 +46,7 @@ _TABLES = {"primitive": ("prim_raw", 6, 3, 4), "mc": ("mc", 0, 6, 9), "llb": ("l
 _LEVEL_NAMES = {"primitive": "primitive", "composite": "mc", "llbehavior": "llb"}
 
 # Names are unique across layers: compositions are lower case, behaviours upper case.
-_NUMBER = {
-    name(layer, code): code - 1 for layer, labels in zip(LAYERS, ALPHABETS, strict=True) for code in labels
-}
+_NUMBER = {name(layer, code): code - 1 for layer, labels in zip(LAYERS, ALPHABETS, strict=True) for code in labels}
 
 _HASH_MASK = 2**64 - 1
 _FIRST_SLOTS = 8

@@ -204,9 +204,7 @@ def demote_contacts(rows: Table, largest: float) -> None:
 
 
 def _alike(this: Row, following: Row, amplitude: float, average: float, clean: bool) -> bool:
-    return near(this[AMP], following[AMP], amplitude, clean) and near(
-        this[AVG], following[AVG], average, clean
-    )
+    return near(this[AMP], following[AMP], amplitude, clean) and near(this[AVG], following[AVG], average, clean)
 
 
 def merge_into_adjustments(rows: Table, start: int, clean: bool) -> Table:
