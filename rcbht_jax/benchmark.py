@@ -37,7 +37,7 @@ def median_seconds(run: Callable[[], Any], repeats: int = _REPEATS) -> float:
     return float(np.median(times))
 
 
-def batch_encoder(wrench: NDArray[np.float32], window: int) -> dict[str, float]:
+def batch_encoder(wrench: NDArray[np.float32], window: int) -> dict[str, Any]:
     """Dense encoding of all trials at once: compile time, throughput, memory against the wrench."""
     config, limits = EncoderConfig(window=window, dt=DT), jnp.asarray(preset().limits, jnp.float32)
     data, length = jnp.asarray(wrench), jnp.full(len(wrench), wrench.shape[1], jnp.int32)

@@ -158,8 +158,8 @@ def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]
 def _scaler(x: Matrix, scaling: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if not scaling:
         return np.zeros(x.shape[1]), np.ones(x.shape[1])
-    deviation = x.std(0)
-    return x.mean(0), np.where(deviation > 0, deviation, 1.0)
+    deviation = x.std(0, dtype=np.float64)
+    return x.mean(0, dtype=np.float64), np.where(deviation > 0, deviation, 1.0)
 
 
 def _gamma(x: Matrix, kind: str) -> float:

@@ -77,9 +77,7 @@ def golden_axes(stored: dict[str, NDArray], trial: int, arm: int) -> Iterator[Go
         yield Golden(str(stored["trial"][trial]), str(stored["arms"][arm]), axis, tables)
 
 
-def primitive_row(
-    start: float, end: float, low: float, high: float, label: int, slope: float = 1.0
-) -> list[float]:
+def primitive_row(start: float, end: float, low: float, high: float, label: int, slope: float = 1.0) -> list[float]:
     """A primitive."""
     return [float(x) for x in ((high + low) / 2, high, low, start, end, slope, label)]
 
@@ -99,8 +97,7 @@ def motion_row(
 def motion_rows(labels: str, amp: float = 1.0) -> list[list[float]]:
     """Compositions of one second each, by name."""
     return [
-        motion_row(MC[label.upper()], (k, k + 0.5, k + 0.5, k + 1), amp=amp)
-        for k, label in enumerate(labels.split())
+        motion_row(MC[label.upper()], (k, k + 0.5, k + 0.5, k + 1), amp=amp) for k, label in enumerate(labels.split())
     ]
 
 

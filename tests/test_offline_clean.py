@@ -57,9 +57,7 @@ def test_q7_segments_are_fitted_to_their_own_samples() -> None:
 def test_q7_no_segment_without_length() -> None:
     time = np.round(np.arange(60) * 0.005, 6)
     values = np.where(np.arange(60) % 2 == 0, 1.0, -1.0)
-    starts = [
-        [row[3] for row in raw_primitives(time, values, HIRO, clean=clean)[0]] for clean in (False, True)
-    ]
+    starts = [[row[3] for row in raw_primitives(time, values, HIRO, clean=clean)[0]] for clean in (False, True)]
     assert starts[0].count(0.025) == 2
     assert starts[1].count(0.025) == 1
 
@@ -95,9 +93,7 @@ def test_q15_reaches_the_passes() -> None:
 
 
 @pytest.mark.parametrize(("averages", "amplitudes"), [((9.0, 20.0), (1.0, 1.0)), ((9.0, 9.0), (1.0, 90.0))])
-def test_q19_push_beside_pull_must_be_alike(
-    averages: tuple[float, float], amplitudes: tuple[float, float]
-) -> None:
+def test_q19_push_beside_pull_must_be_alike(averages: tuple[float, float], amplitudes: tuple[float, float]) -> None:
     push, pull = (
         behaviour_row(label, 0, 1, avg=average, amp=amplitude)
         for label, average, amplitude in zip((LLB.PS, LLB.PL), averages, amplitudes, strict=True)

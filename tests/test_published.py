@@ -115,9 +115,7 @@ def test_splitting_keeps_every_label_up_to_the_last_mark(sentence: pub.Sentence,
     for k, part in enumerate(parts):
         for label, start, end in zip(*part, strict=True):
             assert bounds[k] <= start < end <= bounds[k + 1]
-            assert any(
-                label == whole and start >= s and end <= e for whole, s, e in zip(*sentence, strict=True)
-            )
+            assert any(label == whole and start >= s and end <= e for whole, s, e in zip(*sentence, strict=True))
         covered = sum(end - start for start, end in zip(part.start, part.end, strict=True))
         wanted = min(bounds[k + 1], sentence.end[-1]) - min(bounds[k], sentence.end[-1])
         assert covered == pytest.approx(wanted, abs=1e-9)

@@ -65,9 +65,7 @@ def test_every_success_is_published_cell_for_cell(
 
 
 @pytest.mark.parametrize(("arm", "side"), [("R", "right"), ("L", "left")])
-def test_every_two_arm_state_is_published_cell_for_cell(
-    arm: str, side: str, hiro_dir: Path, golden_dir: Path
-) -> None:
+def test_every_two_arm_state_is_published_cell_for_cell(arm: str, side: str, hiro_dir: Path, golden_dir: Path) -> None:
     published = dict(np.load(golden_dir / "published_features" / "sim_two_arm.npz"))
     trials = [path for path in _trials(hiro_dir / TWO_ARMS) if len(onset(path)) == 4]
     assert len(trials) == 13

@@ -9,6 +9,7 @@ import jax
 
 from rcbht_jax import benchmark
 from rcbht_jax.commands import Command
+from rcbht_jax.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Bench(Command):
     """Samples per trial."""
 
     def run(self) -> dict[str, Any]:
+        if self.trials < 1 or self.samples < 20:
+            raise InputError(f"{self.trials} trials of {self.samples} samples measure nothing; use 1 of 20 or more.")
         wrench = benchmark.signal(self.trials, self.samples)
         batch = {f"W={window}": benchmark.batch_encoder(wrench, window) for window in (5, 20)}
         peers = benchmark.peers(wrench, 5)

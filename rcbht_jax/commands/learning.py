@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -140,7 +141,7 @@ def _interval(score: dict[str, float]) -> str:
     return f"{score['mean']:.3f} {limits:16}"
 
 
-def _table(classes: list[str], confusion: list[list[int]]) -> list[str]:
+def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
     width = max(max(len(name) for name in classes), 6)
     head = " " * width + "".join(f"  {name[:8]:>8}" for name in classes)
     return [head] + [
