@@ -18,10 +18,10 @@ class Bench(Command):
 
     Peers come with the extra "bench" (tslearn, fABBA); their speed is measured on the same array.
 
-    Example: rcbht bench --trials 400
+    Example: rcbht bench --trials 100
     """
 
-    trials: int = 400
+    trials: int = 100
     """Trials of six axes in the batch."""
     samples: int = 2000
     """Samples per trial."""
