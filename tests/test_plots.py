@@ -259,7 +259,9 @@ def test_a_recording_without_labels_is_drawn(recordings: Recordings, tracks: Lab
 def test_save_writes_the_format_of_the_suffix(tmp_path: Path, suffix: str, magic: bytes) -> None:
     path = tmp_path / f"figure{suffix}"
     path.write_text("older")
-    save(Figure(figsize=(1, 1)), path)
+    with path.open() as reader:
+        save(Figure(figsize=(1, 1)), path)
+        assert reader.read() == "older"  # replaced as a whole, not written over
     assert path.read_bytes().startswith(magic)
     assert list(tmp_path.iterdir()) == [path]
 
