@@ -107,7 +107,7 @@ def ik(position: Array, rotation: Array, near: Array, arm: str = "R") -> Array:
         position, near = position * _like(flip, position), near * _like(signs, near)
         rotation = rotation * _like(flip[:, None] * flip[None, :], rotation)
     frame = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
-    wrist = _along(position, frame, tuple(-c for c in TCP["R"]))
+    wrist = _along(position, frame, _back(TCP["R"]))
     last = near[..., 5]
     for _ in range(SEARCH_STEPS):
         once = _solve(wrist, frame, last, near)[0][..., 5]
@@ -124,7 +124,7 @@ def _solve(wrist: Array, frame: Frame, last: Array, near: Array) -> tuple[Array,
     """Right arm's angles [..., 6] for a wrist pose if its last angle were ``last``; and where reachable [...]."""
     xp = wrist.__array_namespace__()
     before = _turned(frame, 0, -last)
-    crossing = _along(wrist, before, tuple(-c for c in RIGHT[5].offset))
+    crossing = _along(wrist, before, _back(RIGHT[5].offset))
     arm, reachable = _solve_arm(crossing, near)
     bent = _turned(_turned(_shoulder_frame(wrist), 2, arm[0]), 1, arm[1] + arm[2])
     # The rest of the rotation is Rz(q3) Ry(q4) Rx(q5).
@@ -152,14 +152,16 @@ def _solve_arm(crossing: Array, near: Array) -> tuple[tuple[Array, Array, Array]
     bend0 = math.atan2(fore_x, fore_z) - math.atan2(upper_x, upper_z)  # between the sticks at q2 = 0
 
     out2 = x**2 + y**2 - aside**2
-    elbow = near[..., 1] + near[..., 2]
-    forward = _sign(upper_x * xp.cos(near[..., 1]) + upper_z * xp.sin(near[..., 1])
-                    + fore_x * xp.cos(elbow) + fore_z * xp.sin(elbow))  # fmt: skip
+    # Where the near arm's crossing point lies: in front of the shoulder axis or behind it.
+    near1, near12 = near[..., 1], near[..., 1] + near[..., 2]
+    near_upper = upper_x * xp.cos(near1) + upper_z * xp.sin(near1)
+    forward = _sign(near_upper + fore_x * xp.cos(near12) + fore_z * xp.sin(near12))
     out = forward * xp.sqrt(xp.maximum(out2, 0.0))
     q0 = xp.arctan2(y, x) - xp.arctan2(xp.full_like(out, aside), out)
     cosine = (out2 + z**2 - upper**2 - fore**2) / (2 * upper * fore)
     bend = _sign(xp.sin(near[..., 2] + bend0)) * xp.arccos(xp.clip(cosine, -1.0, 1.0))
-    q1 = xp.arctan2(out, z) - math.atan2(upper_x, upper_z) - xp.arctan2(fore * xp.sin(bend), upper + fore * xp.cos(bend))
+    lead = math.atan2(upper_x, upper_z) + xp.arctan2(fore * xp.sin(bend), upper + fore * xp.cos(bend))
+    q1 = xp.arctan2(out, z) - lead
     reachable = (out2 >= 0.0) & (abs(cosine) <= 1.0)
     return (_wrapped(q0), _wrapped(q1), _wrapped(bend - bend0)), reachable
 
@@ -220,6 +222,10 @@ def _along(position: Array, frame: Frame, offset: Vector) -> Array:
         if length:
             position = position + length * axis
     return position
+
+
+def _back(offset: Vector) -> Vector:
+    return -offset[0], -offset[1], -offset[2]
 
 
 def _matrix(frame: Frame) -> Array:
