@@ -171,9 +171,8 @@ def _accelerated(start: Array, once: Array, twice: Array) -> Array:
     xp = start.__array_namespace__()
     first, second = _wrapped(once - start), _wrapped(twice - once)
     bend = second - first
-    # At the fixed point only rounding is left to divide by.
-    usable = abs(bend) > 8 * xp.finfo(start.dtype).eps
-    return xp.where(usable, start - first**2 / xp.where(usable, bend, 1.0), twice)
+    curved = bend != 0.0  # it is zero at the fixed point
+    return xp.where(curved, start - first**2 / xp.where(curved, bend, 1.0), twice)
 
 
 def _chain(q: Array, arm: str) -> tuple[list[Array], list[Array], Frame]:
