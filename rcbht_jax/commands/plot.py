@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from rcbht_jax.commands import Command
 from rcbht_jax.data.store import read_recordings
-from rcbht_jax.data.tracks import list_tracks, read_tracks
+from rcbht_jax.data.tracks import choose_tracks
 from rcbht_jax.errors import InputError
 from rcbht_jax.plots import label_map, save, trial_figure
-from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.types import Recordings
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PlotTrial(Command):
     def run(self) -> dict[str, Any]:
         recordings = read_recordings(self.store)
         index = _find(recordings, self.trial, self.arm, self.source)
-        name, labels, attrs = _tracks(self.store, self.tracks)
+        name, labels, attrs = choose_tracks(self.store, self.tracks)
         window = attrs.get("window")
         figure = trial_figure(
             recordings, labels, index, window=window if isinstance(window, int) else None, seconds=self.seconds
@@ -84,7 +84,7 @@ class PlotMap(Command):
     def run(self) -> dict[str, Any]:
         recordings = read_recordings(self.store)
         select = _of_source(recordings, self.source)
-        name, labels, _ = _tracks(self.store, self.tracks)
+        name, labels, _ = choose_tracks(self.store, self.tracks)
         title = " + ".join(self.source) or self.store.name
         figure = label_map(recordings, labels, self.layer, select=select, by=self.by, words=self.words, title=title)
         save(figure, self.out)
@@ -92,20 +92,6 @@ class PlotMap(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         return f"{result['figure']}: {result['layer']} labels {result['tracks']} of {result['recordings']} recordings"
-
-
-def _tracks(store: Path, name: str) -> tuple[str, LabelTracks, dict[str, Any]]:
-    """The label tracks of that name; without a name, the only ones there are."""
-    known = list_tracks(store)
-    if not known:
-        raise InputError(f'{store} has no label tracks; run "rcbht encode {store}" first.')
-    if not name and len(known) > 1:
-        raise InputError(f"{store} has several label tracks; choose one with --tracks: {', '.join(known)}.")
-    if name and name not in known:
-        raise InputError(
-            f'{store} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(known)}.'
-        )
-    return (name or known[0], *read_tracks(store, name or known[0]))
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:
