@@ -1,0 +1,1 @@
+"""Physics engines behind one function; none of them knows the task."""

@@ -1,0 +1,139 @@
+"""C MuJoCo, batched over threads: the source of truth."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import rollout as mj_rollout
+from numpy.typing import NDArray
+
+from sim_mjx import parts, task
+from sim_mjx.presets import CONTROL_PERIOD
+from sim_mjx.rollout import Rollouts, TrialParams, as_float32, batch_size, begin, control
+from sim_mjx.scene import Scene
+
+SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
+# The default emitters make batched kinematics a hundred times slower on a CPU.
+_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+_begin = jax.jit(jax.vmap(begin), compiler_options=_OPTIONS)
+_control = jax.jit(jax.vmap(control), compiler_options=_OPTIONS, donate_argnums=1)
+
+
+def simulate(
+    scene: Scene, params: TrialParams, *, threads: int | None = None, progress: Callable[[int], None] | None = None
+) -> Rollouts:
+    """Simulate a batch of trials until all have ended.
+
+    Args:
+        scene: what is simulated.
+        params: batch of trials.
+        threads: default all cores.
+        progress: called with the number of control periods done since the last call, summed over trials.
+    """
+    trials = batch_size(params)
+    models = [_model(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(trials)]
+    threads = threads or os.cpu_count() or 1
+    datas = [mujoco.MjData(scene.model) for _ in range(threads)]
+    state, readings = _first(scene, models, np.asarray(params.task.home))
+    fast = as_float32(params)
+    joints = state[:, 1 + scene.joints].astype(np.float32)
+    loop = _begin(fast, jnp.asarray(_raw(scene, readings)))
+    rows, phases = [], []
+    share = (np.arange(1, scene.substeps + 1) / scene.substeps)[None, :, None]
+    limit = int(np.ceil(np.max(params.task.timeout) / CONTROL_PERIOD)) + 1
+    with mj_rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
+        for _ in range(limit):
+            loop, command, log = _control(fast, loop, jnp.asarray(joints), jnp.asarray(_raw(scene, readings)))
+            rows.append((np.asarray(log.wrench), np.asarray(log.joints)))
+            phases.append(np.asarray(log.phase))
+            if (phases[-1] == task.ENDED).all():
+                break
+            before, after = np.moveaxis(np.asarray(command, np.float64), 1, 0)
+            wanted = before[:, None] + share * (after - before)[:, None]
+            states, sensors = pool.rollout(models, datas, state, wanted, nstep=scene.substeps)
+            state, readings = states[:, -1], sensors[:, -1]
+            joints = state[:, 1 + scene.joints].astype(np.float32)
+            if progress is not None:
+                progress(int((phases[-1] < task.ENDED).sum()))
+    return _collect(scene, models, state, rows, np.stack(phases, 1), np.asarray(loop.task.entered))
+
+
+def _model(scene: Scene, part: parts.PartParams) -> mujoco.MjModel:
+    model = copy.copy(scene.model)
+    for name, value in parts.model_fields(scene.model, part, scene.arm).items():
+        getattr(model, name)[:] = value
+    return model
+
+
+def _first(
+    scene: Scene, models: list[mujoco.MjModel], home: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Full physics states [trial, ...] at rest in the home pose, and their sensor readings."""
+    data = mujoco.MjData(scene.model)
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    states = np.zeros((len(models), mujoco.mj_stateSize(scene.model, kind)))
+    readings = np.zeros((len(models), scene.model.nsensordata))
+    for row, model in enumerate(models):
+        mujoco.mj_resetData(model, data)
+        data.qpos[scene.joints] = home[row]
+        data.ctrl[:] = home[row]
+        for _ in range(SETTLING):
+            mujoco.mj_step(model, data)
+        data.time = 0.0
+        mujoco.mj_forward(model, data)
+        mujoco.mj_getState(model, data, states[row], kind)
+        readings[row] = data.sensordata
+    return states, readings
+
+
+def _raw(scene: Scene, readings: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What the part exerts on the hand [trial, 6]: the sensor reports the opposite."""
+    return -readings[:, scene.force : scene.force + 6].astype(np.float32)
+
+
+def _collect(
+    scene: Scene,
+    models: list[mujoco.MjModel],
+    state: NDArray[np.float64],
+    rows: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+    phases: NDArray[np.int32],
+    entered: NDArray[np.int32],
+) -> Rollouts:
+    wrench, joints = (np.stack(column, 1) for column in zip(*rows, strict=True))
+    length = (phases < task.ENDED).sum(1).astype(np.int32)
+    inside = np.arange(wrench.shape[1])[None] < length[:, None]
+    finite = np.isfinite(wrench).all(2) & np.isfinite(joints).all(2)
+    diverged = (~finite & inside).any(1)
+    keep = inside & ~diverged[:, None]
+    seated = np.stack([tips_past_lips(model, row, scene) for model, row in zip(models, state, strict=True)])
+    return Rollouts(
+        np.where(keep[..., None], wrench, 0).astype(np.float32),
+        np.where(keep[..., None], joints, 0).astype(np.float32),
+        length,
+        np.asarray(task.onsets(jnp.asarray(entered)), np.float64),
+        seated & ~diverged[:, None],
+        diverged,
+    )
+
+
+def tips_past_lips(model: mujoco.MjModel, state: NDArray[np.float64], scene: Scene) -> NDArray[np.bool_]:
+    """Which tabs have snapped [4], by where their tips are: below the lip's edge and sprung back beneath it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    mujoco.mj_kinematics(model, data)
+    out = np.zeros(4, np.bool_)
+    for index, name in enumerate(parts.TABS):
+        tip = data.geom(f"{scene.arm}TIP_{name}").xpos
+        lip, turn = data.geom(f"LIP_{name}").xpos, data.geom(f"LIP_{name}").xmat.reshape(3, 3)
+        local = turn.T @ (tip - lip)
+        below = local[2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
+        near = abs(local[0]) < parts.LIP[0] + parts.TIP_RADIUS * 1.5
+        inside = abs(local[1]) < parts.LIP[1]
+        out[index] = below and near and inside
+    return out

@@ -1,0 +1,205 @@
+"""Male and female camera parts: four snap tabs, the lips they must pass, the blocks beside the slots, the seat.
+
+The male part hangs in the hand, its front tabs right below the TCP; the female part stands on a compliant mount.
+A tab is a spring-loaded sphere that slides along the hand's fore-aft direction; a lip is a box whose edge it must
+pass: force rises with the tab's deflection, drops when the tip is past the edge, rises again at the seat.
+Only spheres against boxes touch, through explicit pairs, because every engine agrees on those.
+Source: design page "HIRO task" (CAD facts, contact stiffness) and the pivot seen in the recordings: from contact to
+the end the point 64 mm below the TCP hardly moves in session A.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from rcbht_jax.errors import InputError
+
+Array = Any
+Vector = tuple[float, float, float]
+TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
+TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
+TAB_DROP = 0.064  # m, tips below the TCP
+MATED_TCP = np.array([0.3110, -0.1708, 0.4900])  # m, world, where the tips just touch the lips
+TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
+LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
+BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PartParams:
+    """What may differ from trial to trial; all arrays, so that it is a pytree."""
+
+    tab_stiffness: Array  # [4] N/m, order of TABS
+    tab_damping: Array  # [4] Ns/m
+    hook_overlap: Array  # [4] m, how far a lip reaches over its tab; negative = the tab is missing
+    slot_play: Array  # m, between a tip and the blocks on each side
+    seat_depth: Array  # m, below first touch, where the part sits on the seat
+    friction: Array  # sliding friction of all contacts
+    mount_stiffness: Array  # [3] N/m, x y z of the female part's mount
+    mount_damping: Array  # [3] Ns/m
+    position: Array  # [3] m, shift of the female part from its nominal place, world
+    roll: Array  # rad, turn of the female part about the vertical
+
+
+def nominal() -> PartParams:
+    """Values of the design page, with the snap force of the recorded events."""
+    return PartParams(
+        tab_stiffness=np.full(4, 16e3),
+        tab_damping=np.full(4, 80.0),
+        hook_overlap=np.full(4, 0.9e-3),
+        slot_play=np.array(1.4e-3),
+        seat_depth=np.array(2.4e-3),
+        friction=np.array(0.45),
+        mount_stiffness=np.array([2e4, 2e4, 7e3]),
+        mount_damping=np.array([120.0, 120.0, 60.0]),
+        position=np.zeros(3),
+        roll=np.array(0.0),
+    )
+
+
+TIP_RADIUS = 0.002  # m
+MOUNT_MASS = 0.3  # kg
+SEATED_DEPTH = TIP_RADIUS * 0.75  # m, centre of a tip below the upper edge of its lip
+
+
+def check(params: PartParams) -> None:
+    """Refuse what no part can be.
+
+    Raises:
+        InputError: a value is not finite or out of its range.
+    """
+    for field in fields(PartParams):
+        if not np.isfinite(np.asarray(getattr(params, field.name))).all():
+            raise InputError(f"The part's {field.name} holds a value that is not a finite number.")
+    positive = ("tab_stiffness", "mount_stiffness", "friction", "slot_play", "seat_depth")
+    for name in positive:
+        if not (np.asarray(getattr(params, name)) > 0).all():
+            raise InputError(f"The part's {name} must be positive.")
+    if (np.asarray(params.hook_overlap) >= TIP_RADIUS).any():
+        raise InputError(f"A hook overlap of {TIP_RADIUS * 1e3:g} mm or more cannot be passed by its tab.")
+
+
+def _tab_place(index: int) -> tuple[float, float]:
+    """Fore-aft and left offset of a tab's tip from the point below the TCP, m: front tabs at 0."""
+    aft = -TAB_SPACING[0] if index >= 2 else 0.0
+    left = TAB_SPACING[1] / 2 * (1 if index % 2 else -1)
+    return aft, left
+
+
+def add_male(spec: mujoco.MjSpec, arm: str, tcp: Vector) -> None:
+    """Hang the male part on the tool: four sliding tabs and four feet that meet the seat."""
+    tool = spec.body(f"{arm}ARM_TOOL")
+    up, left, back = tcp[0] - TAB_DROP, tcp[1], tcp[2]
+    half = TAB_SPACING[0] / 2
+    tool.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, pos=(up + 0.012, left, back + half), size=(0.007, 0.037, 0.0225),
+        contype=0, conaffinity=0, mass=0.0, group=2, rgba=(0.25, 0.45, 0.75, 1.0),
+    )  # fmt: skip
+    for index, name in enumerate(TABS):
+        aft, aside = _tab_place(index)
+        tab = tool.add_body(name=f"{arm}TAB_{name}", pos=(up, left + aside, back - aft))
+        tab.add_joint(
+            name=f"{arm}TAB_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0.0, 0.0, 1.0), armature=TAB_ARMATURE,
+            stiffness=[1e4, 0.0, 0.0], damping=[80.0, 0.0, 0.0], range=(-0.003, 0.003),
+        )  # fmt: skip
+        tab.add_geom(
+            name=f"{arm}TIP_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.002, contype=0, conaffinity=0,
+            rgba=(0.9, 0.5, 0.1, 1.0),
+        )  # fmt: skip
+        tool.add_geom(
+            name=f"{arm}FOOT_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
+            pos=(up + 0.004, left + aside * 1.9, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
+        )  # fmt: skip
+
+
+def add_female(spec: mujoco.MjSpec, arm: str) -> None:
+    """Stand the female part on its mount: per tab a lip and two blocks, and one seat for all feet."""
+    mount = spec.worldbody.add_body(name="MOUNT", pos=MATED_TCP - [0.0, 0.0, TAB_DROP])
+    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (1e-4, 1e-4, 1e-4), True
+    mount.gravcomp = 1.0
+    for axis, name in enumerate("XYZ"):
+        mount.add_joint(
+            name=f"MOUNT_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis],
+            stiffness=[1e4, 0.0, 0.0], damping=[60.0, 0.0, 0.0],
+        )  # fmt: skip
+    usual = nominal()
+    for index, name in enumerate(TABS):
+        places = _boxes(index, usual)
+        for kind, size in (("LIP", LIP), ("BLOCK1", BLOCK), ("BLOCK2", BLOCK)):
+            _add_box(mount, f"{kind}_{name}", size, places[kind])
+        for kind in ("LIP", "BLOCK1", "BLOCK2"):
+            _add_pair(spec, f"{arm}TIP_{name}", f"{kind}_{name}")
+        _add_pair(spec, f"{arm}FOOT_{name}", "SEAT")
+    _add_box(mount, "SEAT", (0.035, 0.045, 0.004), _seat(usual))
+
+
+def _add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
+    # a geom compiled at its body's origin would stay there: MuJoCo then never reads its position
+    body.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
+        rgba=(0.3, 0.3, 0.3, 1.0),
+    )  # fmt: skip
+
+
+def _add_pair(spec: mujoco.MjSpec, first: str, second: str) -> None:
+    pair = spec.add_pair(name=f"{first}:{second}", geomname1=first, geomname2=second, condim=3)
+    pair.solref, pair.solimp = (0.005, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
+
+
+def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> dict[str, np.ndarray]:
+    """Fields of the compiled model that hold these parameters; keys are MjModel attribute names.
+
+    Args:
+        model: of a scene with both parts.
+        params: of one trial.
+        arm: that holds the male part.
+    """
+    out = {name: getattr(model, name).copy() for name in (
+        "jnt_stiffness", "dof_damping", "geom_pos", "pair_friction", "body_pos", "body_quat"
+    )}  # fmt: skip
+    for index, name in enumerate(TABS):
+        joint = model.joint(f"{arm}TAB_{name}")
+        out["jnt_stiffness"][joint.id] = params.tab_stiffness[index]
+        out["dof_damping"][joint.dofadr[0]] = params.tab_damping[index]
+        for kind, place in _boxes(index, params).items():
+            out["geom_pos"][model.geom(f"{kind}_{name}").id] = place
+    for axis, name in enumerate("XYZ"):
+        joint = model.joint(f"MOUNT_{name}")
+        out["jnt_stiffness"][joint.id] = params.mount_stiffness[axis]
+        out["dof_damping"][joint.dofadr[0]] = params.mount_damping[axis]
+    out["geom_pos"][model.geom("SEAT").id] = _seat(params)
+    out["pair_friction"][:, :2] = params.friction
+    mount = model.body("MOUNT").id
+    out["body_pos"][mount] = model.body_pos[mount] + params.position
+    half = float(params.roll) / 2
+    out["body_quat"][mount] = (np.cos(half), 0.0, 0.0, np.sin(half))
+    return out
+
+
+def _boxes(index: int, params: PartParams) -> dict[str, Vector]:
+    """Places of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
+    aft, aside = _tab_place(index)
+    outward = 1.0 if index < 2 else -1.0
+    overlap = float(params.hook_overlap[index])
+    edge = aft + outward * (TIP_RADIUS - overlap)
+    # the tips' lowest points touch the lips' edges at the mount's origin height
+    top = -np.sqrt(max(TIP_RADIUS**2 - (TIP_RADIUS - max(overlap, 0.0)) ** 2, 0.0))
+    gone = -0.05 if overlap < 0 else 0.0  # a missing tab meets nothing
+    reach = TIP_RADIUS + float(params.slot_play) + BLOCK[1]
+    return {
+        "LIP": (edge + outward * LIP[0], aside, top - LIP[2] + gone),
+        "BLOCK1": (aft, aside - reach, top - BLOCK[2] + gone),
+        "BLOCK2": (aft, aside + reach, top - BLOCK[2] + gone),
+    }
+
+
+def _seat(params: PartParams) -> Vector:
+    # a foot's lowest point is 4 mm - radius above the tips' centres
+    top = 0.004 - TIP_RADIUS - float(params.seat_depth)
+    return (-TAB_SPACING[0] / 2, 0.0, top - 0.004)

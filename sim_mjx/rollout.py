@@ -1,0 +1,114 @@
+"""One trial's loop around the physics: sensor, state machine and delays, the same for every engine.
+
+``control`` is one control period, pure; engines call it between physics steps, batched by ``jax.vmap``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx import kinematics, sensor, task
+from sim_mjx.parts import PartParams
+from sim_mjx.presets import TaskParams
+from sim_mjx.sensor import LONGEST_DELAY, SensorParams, SensorState
+from sim_mjx.task import TaskState
+
+Array = Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrialParams:
+    """Everything that makes one trial; leaves of a batch lead with the trial."""
+
+    task: TaskParams
+    sensor: SensorParams
+    parts: PartParams
+    command_delay: Array  # int32, control periods between reference and servo
+    seed: Array  # uint32 [2], key of the sensor's noise
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Loop:
+    """What the controller remembers between control periods."""
+
+    task: TaskState
+    sensor: SensorState
+    commands: Array  # [LONGEST_DELAY, 6] rad, joint references, newest first
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Reading:
+    """What is logged each control period."""
+
+    wrench: Array  # [6] N and Nm, world frame, as the robot logs it
+    joints: Array  # [6] rad, measured
+    phase: Array  # int32
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Simulated trials on the host, padded to the longest; rows beyond ``length`` are zero."""
+
+    wrench: NDArray[np.float32]  # [trial, time, 6] N and Nm, world frame
+    joints: NDArray[np.float32]  # [trial, time, 6] rad
+    length: NDArray[np.int32]  # [trial] control periods until the trial ended
+    onset: NDArray[np.float64]  # [trial, 4] s, NaN = state never reached
+    seated: NDArray[np.bool_]  # [trial, 4] tabs past their lips at the end, order of parts.TABS
+    diverged: NDArray[np.bool_]  # [trial] the physics gave a value that is not finite; not data
+
+
+def begin(params: TrialParams, raw: Array) -> Loop:
+    """Loop state before the first period; ``raw`` [6] is the first sensor reading, wrist frame."""
+    commands = jnp.broadcast_to(params.task.home, (LONGEST_DELAY, 6))
+    return Loop(task.start(params.task), sensor.begin(params.sensor, raw), commands)
+
+
+def control(params: TrialParams, loop: Loop, joints: Array, raw: Array) -> tuple[Loop, Array, Reading]:
+    """One control period.
+
+    Args:
+        params: one trial.
+        loop: before.
+        joints: measured angles [6], rad.
+        raw: force and moment of the part on the hand [6], wrist frame.
+
+    Returns:
+        the loop after it, the servo references [2, 6] that the coming physics steps go between, and what is logged.
+    """
+    _, rotation, _ = kinematics.fk(joints)
+    noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (6,), raw.dtype)
+    read, wrench = sensor.read(params.sensor, loop.sensor, raw, noise, rotation)
+    state = task.advance(params.task, loop.task, joints, wrench)
+    commands = jnp.concatenate([state.command[None], loop.commands[:-1]])
+    # a servo interpolates: a reference that jumped every 5 ms would shake the tool by its own weight
+    between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
+    return Loop(state, read, commands), between, Reading(wrench, joints, loop.task.phase)
+
+
+def as_float32(params: TrialParams) -> TrialParams:
+    """All real leaves in single precision, for the controllers."""
+
+    def cast(leaf: Array) -> Array:
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(jnp.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(cast, params)
+
+
+def stack(trials: list[TrialParams]) -> TrialParams:
+    """A batch of single trials."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
+
+
+def batch_size(params: TrialParams) -> int:
+    """Trials in a batch."""
+    return int(np.shape(params.command_delay)[0])

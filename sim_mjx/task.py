@@ -1,0 +1,105 @@
+"""The state machine of the assembly: approach, rotation, insertion, (pre-)mating, end.
+
+``advance`` is one control period of one trial: measured joints and wrench in, joint references out. Pure, no
+loop; batches by ``jax.vmap``. Source: design page "HIRO task", controller facts, points 1 to 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from sim_mjx import kinematics
+from sim_mjx.controllers import force_law, goals_in_world
+from sim_mjx.presets import CONTROL_PERIOD, WORLD, TaskParams
+from sim_mjx.waypoints import approach
+
+Array = Any
+APPROACH, ROTATION, INSERTION, PRE_MATING, MATING, ENDED = range(6)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TaskState:
+    """Where one trial stands."""
+
+    tick: Array  # int32, control periods since the start
+    phase: Array  # int32, APPROACH ... ENDED
+    entered: Array  # int32 [6], tick at which each phase began, -1 = not yet
+    command: Array  # [6] rad, joint references
+
+
+def start(params: TaskParams) -> TaskState:
+    """State at time zero."""
+    entered = jnp.array([0, -1, -1, -1, -1, -1], jnp.int32)
+    return TaskState(jnp.int32(0), jnp.int32(APPROACH), entered, params.home)
+
+
+def advance(params: TaskParams, state: TaskState, joints: Array, wrench: Array) -> TaskState:
+    """One control period.
+
+    Args:
+        params: one trial's task.
+        state: before the period.
+        joints: measured angles [6], rad.
+        wrench: measured and filtered [6], N and Nm, world frame.
+
+    Returns:
+        the state after it; ``command`` holds the new joint references. An ended trial keeps still.
+    """
+    _, rotation, _ = kinematics.fk(joints)
+    phase = jnp.where(_leaves(params, state, joints, rotation, wrench), state.phase + 1, state.phase)
+    # pre-mating exists in the OpenHRP task only: elsewhere it would last no time
+    phase = jnp.where((phase == PRE_MATING) & (params.leave_wrist[2] == jnp.inf), jnp.int32(MATING), phase)
+    now = state.tick.astype(wrench.dtype) * CONTROL_PERIOD
+    phase = jnp.where(now >= params.timeout, jnp.int32(ENDED), phase)
+    began = jnp.arange(6) <= phase
+    entered = jnp.where(began & (state.entered < 0), state.tick, state.entered)
+    command = _command(params, state, phase, wrench, rotation, now)
+    return TaskState(state.tick + 1, phase, entered, command)
+
+
+def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array, wrench: Array) -> Array:
+    """Whether the current phase ends with this measurement."""
+    now = state.tick.astype(wrench.dtype) * CONTROL_PERIOD
+    touch = (rotation.T @ wrench[:3])[0] > params.contact_force
+    contact = touch & (now > params.contact_after)
+    row = jnp.clip(state.phase - ROTATION, 0, 3)
+    since = (state.tick - state.entered[state.phase]).astype(wrench.dtype) * CONTROL_PERIOD
+    pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))
+    reached = (joints[4] < params.leave_wrist[row]) | (pitch < params.leave_pitch[row])
+    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= params.leave_after[row])
+    over = since >= params.mating_time
+    by_phase = jnp.where(state.phase == MATING, over, reached)
+    return jnp.where(state.phase == APPROACH, contact, by_phase & (state.phase < ENDED))
+
+
+def _command(
+    params: TaskParams, state: TaskState, phase: Array, wrench: Array, rotation: Array, now: Array
+) -> Array:
+    planned = approach(params.home, params.way_time, params.way_position, params.way_rpy, now + CONTROL_PERIOD)
+    row = jnp.clip(phase - ROTATION, 0, 3)
+    in_world = params.frame == WORLD
+    pressed = force_law(
+        state.command,
+        wrench,
+        goals_in_world(params.force[row], rotation, in_world),
+        goals_in_world(params.moment[row], rotation, in_world),
+        params.force_gain,
+        params.moment_gain[row],
+    )
+    moved = jnp.where(phase == APPROACH, planned, pressed)
+    return jnp.where(phase == ENDED, state.command, moved)
+
+
+def onsets(entered: Array) -> Array:
+    """Start of approach, rotation, insertion and mating [..., 4] in seconds; NaN for a state never reached.
+
+    Args:
+        entered: int [..., 6] of the final state; pre-mating counts as insertion.
+    """
+    marks = entered[..., jnp.array([APPROACH, ROTATION, INSERTION, MATING])]
+    return jnp.where(marks >= 0, marks * CONTROL_PERIOD, jnp.nan)
