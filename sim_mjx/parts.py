@@ -1,11 +1,12 @@
 """Male and female camera parts: four snap tabs, the lips they must pass, the blocks beside the slots, the seat.
 
-The male part hangs in the hand, its front tabs right below the TCP; the female part stands on a compliant mount.
+The male part hangs in the hand, its tabs at the corners of a rectangle around the wrist's axis, 117 mm below the
+wrist; the female part stands on a compliant mount.
 A tab is a spring-loaded sphere that slides along the hand's fore-aft direction; a lip is a box whose edge it must
 pass: force rises with the tab's deflection, drops when the tip is past the edge, rises again at the seat.
 Only spheres against boxes touch, through explicit pairs, because every engine agrees on those.
-Source: design page "HIRO task" (CAD facts, contact stiffness) and the pivot seen in the recordings: from contact to
-the end the point 64 mm below the TCP hardly moves in session A.
+Source: design page "HIRO task" (CAD facts, contact stiffness) and the recordings: the point of the hand that stays
+still while session A rotates, and the centre of pressure, which visits the four corners.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ Array = Any
 Vector = tuple[float, float, float]
 TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
-TAB_DROP = 0.064  # m, tips below the TCP
-MATED_TCP = np.array([0.3110, -0.1708, 0.4900])  # m, world, where the tips just touch the lips
+TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
+FIRST_TOUCH = np.array([0.3110, -0.1727, 0.4232])  # m, world, midway between the front tips as they meet the lips
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
 LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
 BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
@@ -86,17 +87,17 @@ def check(params: PartParams) -> None:
 
 
 def _tab_place(index: int) -> tuple[float, float]:
-    """Fore-aft and left offset of a tab's tip from the point below the TCP, m: front tabs at 0."""
+    """Fore-aft and left offset of a tab's tip from the middle of the front tips, m."""
     aft = -TAB_SPACING[0] if index >= 2 else 0.0
     left = TAB_SPACING[1] / 2 * (1 if index % 2 else -1)
     return aft, left
 
 
-def add_male(spec: mujoco.MjSpec, arm: str, tcp: Vector) -> None:
+def add_male(spec: mujoco.MjSpec, arm: str) -> None:
     """Hang the male part on the tool: four sliding tabs and four feet that meet the seat."""
     tool = spec.body(f"{arm}ARM_TOOL")
-    up, left, back = tcp[0] - TAB_DROP, tcp[1], tcp[2]
     half = TAB_SPACING[0] / 2
+    up, left, back = TIP_HEIGHT, 0.0, -half  # wrist frame: x up the hand, z backwards
     tool.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX, pos=(up + 0.012, left, back + half), size=(0.007, 0.037, 0.0225),
         contype=0, conaffinity=0, mass=0.0, group=2, rgba=(0.25, 0.45, 0.75, 1.0),
@@ -120,8 +121,8 @@ def add_male(spec: mujoco.MjSpec, arm: str, tcp: Vector) -> None:
 
 def add_female(spec: mujoco.MjSpec, arm: str) -> None:
     """Stand the female part on its mount: per tab a lip and two blocks, and one seat for all feet."""
-    mount = spec.worldbody.add_body(name="MOUNT", pos=MATED_TCP - [0.0, 0.0, TAB_DROP])
-    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (1e-4, 1e-4, 1e-4), True
+    mount = spec.worldbody.add_body(name="MOUNT", pos=FIRST_TOUCH)
+    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
     mount.gravcomp = 1.0
     for axis, name in enumerate("XYZ"):
         mount.add_joint(

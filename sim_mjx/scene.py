@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_mjx import parts
-from sim_mjx.hiro import TCP, new_robot
+from sim_mjx.hiro import new_robot
 from sim_mjx.presets import CONTROL_PERIOD
 
 SUBSTEPS = 2  # physics steps per control period
@@ -36,7 +36,7 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
         iterations: of the constraint solver. ls_iterations: of its line search.
     """
     spec = new_robot(("R",))
-    parts.add_male(spec, "R", TCP["R"])
+    parts.add_male(spec, "R")
     parts.add_female(spec, "R")
     spec.option.timestep = CONTROL_PERIOD / substeps
     spec.option.iterations, spec.option.ls_iterations = iterations, ls_iterations

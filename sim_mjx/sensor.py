@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 Array = Any
-REFERENCE = (-0.041, 0.002, -0.0205)  # m; puts session A's pivot where its kinematics have it
+# m, wrist frame; M = r x F during session A's early rotation (R^2 of My .998) with r from the kinematic pivot
+REFERENCE = (-0.047, 0.0, -0.001)
 LONGEST_DELAY = 12  # control periods that the buffers can hold
 
 
