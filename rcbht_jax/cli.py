@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "encode": ("rcbht_jax.commands.encode:Encode", "label every recording of a store"),
     "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
+    "simulate": ("sim_mjx.commands.simulate:Simulate", "simulate randomised trials into a store"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),
     "plot map": ("rcbht_jax.commands.plot:PlotMap", "draw the label map of a store"),

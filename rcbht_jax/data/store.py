@@ -3,7 +3,8 @@
 Layout (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero beyond ``length [trial]``;
 ``dt`` (scalar and attribute); ``onset``, ``onset_harmonised [trial, state]``; ``deviation [trial, pose]``;
 the string variables ``trial_name``, ``arm``, ``source``, ``session``, ``outcome``, ``failure_type``, ``note``
-``[trial]``; the coordinate ``axis``; label tracks in ``labels/<name>/<layer>/`` (``rcbht_jax.data.tracks``).
+``[trial]``; the coordinate ``axis``; label tracks in ``labels/<name>/<layer>/`` (``rcbht_jax.data.tracks``);
+what a simulation knows besides in ``simulation/``, every array ``[trial, ...]``.
 The dimension "trial" counts recordings: one arm of one trial.
 
 Every chunk carries a CRC-32C and the group a SHA-256 of its content: truncation and loss show on reading.
@@ -30,6 +31,7 @@ from rcbht_jax.types import Recordings
 
 FORMAT, FORMAT_VERSION = "rcbht-recordings", 1
 OUTCOMES = ("success", "failure", "unknown")
+SIMULATION = "simulation"
 
 # Variable of the store -> (field of Recordings, dimensions, dtype, attributes).
 VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
@@ -58,7 +60,15 @@ def check_target(path: Path, overwrite: bool) -> None:
     zarrio.check_target(path, FORMAT, overwrite)
 
 
-def write_recordings(path: Path, recordings: Recordings, attrs: Mapping[str, Any], overwrite: bool = False) -> None:
+def write_recordings(
+    path: Path,
+    recordings: Recordings,
+    attrs: Mapping[str, Any],
+    overwrite: bool = False,
+    *,
+    created: str | None = None,
+    simulation: Mapping[str, NDArray[Any]] | None = None,
+) -> None:
     """Write recordings as a store, atomically.
 
     Args:
@@ -66,6 +76,8 @@ def write_recordings(path: Path, recordings: Recordings, attrs: Mapping[str, Any
         recordings: what to write.
         attrs: provenance (JSON values), kept beside version, creation date and content hash.
         overwrite: replace an existing store, once the new one is complete.
+        created: what to keep as creation date; default now. With a fixed text, equal content gives equal bytes.
+        simulation: arrays ``[trial, ...]`` kept in the group ``simulation/``; text as NumPy strings.
 
     Raises:
         InputError: the recordings contradict themselves, ``path`` is taken, or ``attrs`` is not JSON.
@@ -77,7 +89,7 @@ def write_recordings(path: Path, recordings: Recordings, attrs: Mapping[str, Any
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "rcbht_jax_version": rcbht_jax.__version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "dt": recordings.dt,
         "content_sha256": zarrio.content_hash([*arrays.values(), np.float64(recordings.dt)]),
     }
@@ -87,6 +99,8 @@ def write_recordings(path: Path, recordings: Recordings, attrs: Mapping[str, Any
             zarrio.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
         zarrio.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
         zarrio.write_array(group, "axis", np.array(AXES), ("axis",), "string", {})
+        if simulation is not None:
+            _write_simulation(group, simulation, len(recordings))
         zarrio.consolidate(draft)
 
 
@@ -109,6 +123,38 @@ def read_recordings(path: Path) -> Recordings:
     except InputError as error:
         raise InputError(f"{path} holds contradictory recordings: {error}") from error
     return recordings
+
+
+def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
+    sub = group.create_group(SIMULATION, attributes={"content_sha256": _simulation_hash(arrays)})
+    for name, values in arrays.items():
+        if len(values) != count:
+            raise InputError(f"{SIMULATION}/{name} has {len(values)} rows; expected {count}, one per recording.")
+        dimensions = ("trial", *(f"{name}_{i}" for i in range(1, values.ndim)))
+        dtype = "string" if values.dtype.kind == "U" else str(values.dtype)
+        zarrio.write_array(sub, name, values, dimensions, dtype, {})
+
+
+def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
+    """What a simulation kept beside its recordings: arrays ``[trial, ...]`` by name; see ``sim_mjx.synth``.
+
+    Raises:
+        InputError: no such store, it was not simulated, or it is damaged.
+    """
+    sub = open_store(path).get(SIMULATION)
+    if not isinstance(sub, zarr.Group):
+        raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
+    with zarrio.reading(path):
+        kinds = {name: None if array.dtype.kind in "biuf" else "string" for name, array in sub.arrays()}
+        arrays = {name: zarrio.read_array(sub, name, kind) for name, kind in kinds.items()}
+        expected = sub.attrs["content_sha256"]
+    if _simulation_hash(arrays) != expected:
+        raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
+    return arrays
+
+
+def _simulation_hash(arrays: Mapping[str, NDArray[Any]]) -> str:
+    return zarrio.content_hash(arrays[name] for name in sorted(arrays))
 
 
 def read_attrs(path: Path) -> dict[str, Any]:

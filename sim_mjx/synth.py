@@ -1,0 +1,313 @@
+"""Trials by the thousand into a store: sharded, resumable, and the same bytes however often it was interrupted.
+
+Each shard of trials is simulated and kept in a work folder beside the target (``sim_mjx.shards``); when all are
+there they become one store. A trial depends on seed and index alone, so that shards only decide how much a kill
+can cost. The store holds no date, and its group ``simulation/`` what only a simulation knows, one row per trial:
+index, fault, failed_in, seated [4], noise_key [2] and the drawn ``PARAMETERS``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax.data import hiro_kinematics, hiro_onsets, store
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Recordings
+from sim_mjx import randomize, shards
+from sim_mjx.presets import CONTROL_PERIOD, STATES
+from sim_mjx.randomize import Fault, Randomisation, draw_batch
+from sim_mjx.rollout import Rollouts, TrialParams, batch_size
+
+Simulate = Callable[[TrialParams], Rollouts]
+# A compiler may round the last lanes of a batch differently from full vectors: batches are filled up to this.
+LANES = 16
+CREATED = "undated"  # a date would make every store different
+# Group of the trial's parameters and the field that is stored as simulation/<field>.
+PARAMETERS = (
+    ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
+    ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"),
+    ("sensor", "noise"), ("sensor", "bias"), ("sensor", "tared"),
+    ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
+    ("parts", "position"), ("parts", "roll"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """What is to be simulated."""
+
+    preset: str
+    trials: int
+    seed: int = 0
+    engine: str = "native"
+    shard: int = 64  # trials per shard: what a kill costs at most
+    spec: Randomisation = field(default_factory=Randomisation)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a synthesis is."""
+
+    done: int  # trials, with those of earlier runs
+    total: int  # trials
+    per_minute: float  # trials simulated per minute in this run, 0 before the first shard
+    seconds_left: float | None  # None before the first shard
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a synthesis came to."""
+
+    stored: int  # trials
+    seated: int  # of them with all four tabs
+    diverged: list[int]  # indices of trials that are not stored
+    resumed: int  # trials that an earlier run had done
+    faults: dict[str, tuple[int, int]]  # kind -> stored trials, of them seated
+
+
+def synthesise(
+    target: Path,
+    job: Synthesis,
+    *,
+    overwrite: bool = False,
+    simulate: Simulate | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Report:
+    """Simulate a set of trials into a store; a run that was interrupted goes on where it stopped.
+
+    Args:
+        target: store to create, for example trials.zarr; the work folder is trials.zarr.work beside it.
+        job: what to simulate.
+        overwrite: replace an existing store, once the new one is complete.
+        simulate: what simulates a batch; default the engine that ``job`` names.
+        progress: called at the beginning and after each shard.
+
+    Raises:
+        InputError: impossible options, the target is taken, the work folder belongs to other options, or no
+            trial is left to store.
+    """
+    check(job)
+    folder = shards.folder_of(target)
+    manifest = _manifest(job)
+    finished = folder.is_dir() and _is_result(target, manifest)
+    store.check_target(target, overwrite or finished)
+    with shards.working(folder, manifest):
+        resumed = job.trials
+        if not finished:
+            resumed = _simulate_missing(folder, job, simulate, progress)
+            _assemble(folder, target, job, manifest)
+        shards.remove(folder)
+    return _report(target, resumed)
+
+
+def check(job: Synthesis) -> None:
+    """Refuse what cannot be simulated.
+
+    Raises:
+        InputError: unknown preset or engine, a count below one, a bad seed or distribution.
+    """
+    for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
+        if value < 1:
+            raise InputError(f"The {name} is {value}; expected 1 or more.")
+    if job.engine not in ENGINES:
+        raise InputError(f"There is no engine {job.engine!r}; expected one of {', '.join(ENGINES)}.")
+    randomize.draw(job.preset, job.seed, 0, job.spec)
+
+
+def simulate_trials(simulate: Simulate, params: TrialParams) -> Rollouts:
+    """Simulate a batch so that no trial depends on how many others there are.
+
+    Args:
+        simulate: an engine.
+        params: batch of any size.
+    """
+    count = batch_size(params)
+    rows = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
+    out = simulate(jax.tree.map(lambda leaf: leaf[rows], params))
+    return Rollouts(
+        out.wrench[:count], out.joints[:count], out.length[:count], out.onset[:count], out.seated[:count],
+        out.diverged[:count],
+    )  # fmt: skip
+
+
+def _native() -> Simulate:
+    from sim_mjx.engines import native
+    from sim_mjx.scene import one_arm
+
+    return partial(native.simulate, one_arm())
+
+
+ENGINES: dict[str, Callable[[], Simulate]] = {"native": _native}
+
+
+def _manifest(job: Synthesis) -> dict[str, Any]:
+    """Everything that determines a shard, as JSON values."""
+    versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
+    return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": _code_hash()}}
+
+
+def _code_hash() -> str:
+    """Of this package's sources: shards made by different code must not be mixed."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _provenance(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What of the manifest determines the content: not the size of the shards."""
+    job = {name: value for name, value in manifest["job"].items() if name != "shard"}
+    return {"job": job, "versions": manifest["versions"]}
+
+
+def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
+    """Whether the target was put in place by a run with these options that was killed before it could tidy up."""
+    if not target.exists():
+        return False
+    try:
+        found = store.read_attrs(target).get("simulated")
+    except InputError:
+        return False
+    wanted = _provenance(manifest)
+    return found is not None and shards.as_json(found) == shards.as_json(wanted)
+
+
+def _indices(job: Synthesis, shard: int) -> range:
+    return range(shard * job.shard, min((shard + 1) * job.shard, job.trials))
+
+
+def _simulate_missing(
+    folder: Path, job: Synthesis, simulate: Simulate | None, progress: Callable[[Progress], None] | None
+) -> int:
+    """Simulate the shards that are not there; returns the number of trials that were."""
+    count = -(-job.trials // job.shard)
+    missing = [shard for shard in range(count) if shards.load(folder, shard) is None]
+    left = sum(len(_indices(job, shard)) for shard in missing)
+    resumed = done = job.trials - left
+    start = time.perf_counter()
+    if progress is not None:
+        progress(Progress(done, job.trials, 0.0, None))
+    for shard in missing:
+        simulate = simulate or ENGINES[job.engine]()
+        indices = _indices(job, shard)
+        params, _ = draw_batch(job.preset, job.seed, indices, job.spec)
+        shards.save(folder, shard, _shard_arrays(simulate_trials(simulate, params)))
+        done += len(indices)
+        if progress is not None:
+            rate = (done - resumed) / (time.perf_counter() - start)
+            progress(Progress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
+    return resumed
+
+
+def _shard_arrays(out: Rollouts) -> shards.Arrays:
+    """What is kept of a batch of trials."""
+    # a trial that was stopped has "entered" all later states with its last sample
+    last = (out.length - 1)[:, None] * CONTROL_PERIOD
+    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
+    better, notes = onset.copy(), []
+    for row, samples in enumerate(out.length):
+        note = ""
+        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD) and not out.diverged[row]:
+            joints = out.joints[row, :samples].astype(np.float64)
+            tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(joints)[1])
+            better[row], note = hiro_onsets.harmonised(onset[row], np.arange(samples) * CONTROL_PERIOD, tilt)
+        notes.append(note)
+    longest = int(out.length.max())
+    return {
+        "wrench": out.wrench[:, :longest], "length": out.length, "onset": onset, "onset_harmonised": better,
+        "note": np.array(notes, np.str_), "seated": out.seated, "diverged": out.diverged,
+    }  # fmt: skip
+
+
+def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any]) -> None:
+    """Turn the shards into the store and put it in its place."""
+    loaded = [shards.load(folder, shard) for shard in range(-(-job.trials // job.shard))]
+    parts = [part for part in loaded if part is not None]
+    if len(parts) < len(loaded):
+        raise InputError(f"A shard in {folder} was damaged just now; run the same command again.")
+    diverged = np.concatenate([part["diverged"] for part in parts])
+    kept = np.flatnonzero(~diverged)
+    if len(kept) == 0:
+        raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
+    params, faults = draw_batch(job.preset, job.seed, kept.tolist(), job.spec)
+    rows = {name: np.concatenate([part[name] for part in parts])[kept] for name in parts[0] if name != "wrench"}
+    recordings = _recordings(job, rows, _wrench(parts, kept, rows["length"]), kept, faults)
+    attrs = {"simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
+    draft = folder / "store.zarr"
+    store.write_recordings(
+        draft, recordings, attrs, overwrite=True, created=CREATED,
+        simulation=_simulation(rows, recordings, kept, params, faults),
+    )  # fmt: skip
+    if target.exists():
+        target.rename(folder / f"replaced-{time.time_ns()}.zarr")
+    draft.rename(target)
+
+
+def _report(target: Path, resumed: int) -> Report:
+    """What the finished store holds."""
+    simulation = store.read_simulation(target)
+    seated, kinds = np.asarray(simulation["seated"].all(1)), simulation["fault"]
+    faults = {str(k): (int((kinds == k).sum()), int(seated[kinds == k].sum())) for k in np.unique(kinds)}
+    return Report(len(seated), int(seated.sum()), store.read_attrs(target)["diverged"], resumed, faults)
+
+
+def _wrench(parts: list[shards.Arrays], kept: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.float32]:
+    """All kept trials [trial, time, 6], padded to the longest of them."""
+    rows = (trial for part in parts for trial in part["wrench"])
+    wanted = set(kept.tolist())
+    out = np.zeros((len(kept), int(length.max()), 6), np.float32)
+    kept_rows = (trial for index, trial in enumerate(rows) if index in wanted)
+    for row, (trial, samples) in enumerate(zip(kept_rows, length, strict=True)):
+        out[row, :samples] = trial[:samples]
+    return out
+
+
+def _recordings(
+    job: Synthesis, rows: shards.Arrays, wrench: NDArray[np.float32], index: NDArray[np.int64], faults: list[Fault]
+) -> Recordings:
+    count = len(index)
+    return Recordings(
+        wrench=wrench,
+        length=rows["length"],
+        dt=CONTROL_PERIOD,
+        onset=rows["onset"],
+        onset_harmonised=rows["onset_harmonised"],
+        trial=np.array([f"sim-{job.preset}-{i:06d}" for i in index]),
+        arm=np.full(count, "R"),
+        source=np.full(count, f"SIM_MJX_{job.preset}"),
+        session=np.full(count, f"sim-{job.preset}"),
+        outcome=np.where(rows["seated"].all(1), "success", "failure"),
+        failure_type=np.array([fault.failure_type for fault in faults], np.str_),
+        deviation=np.stack([fault.deviation for fault in faults]),
+        note=rows["note"],
+    )
+
+
+def _simulation(
+    rows: shards.Arrays, recordings: Recordings, index: NDArray[np.int64], params: TrialParams, faults: list[Fault]
+) -> shards.Arrays:
+    """The arrays of the group ``simulation/``."""
+    last = np.array(STATES)[np.isfinite(recordings.onset).sum(1) - 1]
+    drawn = {name: np.asarray(getattr(getattr(params, group), name)) for group, name in PARAMETERS}
+    return {
+        "index": index,
+        "fault": np.array([fault.kind for fault in faults], np.str_),
+        "failed_in": np.where(recordings.outcome == "failure", last, ""),
+        "seated": rows["seated"],
+        "command_delay": np.asarray(params.command_delay),
+        "noise_key": np.asarray(params.seed),
+        **drawn,
+    }
