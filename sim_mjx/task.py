@@ -11,6 +11,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from sim_mjx import kinematics
 from sim_mjx.controllers import force_law, goals_in_world
@@ -54,33 +56,35 @@ def advance(params: TaskParams, state: TaskState, joints: Array, wrench: Array) 
     phase = jnp.where(_leaves(params, state, joints, rotation, wrench), state.phase + 1, state.phase)
     # pre-mating exists in the OpenHRP task only: elsewhere it would last no time
     phase = jnp.where((phase == PRE_MATING) & (params.leave_wrist[2] == jnp.inf), jnp.int32(MATING), phase)
-    now = state.tick.astype(wrench.dtype) * CONTROL_PERIOD
-    phase = jnp.where(now >= params.timeout, jnp.int32(ENDED), phase)
-    began = jnp.arange(6) <= phase
-    entered = jnp.where(began & (state.entered < 0), state.tick, state.entered)
-    command = _command(params, state, phase, wrench, rotation, now)
+    phase = jnp.where(state.tick >= _periods(params.timeout), jnp.int32(ENDED), phase)
+    begun = (jnp.arange(6) == phase) & (state.entered < 0)
+    entered = jnp.where(begun, state.tick, state.entered)
+    command = _command(params, state, phase, wrench, rotation)
     return TaskState(state.tick + 1, phase, entered, command)
+
+
+def _periods(seconds: Array) -> Array:
+    """Whole control periods: times are compared as integers, because floats of them differ in the last digit."""
+    return jnp.round(seconds / CONTROL_PERIOD).astype(jnp.int32)
 
 
 def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array, wrench: Array) -> Array:
     """Whether the current phase ends with this measurement."""
-    now = state.tick.astype(wrench.dtype) * CONTROL_PERIOD
     touch = (rotation.T @ wrench[:3])[0] > params.contact_force
-    contact = touch & (now > params.contact_after)
+    contact = touch & (state.tick > _periods(params.contact_after))
     row = jnp.clip(state.phase - ROTATION, 0, 3)
-    since = (state.tick - state.entered[state.phase]).astype(wrench.dtype) * CONTROL_PERIOD
+    since = state.tick - state.entered[state.phase]
     pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))
     reached = (joints[4] < params.leave_wrist[row]) | (pitch < params.leave_pitch[row])
-    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= params.leave_after[row])
-    over = since >= params.mating_time
+    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= _periods(params.leave_after[row]))
+    over = since >= _periods(params.mating_time)
     by_phase = jnp.where(state.phase == MATING, over, reached)
     return jnp.where(state.phase == APPROACH, contact, by_phase & (state.phase < ENDED))
 
 
-def _command(
-    params: TaskParams, state: TaskState, phase: Array, wrench: Array, rotation: Array, now: Array
-) -> Array:
-    planned = approach(params.home, params.way_time, params.way_position, params.way_rpy, now + CONTROL_PERIOD)
+def _command(params: TaskParams, state: TaskState, phase: Array, wrench: Array, rotation: Array) -> Array:
+    soon = (state.tick + 1).astype(wrench.dtype) * CONTROL_PERIOD
+    planned = approach(params.home, params.way_time, params.way_position, params.way_rpy, soon)
     row = jnp.clip(phase - ROTATION, 0, 3)
     in_world = params.frame == WORLD
     pressed = force_law(
@@ -95,11 +99,11 @@ def _command(
     return jnp.where(phase == ENDED, state.command, moved)
 
 
-def onsets(entered: Array) -> Array:
+def onsets(entered: NDArray[np.integer]) -> NDArray[np.float64]:
     """Start of approach, rotation, insertion and mating [..., 4] in seconds; NaN for a state never reached.
 
     Args:
-        entered: int [..., 6] of the final state; pre-mating counts as insertion.
+        entered: int [..., 6] of the final state, on the host; pre-mating counts as insertion.
     """
-    marks = entered[..., jnp.array([APPROACH, ROTATION, INSERTION, MATING])]
-    return jnp.where(marks >= 0, marks * CONTROL_PERIOD, jnp.nan)
+    marks = entered[..., [APPROACH, ROTATION, INSERTION, MATING]].astype(np.float64)
+    return np.where(marks >= 0, marks * CONTROL_PERIOD, np.nan)

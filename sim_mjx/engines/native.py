@@ -116,7 +116,7 @@ def _collect(
         np.where(keep[..., None], wrench, 0).astype(np.float32),
         np.where(keep[..., None], joints, 0).astype(np.float32),
         length,
-        np.asarray(task.onsets(jnp.asarray(entered)), np.float64),
+        task.onsets(entered),
         seated & ~diverged[:, None],
         diverged,
     )
