@@ -202,7 +202,7 @@ def _mild(
     else:
         real = sensor.real_sensor()
         touch = replace(real, noise=real.noise * noise, bias=bias, tared=np.asarray(real.tared * tare))
-    part = parts.nominal()
+    part = parts.nominal(preset)
     part = replace(
         part,
         tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
