@@ -14,15 +14,13 @@ from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
 from sim_mjx import parts, task
+from sim_mjx.engines.common import CPU_OPTIONS, SETTLING, collect, past_lips, sane
 from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.rollout import Rollouts, TrialParams, as_float32, batch_size, begin, control
 from sim_mjx.scene import Scene
 
-SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
-# The default emitters make batched kinematics a hundred times slower on a CPU.
-_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
-_begin = jax.jit(jax.vmap(begin), compiler_options=_OPTIONS)
-_control = jax.jit(jax.vmap(control), compiler_options=_OPTIONS, donate_argnums=1)
+_begin = jax.jit(jax.vmap(begin), compiler_options=CPU_OPTIONS)
+_control = jax.jit(jax.vmap(control), compiler_options=CPU_OPTIONS, donate_argnums=1)
 
 
 def simulate(
@@ -56,16 +54,23 @@ def simulate(
                 break
             before, after = np.moveaxis(np.asarray(command, np.float64), 1, 0)
             wanted = before[:, None] + share * (after - before)[:, None]
-            states, sensors = pool.rollout(models, datas, state, wanted, nstep=scene.substeps)
-            state, readings = states[:, -1], sensors[:, -1]
+            # an ended trial stays as it is, or its end would depend on how long the others last
+            live = np.flatnonzero((phases[-1] < task.ENDED) & sane(readings))
+            if len(live) > 0:
+                mine = [models[i] for i in live]
+                states, sensors = pool.rollout(mine, datas, state[live], wanted[live], nstep=scene.substeps)
+                state[live], readings[live] = states[:, -1], sensors[:, -1]
             joints = state[:, 1 + scene.joints].astype(np.float32)
             if progress is not None:
                 progress(int((phases[-1] < task.ENDED).sum()))
-    return _collect(scene, models, state, rows, np.stack(phases, 1), np.asarray(loop.task.entered))
+    wrench, angles = (np.stack(column, 1) for column in zip(*rows, strict=True))
+    seated = np.stack([tips_past_lips(model, row, scene) for model, row in zip(models, state, strict=True)])
+    return collect(wrench, angles, np.stack(phases, 1), np.asarray(loop.task.entered), seated)
 
 
 def _model(scene: Scene, part: parts.PartParams) -> mujoco.MjModel:
     model = copy.copy(scene.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # it would hide a divergence
     for name, value in parts.model_fields(scene.model, part, scene.arm).items():
         getattr(model, name)[:] = value
     return model
@@ -97,43 +102,11 @@ def _raw(scene: Scene, readings: NDArray[np.float64]) -> NDArray[np.float32]:
     return -readings[:, scene.force : scene.force + 6].astype(np.float32)
 
 
-def _collect(
-    scene: Scene,
-    models: list[mujoco.MjModel],
-    state: NDArray[np.float64],
-    rows: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
-    phases: NDArray[np.int32],
-    entered: NDArray[np.int32],
-) -> Rollouts:
-    wrench, joints = (np.stack(column, 1) for column in zip(*rows, strict=True))
-    length = (phases < task.ENDED).sum(1).astype(np.int32)
-    inside = np.arange(wrench.shape[1])[None] < length[:, None]
-    finite = np.isfinite(wrench).all(2) & np.isfinite(joints).all(2)
-    diverged = (~finite & inside).any(1)
-    keep = inside & ~diverged[:, None]
-    seated = np.stack([tips_past_lips(model, row, scene) for model, row in zip(models, state, strict=True)])
-    return Rollouts(
-        np.where(keep[..., None], wrench, 0).astype(np.float32),
-        np.where(keep[..., None], joints, 0).astype(np.float32),
-        length,
-        task.onsets(entered),
-        seated & ~diverged[:, None],
-        diverged,
-    )
-
-
 def tips_past_lips(model: mujoco.MjModel, state: NDArray[np.float64], scene: Scene) -> NDArray[np.bool_]:
-    """Which tabs have snapped [4], by where their tips are: below the lip's edge and sprung back beneath it."""
+    """Which tabs have snapped [4] in a full physics state."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     mujoco.mj_kinematics(model, data)
-    out = np.zeros(4, np.bool_)
-    for index, name in enumerate(parts.TABS):
-        tip = data.geom(f"{scene.arm}TIP_{name}").xpos
-        lip, turn = data.geom(f"LIP_{name}").xpos, data.geom(f"LIP_{name}").xmat.reshape(3, 3)
-        local = turn.T @ (tip - lip)
-        below = local[2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
-        near = abs(local[0]) < parts.LIP[0] + parts.TIP_RADIUS * 1.5
-        inside = abs(local[1]) < parts.LIP[1]
-        out[index] = below and near and inside
-    return out
+    tips = [model.geom(f"{scene.arm}TIP_{name}").id for name in parts.TABS]
+    lips = [model.geom(f"LIP_{name}").id for name in parts.TABS]
+    return past_lips(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips].reshape(4, 3, 3))

@@ -1,0 +1,68 @@
+"""What every engine does alike before and after the physics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx import parts, task
+from sim_mjx.rollout import Rollouts
+
+Array = Any
+SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
+# The default emitters make batched kinematics a hundred times slower on a CPU; other backends refuse the option.
+CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+
+LARGEST = 1e5  # N or Nm; beyond it the physics has diverged, whatever it says next
+
+
+def sane(values: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Whether sensor readings or wrenches [..., n] come from physics that still holds, [...]."""
+    return (np.abs(values) < LARGEST).all(-1)  # false for NaN
+
+
+def past_lips(tips: Array, lips: Array, turns: Array) -> Array:
+    """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
+
+    Args:
+        tips: centres of the tips [..., 3], m, world.
+        lips: centres of their lips [..., 3], m, world.
+        turns: of the lips [..., 3, 3], columns are their axes in the world.
+    """
+    local = (turns * (tips - lips)[..., None]).sum(-2)
+    below = local[..., 2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
+    near = abs(local[..., 0]) < parts.LIP[0] + parts.TIP_RADIUS * 1.5
+    inside = abs(local[..., 1]) < parts.LIP[1]
+    return below & near & inside
+
+
+def collect(
+    wrench: NDArray[np.float32],
+    joints: NDArray[np.float32],
+    phases: NDArray[np.int32],
+    entered: NDArray[np.int32],
+    seated: NDArray[np.bool_],
+) -> Rollouts:
+    """Cut the logs where the trials ended and mark those whose physics diverged.
+
+    Args:
+        wrench: [trial, time, 6]. joints: [trial, time, 6]. phases: [trial, time].
+        entered: [trial, 6], control period in which each phase began.
+        seated: [trial, 4].
+    """
+    length = (phases < task.ENDED).sum(1).astype(np.int32)
+    wrench, joints = wrench[:, : length.max()], joints[:, : length.max()]
+    inside = np.arange(wrench.shape[1])[None] < length[:, None]
+    holds = sane(wrench) & np.isfinite(joints).all(2)
+    diverged = (~holds & inside).any(1)
+    keep = (inside & ~diverged[:, None])[..., None]
+    return Rollouts(
+        np.where(keep, wrench, 0).astype(np.float32),
+        np.where(keep, joints, 0).astype(np.float32),
+        length,
+        task.onsets(entered),
+        seated & ~diverged[:, None],
+        diverged,
+    )

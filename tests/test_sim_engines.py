@@ -1,0 +1,97 @@
+"""Engines: same trials, same wrenches, and no divergence that goes unnoticed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx import engines
+from sim_mjx.engines.common import past_lips
+from sim_mjx.presets import CONTROL_PERIOD
+from sim_mjx.randomize import Randomisation, draw_batch
+from sim_mjx.rollout import Rollouts, TrialParams
+from sim_mjx.scene import one_arm
+
+SCENE = one_arm()
+
+
+def short_trials(count: int, longest: float = 1.8) -> TrialParams:
+    """Session B's task with an approach of about a second, so that contact comes soon."""
+    params, _ = draw_batch("B", 0, range(count), Randomisation(nominal_share=1.0, longest=longest))
+    return replace(params, task=replace(params.task, way_time=params.task.way_time / 4))
+
+
+def take(params: TrialParams, rows: list[int]) -> TrialParams:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
+
+
+@pytest.fixture(scope="module")
+def native() -> Rollouts:
+    return engines.simulate(SCENE, short_trials(4), "native")
+
+
+def test_mjx_gives_the_wrench_of_native(native: Rollouts) -> None:
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
+        out = engines.simulate(SCENE, short_trials(4), "mjx")
+    assert np.isfinite(native.onset[:, 1]).all()  # there is a contact to compare
+    np.testing.assert_array_equal(out.length, native.length)
+    np.testing.assert_allclose(out.onset, native.onset, atol=1.5 * CONTROL_PERIOD)
+    for row, onset in enumerate(native.onset[:, 1]):
+        free = int(onset / CONTROL_PERIOD) - 20  # the filter and the delays let the contact come later
+        np.testing.assert_allclose(out.wrench[row, :free], native.wrench[row, :free], atol=0.05)
+    peaks = np.abs(native.wrench[..., 2]).max(1)
+    assert (peaks > 5).all()
+    np.testing.assert_allclose(np.abs(out.wrench[..., 2]).max(1), peaks, rtol=0.1)
+
+
+def test_a_trial_does_not_depend_on_the_others(native: Rollouts) -> None:
+    longer = short_trials(4)
+    timeout = np.array([1.0, 1.8, 1.8, 1.4])
+    mixed = engines.simulate(SCENE, replace(longer, task=replace(longer.task, timeout=timeout)), "native")
+    for row in (1, 2):
+        for name in ("wrench", "joints", "onset", "seated", "length"):
+            np.testing.assert_array_equal(getattr(mixed, name)[row], getattr(native, name)[row])
+    alone = engines.simulate(SCENE, take(longer, [0, 0, 0, 0]), "native")
+    np.testing.assert_array_equal(alone.wrench[0, : mixed.length[0]], mixed.wrench[0, : mixed.length[0]])
+    assert (mixed.wrench[0, mixed.length[0] :] == 0).all()
+
+
+def test_divergence_is_marked_and_not_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings into a file there
+    params = short_trials(2, longest=0.3)
+    stiffness = params.parts.tab_stiffness.copy()
+    stiffness[1] = 1e12
+    damping = params.parts.tab_damping.copy()
+    damping[1] = 0.0
+    params = replace(params, parts=replace(params.parts, tab_stiffness=stiffness, tab_damping=damping))
+    out = engines.simulate(SCENE, params, "native")
+    assert out.diverged.tolist() == [False, True]
+    assert np.isfinite(out.wrench).all()
+    assert np.abs(out.wrench[0]).max() > 0
+    assert (out.wrench[1] == 0).all()
+    assert not out.seated[1].any()
+
+
+def test_unknown_engines_are_refused() -> None:
+    with pytest.raises(InputError, match="native, mjx"):
+        engines.simulate(SCENE, short_trials(1), "bullet")
+
+
+def test_engines_are_imported_when_used() -> None:
+    code = "import sys, sim_mjx.engines; sys.exit('mujoco.mjx' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_tab_is_past_its_lip_only_beneath_and_near_it() -> None:
+    lip, turn = np.array([0.3, 0.0, 0.4]), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.004], [0.0, 0.01, 0.0], [0.008, 0.0, 0.0], [0.0, 0.006, 0.0]])
+    # in the lip's turned frame: the world's y is its x, the world's -x its y
+    found = past_lips(lip + places, np.broadcast_to(lip, (5, 3)), np.broadcast_to(turn, (5, 3, 3)))
+    assert found.tolist() == [True, False, False, False, True]
