@@ -23,8 +23,18 @@ _begin = jax.jit(jax.vmap(begin), compiler_options=CPU_OPTIONS)
 _control = jax.jit(jax.vmap(control), compiler_options=CPU_OPTIONS, donate_argnums=1)
 
 
+# Rows of the batch that were stepped, their states before [row, ...], references [row, substep, 6] and sensor
+# readings [row, substep, ...] of one control period.
+Watch = Callable[[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], None]
+
+
 def simulate(
-    scene: Scene, params: TrialParams, *, threads: int | None = None, progress: Callable[[int], None] | None = None
+    scene: Scene,
+    params: TrialParams,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+    watch: Watch | None = None,
 ) -> Rollouts:
     """Simulate a batch of trials until all have ended.
 
@@ -33,9 +43,10 @@ def simulate(
         params: batch of trials.
         threads: default all cores.
         progress: called with the number of control periods done since the last call, summed over trials.
+        watch: called after the physics of each control period; see ``Watch``.
     """
     trials = batch_size(params)
-    models = [_model(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(trials)]
+    models = [model_of(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(trials)]
     threads = threads or os.cpu_count() or 1
     datas = [mujoco.MjData(scene.model) for _ in range(threads)]
     state, readings = _first(scene, models, np.asarray(params.task.home))
@@ -59,6 +70,8 @@ def simulate(
             if len(live) > 0:
                 mine = [models[i] for i in live]
                 states, sensors = pool.rollout(mine, datas, state[live], wanted[live], nstep=scene.substeps)
+                if watch is not None:
+                    watch(live, state[live], wanted[live], sensors)
                 state[live], readings[live] = states[:, -1], sensors[:, -1]
             joints = state[:, 1 + scene.joints].astype(np.float32)
             if progress is not None:
@@ -68,7 +81,8 @@ def simulate(
     return collect(wrench, angles, np.stack(phases, 1), np.asarray(loop.task.entered), seated)
 
 
-def _model(scene: Scene, part: parts.PartParams) -> mujoco.MjModel:
+def model_of(scene: Scene, part: parts.PartParams) -> mujoco.MjModel:
+    """The compiled model with one trial's parts."""
     model = copy.copy(scene.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # it would hide a divergence
     for name, value in parts.model_fields(scene.model, part, scene.arm).items():
