@@ -13,7 +13,7 @@ from sim_mjx.hiro import new_robot
 from sim_mjx.presets import CONTROL_PERIOD
 
 SUBSTEPS = 2  # physics steps per control period
-ITERATIONS, LS_ITERATIONS = 10, 12  # the wrench is only right when the solver has converged
+ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
 
 
 @dataclass(frozen=True)

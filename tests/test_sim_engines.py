@@ -13,6 +13,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from sim_mjx import engines
+from sim_mjx.certificate import certify
 from sim_mjx.engines.common import past_lips
 from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.randomize import Randomisation, draw_batch
@@ -95,3 +96,15 @@ def test_a_tab_is_past_its_lip_only_beneath_and_near_it() -> None:
     # in the lip's turned frame: the world's y is its x, the world's -x its y
     found = past_lips(lip + places, np.broadcast_to(lip, (5, 3)), np.broadcast_to(turn, (5, 3, 3)))
     assert found.tolist() == [True, False, False, False, True]
+
+
+def test_production_settings_are_converged_and_a_few_iterations_are_not() -> None:
+    params = short_trials(4)
+    good = certify(params)
+    assert good.converged
+    assert good.path.force <= 0.05
+    assert good.path.moment <= 0.005
+    assert (good.trials, good.same_onsets, good.same_outcome) == (4, 1.0, 1.0)
+    bad = certify(params, settings=(2, 4))
+    assert not bad.converged
+    assert bad.step.time > 0.5  # not before the contact
