@@ -26,6 +26,12 @@ SEED = 0
 GRID = [(dx, dy) for dx in (0, 1, 2, -1, -2) for dy in (0, 1, 2, -1, -2)]  # mm
 RECORDED_OFF = {(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}
 MILD = 64
+REPEATS = 16
+# Session A repeated one nominal trial: only noise, a small drift of the bias and 0.1 mm of placement differ.
+REPEATED = {name: (1.0, 1.0) for name in ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")} | {
+    "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3), "lag": (4, 4),
+    "force_bias": (-0.08, 0.08), "moment_bias": (-0.004, 0.004),
+}  # fmt: skip
 VERTICAL = 1.96  # degrees, harmonised end of rotation
 
 
@@ -93,6 +99,12 @@ def main() -> None:
         "outcomes that agree with the 25 recorded": int(agree),
         "seated": [f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(GRID, seats, strict=True) if seat],
     }
+    repeats, _ = mild("A", REPEATS, **REPEATED)
+    result[f"A, {REPEATS} repeats"] = {
+        "signature": similarity(golden["real_A__harm__all"].astype(float), repeats),
+        "median onsets, s": np.round(np.median(repeats.onset, axis=0), 3).tolist(),
+        "largest Fz after mating begins, median, N": round(float(np.median(repeats.wrench[..., 2].max(axis=1))), 1),
+    }
     for preset in presets.PRESETS:
         run, seconds = mild(preset, MILD)
         row = {
@@ -101,8 +113,6 @@ def main() -> None:
             "mean simulated seconds": round(float(run.length.mean()) * presets.CONTROL_PERIOD, 2),
             "trials per minute": round(MILD / seconds * 60),
         }
-        if preset == "A":
-            row["signature"] = similarity(golden["real_A__harm__all"].astype(float), run)
         result[f"{preset}, {MILD} mildly randomised"] = row
     write_result("sim_sessions", "python -m experiments.sim_sessions", result, seed=SEED)
 

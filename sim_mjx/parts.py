@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
-FIRST_TOUCH = np.array([0.3092, -0.1722, 0.4246])  # m, world, midway between the front tips as they meet the lips
+FIRST_TOUCH = np.array([0.3091, -0.1727, 0.4247])  # m, world, midway between the front tips as they meet the lips
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
 LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
 BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
@@ -58,7 +58,7 @@ SESSION_SHIFT = {
 
 
 def nominal(session: str = "A") -> PartParams:
-    """Parts as one session had them; values found by black-box search on session A's signature.
+    """Parts as one session had them; values found by black-box search on the signatures of A and B.
 
     Raises:
         InputError: unknown session.
@@ -66,16 +66,16 @@ def nominal(session: str = "A") -> PartParams:
     if session not in SESSION_SHIFT:
         raise InputError(f"There are no parts of session {session!r}; expected one of {', '.join(SESSION_SHIFT)}.")
     return PartParams(
-        tab_stiffness=np.full(4, 14e3),
+        tab_stiffness=np.full(4, 10.1e3),
         tab_damping=np.full(4, 80.0),
-        hook_overlap=np.full(4, 0.6e-3),
+        hook_overlap=np.full(4, 0.555e-3),
         slot_play=np.array(1.9e-3),
-        seat_depth=np.array(2.26e-3),
-        friction=np.array(0.2),
-        mount_stiffness=np.array([9e3, 11e3, 11e3]),
-        mount_damping=np.array([120.0, 120.0, 105.0]),
+        seat_depth=np.array(2.626e-3),
+        friction=np.array(0.216),
+        mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
+        mount_damping=np.array([120.0, 120.0, 98.5]),
         position=np.array(SESSION_SHIFT[session]),
-        roll=np.array(0.006),
+        roll=np.array(0.0079),
     )
 
 

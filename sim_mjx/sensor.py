@@ -14,7 +14,7 @@ import numpy as np
 
 Array = Any
 # m, wrist frame; M = r x F during session A's early rotation (R^2 of My .998) with r from the kinematic pivot
-REFERENCE = (-0.047, 0.0, -0.001)
+REFERENCE = (-0.0484, -0.0003, -0.001)
 LONGEST_DELAY = 12  # control periods that the buffers can hold
 
 
@@ -52,7 +52,7 @@ class SensorState:
 def real_sensor() -> SensorParams:
     """The JR3 chain of sessions A, B and C, delays as the ringing after mating shows."""
     return SensorParams(
-        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064), delay=np.array(5, np.int32),
+        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064), delay=np.array(7, np.int32),
         noise=np.array([0.080, 0.064, 0.038, 0.0025, 0.0025, 0.0025]) / 2,
         step=np.array([0.024, 0.008, 0.008, 0.0008, 0.0008, 0.0008]),
         bias=np.zeros(6), tared=np.array(1.0), reference=np.array(REFERENCE),
