@@ -28,7 +28,8 @@ RECORDED_OFF = {(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}
 MILD = 64
 REPEATS = 16
 # Session A repeated one nominal trial: only noise, a small drift of the bias and 0.1 mm of placement differ.
-REPEATED = {name: (1.0, 1.0) for name in ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")} | {
+SAME = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")
+REPEATED = dict.fromkeys(SAME, (1.0, 1.0)) | {
     "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3), "lag": (4, 4),
     "force_bias": (-0.08, 0.08), "moment_bias": (-0.004, 0.004),
 }  # fmt: skip
