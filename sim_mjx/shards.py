@@ -68,7 +68,8 @@ def save(folder: Path, shard: int, arrays: Arrays) -> None:
 def load(folder: Path, shard: int) -> Arrays | None:
     """A finished shard; None if it is missing or damaged and must be made again."""
     try:
-        with np.load(_file(folder, shard), allow_pickle=False) as file:
+        # opened here, because NumPy leaves a damaged file open
+        with _file(folder, shard).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (FileNotFoundError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         return None

@@ -12,7 +12,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ from sim_mjx.rollout import Rollouts, TrialParams, batch_size
 Simulate = Callable[[TrialParams], Rollouts]
 # A compiler may round the last lanes of a batch differently from full vectors: batches are filled up to this.
 LANES = 16
+# No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
+MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 CREATED = "undated"  # a date would make every store different
 # Group of the trial's parameters and the field that is stored as simulation/<field>.
 PARAMETERS = (
@@ -158,6 +160,7 @@ def _manifest(job: Synthesis) -> dict[str, Any]:
     return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": _code_hash()}}
 
 
+@cache  # a file that is edited while a run goes on is not the code that runs
 def _code_hash() -> str:
     """Of this package's sources: shards made by different code must not be mixed."""
     root = Path(__file__).parent
@@ -212,23 +215,37 @@ def _simulate_missing(
     return resumed
 
 
+def _diverged(out: Rollouts) -> NDArray[np.bool_]:
+    """Trials [trial] that are not data: marked by the engine, or with a wrench or a motion that cannot be.
+
+    An engine may reset a trial that came apart, whose values are then finite again.
+    """
+    inside = np.arange(out.wrench.shape[1]) < out.length[:, None]
+    wild = (~(np.abs(out.wrench) <= MOST_WRENCH).all(2) & inside).any(1)
+    step = np.abs(np.diff(out.joints, axis=1)).max(2)
+    jumped = (~(step <= MOST_STEP) & inside[:, 1:]).any(1)
+    return out.diverged | wild | jumped
+
+
 def _shard_arrays(out: Rollouts) -> shards.Arrays:
-    """What is kept of a batch of trials."""
+    """What is kept of a batch of trials; of a diverged one nothing but its mark."""
+    diverged = _diverged(out)
     # a trial that was stopped has "entered" all later states with its last sample
     last = (out.length - 1)[:, None] * CONTROL_PERIOD
     onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
     better, notes = onset.copy(), []
     for row, samples in enumerate(out.length):
         note = ""
-        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD) and not out.diverged[row]:
+        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD) and not diverged[row]:
             joints = out.joints[row, :samples].astype(np.float64)
             tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(joints)[1])
             better[row], note = hiro_onsets.harmonised(onset[row], np.arange(samples) * CONTROL_PERIOD, tilt)
         notes.append(note)
     longest = int(out.length.max())
     return {
-        "wrench": out.wrench[:, :longest], "length": out.length, "onset": onset, "onset_harmonised": better,
-        "note": np.array(notes, np.str_), "seated": out.seated, "diverged": out.diverged,
+        "wrench": np.where(diverged[:, None, None], np.float32(0), out.wrench[:, :longest]), "length": out.length,
+        "onset": onset, "onset_harmonised": better, "note": np.array(notes, np.str_), "seated": out.seated,
+        "diverged": diverged,
     }  # fmt: skip
 
 

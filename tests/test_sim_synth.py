@@ -1,0 +1,401 @@
+"""Synthesis: the same bytes whatever the shards and however often it is killed; what cannot be is refused."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import xarray
+from sim_fake import JOB, fake_engine, short, tree
+
+from rcbht_jax.data import hiro_kinematics
+from rcbht_jax.data.store import read_attrs, read_recordings, read_simulation, write_recordings
+from rcbht_jax.errors import InputError
+from sim_mjx import shards, synth
+from sim_mjx.randomize import Randomisation, draw, draw_batch
+from sim_mjx.rollout import Rollouts, TrialParams
+from sim_mjx.synth import LANES, Progress, Synthesis, synthesise
+
+SMALL = replace(JOB, trials=12, shard=5)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The uninterrupted result of JOB."""
+    target = tmp_path_factory.mktemp("whole") / "trials.zarr"
+    synthesise(target, JOB, simulate=fake_engine)
+    return target
+
+
+def changed(change: Callable[[Rollouts], None]) -> Callable[[TrialParams], Rollouts]:
+    def engine(params: TrialParams) -> Rollouts:
+        out = fake_engine(params)
+        change(out)
+        return out
+
+    return engine
+
+
+@pytest.mark.parametrize("shard", [1, 7, 60, 1000])
+def test_size_of_shards_does_not_matter(shard: int, whole: Path, tmp_path: Path) -> None:
+    target = tmp_path / "trials.zarr"
+    report = synthesise(target, replace(JOB, shard=shard), simulate=fake_engine)
+    assert tree(target) == tree(whole)
+    assert (report.stored, report.resumed, report.diverged) == (60, 0, [])
+    assert os.listdir(tmp_path) == ["trials.zarr"]
+
+
+def test_store_holds_what_was_simulated(whole: Path) -> None:
+    recordings, simulation = read_recordings(whole), read_simulation(whole)
+    params, faults = draw_batch("B", 5, range(60), JOB.spec)
+    out = fake_engine(params)
+    assert np.array_equal(recordings.wrench, out.wrench)
+    assert np.array_equal(recordings.length, out.length)
+    assert np.array_equal(recordings.outcome == "success", out.seated.all(1))
+    assert set(recordings.outcome) == {"success", "failure"}
+    assert simulation["fault"].tolist() == [fault.kind for fault in faults]
+    assert recordings.failure_type.tolist() == [fault.failure_type for fault in faults]
+    assert np.array_equal(recordings.deviation, [fault.deviation for fault in faults])
+    assert np.array_equal(simulation["hook_overlap"], params.parts.hook_overlap)
+    assert np.array_equal(simulation["seated"], out.seated)
+    assert set(recordings.source) == {"SIM_MJX_B"}
+    assert set(recordings.session) == {"sim-B"}
+    assert recordings.trial[3] == "sim-B-000003"
+    # a fault that seats all the same is a success with its fault
+    assert ((simulation["fault"] != "none") & (recordings.outcome == "success")).any()
+    assert set(simulation["failed_in"][recordings.outcome == "success"]) == {""}
+    assert read_attrs(whole)["simulated"]["job"]["seed"] == 5
+
+
+def test_store_opens_in_xarray(whole: Path) -> None:
+    with xarray.open_zarr(whole) as data:
+        assert data["wrench"].dims == ("trial", "time", "axis")
+    with xarray.open_zarr(whole, group="simulation") as data:
+        assert data["seated"].shape == (60, 4)
+
+
+def test_states_after_an_early_stop_were_never_entered(tmp_path: Path) -> None:
+    def stop(out: Rollouts) -> None:
+        out.onset[:, 2:] = (out.length[:, None] - 1) * 0.005
+        out.seated[:] = False
+
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(stop))
+    onset = read_recordings(tmp_path / "t.zarr").onset
+    assert np.isfinite(onset[:, :2]).all()
+    assert np.isnan(onset[:, 2:]).all()
+    assert set(read_simulation(tmp_path / "t.zarr")["failed_in"]) == {"rotation"}
+
+
+def test_one_sample_of_rotation_is_harmonised_by_the_tilt(tmp_path: Path) -> None:
+    # session B's last waypoint with an upright hand
+    upright = np.array([-0.0180, -0.0016, -1.7158, 0.2649, 0.1478, 0.0557])
+    tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(upright + np.eye(6)[4:5] * [[0.0], [0.09]])[1])
+    assert tilt[0] < 1.0
+    assert tilt[1] > 3.0
+
+    def turn(out: Rollouts) -> None:
+        out.joints[:] = upright + np.array([0, 0, 0, 0, 0.09, 0])
+        out.joints[:, 5:] = upright
+
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(turn))
+    recordings = read_recordings(tmp_path / "t.zarr")
+    assert set(recordings.note) == {"harmonised"}
+    np.testing.assert_allclose(recordings.onset[:, 2], 0.015)
+    np.testing.assert_allclose(recordings.onset_harmonised[:, 2], 0.025)
+
+
+def test_killed_at_random_moments_gives_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    target, rng, kills = tmp_path / "trials.zarr", random.Random(3), 0
+    root = Path(__file__).resolve().parents[1]
+    for attempt in range(8):
+        with subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("sim_fake.py")), str(target)],
+            cwd=root,
+            stdout=subprocess.PIPE,
+        ) as child:
+            assert child.stdout is not None
+            assert child.stdout.readline() == b"working\n"
+            if attempt < 4:
+                time.sleep(rng.uniform(0.05, 0.6))
+                child.send_signal(signal.SIGKILL)
+        kills += child.returncode == -signal.SIGKILL
+        if child.returncode == 0:
+            break
+    assert kills >= 3
+    assert tree(target) == tree(whole)
+    assert os.listdir(tmp_path) == ["trials.zarr"]
+
+
+@pytest.mark.parametrize("moment", range(1, 11))
+def test_interrupted_at_any_rename_gives_the_same_bytes(
+    moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Manifest, three shards, the draft of the store, its place: before each and after each."""
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    target, calls = tmp_path / "trials.zarr", [0]
+
+    def stopping(real: Callable[[Path, Any], Path]) -> Callable[[Path, Any], Path]:
+        def rename(self: Path, place: Any) -> Path:
+            if threading.current_thread() is not threading.main_thread():
+                return real(self, place)  # the storage library's own, in its own thread
+            calls[0] += 1
+            if 2 * calls[0] - 1 == moment:
+                raise KeyboardInterrupt
+            out = real(self, place)
+            if 2 * calls[0] == moment:
+                raise KeyboardInterrupt
+            return out
+
+        return rename
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", stopping(Path.rename))
+        patch.setattr(Path, "replace", stopping(Path.replace))
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(target, SMALL, simulate=fake_engine)
+    report = synthesise(target, SMALL, simulate=fake_engine)
+    assert tree(target) == tree(tmp_path / "whole.zarr")
+    assert report.resumed >= 5 * max(0, min(2, moment // 2 - 1))
+    assert sorted(os.listdir(tmp_path)) == ["trials.zarr", "whole.zarr"]
+
+
+def test_killed_while_tidying_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "trials.zarr"
+    real = Path.unlink
+
+    def unlink(self: Path, missing_ok: bool = False) -> None:
+        if self.name == shards.MANIFEST:
+            raise KeyboardInterrupt
+        real(self, missing_ok)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", unlink)
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(target, SMALL, simulate=fake_engine)
+    before = tree(target)
+    report = synthesise(target, SMALL, simulate=lambda _: pytest.fail("simulated again"))
+    assert (report.stored, report.resumed) == (12, 12)
+    assert tree(target) == before
+    assert os.listdir(tmp_path) == ["trials.zarr"]
+
+
+def interrupted(target: Path, job: Synthesis, after: int = 1) -> None:
+    """Leave a work folder with so many shards."""
+    seen = [0]
+
+    def stop(_: Progress) -> None:
+        seen[0] += 1
+        if seen[0] == after + 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(target, job, simulate=fake_engine, progress=stop)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"seed": 6}, "job.seed 5, not 6"),
+        ({"trials": 13}, "job.trials 12, not 13"),
+        ({"preset": "A"}, 'job.preset "B", not "A"'),
+        ({"shard": 6}, "job.shard 5, not 6"),
+        ({"spec": Randomisation(friction=(0.5, 1.0))}, "job.spec.friction"),
+    ],
+)
+def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL)
+    before = tree(tmp_path)
+    with pytest.raises(InputError, match=words):
+        synthesise(target, replace(SMALL, **change), simulate=fake_engine)
+    assert tree(tmp_path) == before
+
+
+def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    interrupted(tmp_path / "t.zarr", SMALL)
+    monkeypatch.setattr(synth, "_code_hash", lambda: "other")
+    with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    folder = shards.folder_of(tmp_path / "t.zarr")
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"thesis\.txt"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+    assert (folder / "thesis.txt").read_text() == "mine"
+
+
+def test_only_one_works_in_a_folder(tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+
+    def second(_: TrialParams) -> Rollouts:
+        synthesise(target, SMALL, simulate=fake_engine)
+        raise AssertionError("two at once")
+
+    with pytest.raises(InputError, match="another rcbht simulate"):
+        synthesise(target, SMALL, simulate=second)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
+def test_a_damaged_shard_is_made_again(damage: str, tmp_path: Path) -> None:
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL, after=2)
+    shard = shards.folder_of(target) / "shard-000001.npz"
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}[damage])
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
+    assert tree(target) == tree(tmp_path / "whole.zarr")
+
+
+@pytest.mark.parametrize("moment", [1, 2, 4])
+def test_a_full_disk_costs_one_shard(moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, real = [0], os.fsync
+
+    def full(handle: int) -> None:
+        calls[0] += 1
+        if calls[0] == 2 * moment - 1:  # each file is followed by its folder
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    target = tmp_path / "t.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert not target.exists()
+    assert not list(tmp_path.rglob(f"*{shards.PARTIAL}"))
+    # the first file is the manifest
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5 * max(0, moment - 2)
+
+
+def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = tmp_path / "t.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr("rcbht_jax.data.zarrio.consolidate", full)
+        with pytest.raises(OSError, match="No space"):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert not target.exists()
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 12
+
+
+def wild(out: Rollouts, how: str) -> None:
+    rows = slice(1, None, 5)
+    if how == "marked":
+        out.diverged[rows] = True
+    elif how == "nan":
+        out.wrench[rows, 4, 2] = np.nan
+    elif how == "huge":
+        out.wrench[rows, 4, 2] = -1e7
+    else:
+        out.joints[rows, 6:8] = 2.0
+
+
+@pytest.mark.parametrize("how", ["marked", "nan", "huge", "jump"])
+def test_diverged_trials_are_listed_and_never_stored(how: str, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    job = replace(SMALL, shard=16)
+    report = synthesise(target, job, simulate=changed(lambda out: wild(out, how)))
+    assert report.diverged == [1, 6, 11] == read_attrs(target)["diverged"]
+    assert read_simulation(target)["index"].tolist() == [0, 2, 3, 4, 5, 7, 8, 9, 10]
+    recordings = read_recordings(target)
+    assert recordings.trial[1] == "sim-B-000002"
+    params, _ = draw("B", 5, 2, job.spec)
+    alone = fake_engine(jax.tree.map(lambda leaf: np.asarray(leaf)[None], params))
+    assert np.array_equal(recordings.wrench[1, : recordings.length[1]], alone.wrench[0])
+
+
+def test_nothing_is_stored_when_all_diverged(tmp_path: Path) -> None:
+    def all_of_them(out: Rollouts) -> None:
+        out.diverged[:] = True
+
+    with pytest.raises(InputError, match="diverged in all 12"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(all_of_them))
+    assert not (tmp_path / "t.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"preset": "D"}, "openhrp"),
+        ({"trials": 0}, "number of trials"),
+        ({"shard": 0}, "shard"),
+        ({"seed": -1}, "seed"),
+        ({"engine": "abacus"}, "native"),
+        ({"spec": Randomisation(nominal_share=2.0)}, "nominal share"),
+    ],
+)
+def test_impossible_jobs_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        synthesise(tmp_path / "t.zarr", replace(SMALL, **change), simulate=fake_engine)
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_existing_store_is_only_replaced_when_asked(whole: Path, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    write_recordings(target, read_recordings(whole), {})
+    with pytest.raises(InputError, match="--overwrite"):
+        synthesise(target, SMALL, simulate=fake_engine)
+    assert len(read_recordings(target)) == 60
+    synthesise(target, SMALL, simulate=fake_engine, overwrite=True)
+    assert len(read_recordings(target)) == 12
+    assert os.listdir(tmp_path) == ["t.zarr"]
+
+
+def test_progress_counts_trials(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine, progress=seen.append)
+    assert [now.done for now in seen] == [0, 5, 10, 12]
+    assert seen[0].seconds_left is None
+    assert seen[-1].seconds_left == 0.0
+    assert all(now.per_minute > 0 and now.total == 12 for now in seen[1:])
+
+
+def test_engine_gets_full_vectors_only() -> None:
+    sizes: list[int] = []
+
+    def engine(params: TrialParams) -> Rollouts:
+        sizes.append(len(params.seed))
+        return fake_engine(params)
+
+    for count in (1, LANES, LANES + 1):
+        params, _ = draw_batch("A", 0, range(count), Randomisation())
+        out = synth.simulate_trials(engine, params)
+        assert len(out.wrench) == len(out.seated) == count
+    assert sizes == [LANES, LANES, 2 * LANES]
+
+
+def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
+    engine = synth.ENGINES["native"]()
+    whole_batch, _ = draw_batch("A", 4, range(2 * LANES), short(longest=0.8))
+    reference = synth.simulate_trials(engine, whole_batch)
+    assert np.abs(reference.wrench).max() > 0.1
+    for rows in ([30], [5, 17, 2], list(range(1, 20))):
+        params = jax.tree.map(lambda leaf, rows=rows: leaf[np.array(rows)], whole_batch)
+        out = synth.simulate_trials(engine, params)
+        for place, row in enumerate(rows):
+            samples = reference.length[row]
+            assert out.length[place] == samples
+            assert np.array_equal(out.wrench[place, :samples], reference.wrench[row, :samples])
+            assert np.array_equal(out.joints[place, :samples], reference.joints[row, :samples])
+            assert np.array_equal(out.onset[place], reference.onset[row], equal_nan=True)
+            assert np.array_equal(out.seated[place], reference.seated[row])
