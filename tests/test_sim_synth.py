@@ -139,7 +139,7 @@ def test_killed_at_random_moments_gives_the_same_bytes(whole: Path, tmp_path: Pa
     assert os.listdir(tmp_path) == ["trials.zarr"]
 
 
-@pytest.mark.parametrize("moment", range(1, 11))
+@pytest.mark.parametrize("moment", range(1, 13))
 def test_interrupted_at_any_rename_gives_the_same_bytes(
     moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
