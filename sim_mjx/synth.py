@@ -25,10 +25,11 @@ import rcbht_jax
 from rcbht_jax.data import hiro_kinematics, hiro_onsets, store
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
-from sim_mjx import randomize, shards
+from sim_mjx import engines, randomize, shards
 from sim_mjx.presets import CONTROL_PERIOD, STATES
 from sim_mjx.randomize import Fault, Randomisation, draw_batch
 from sim_mjx.rollout import Rollouts, TrialParams, batch_size
+from sim_mjx.scene import one_arm
 
 Simulate = Callable[[TrialParams], Rollouts]
 # A compiler may round the last lanes of a batch differently from full vectors: batches are filled up to this.
@@ -123,8 +124,8 @@ def check(job: Synthesis) -> None:
     for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
         if value < 1:
             raise InputError(f"The {name} is {value}; expected 1 or more.")
-    if job.engine not in ENGINES:
-        raise InputError(f"There is no engine {job.engine!r}; expected one of {', '.join(ENGINES)}.")
+    if job.engine not in engines.ENGINES:
+        raise InputError(f"There is no engine {job.engine!r}; expected one of {', '.join(engines.ENGINES)}.")
     randomize.draw(job.preset, job.seed, 0, job.spec)
 
 
@@ -144,14 +145,9 @@ def simulate_trials(simulate: Simulate, params: TrialParams) -> Rollouts:
     )  # fmt: skip
 
 
-def _native() -> Simulate:
-    from sim_mjx.engines import native
-    from sim_mjx.scene import one_arm
-
-    return partial(native.simulate, one_arm())
-
-
-ENGINES: dict[str, Callable[[], Simulate]] = {"native": _native}
+def engine(name: str) -> Simulate:
+    """The one-arm scene in an engine, one of ``engines.ENGINES``."""
+    return partial(engines.simulate, one_arm(), engine=name)
 
 
 def _manifest(job: Synthesis) -> dict[str, Any]:
@@ -204,7 +200,7 @@ def _simulate_missing(
     if progress is not None:
         progress(Progress(done, job.trials, 0.0, None))
     for shard in missing:
-        simulate = simulate or ENGINES[job.engine]()
+        simulate = simulate or engine(job.engine)
         indices = _indices(job, shard)
         params, _ = draw_batch(job.preset, job.seed, indices, job.spec)
         shards.save(folder, shard, _shard_arrays(simulate_trials(simulate, params)))

@@ -40,7 +40,7 @@ class Simulate(Command):
     """Trials that are kept together: an interruption costs at most so many."""
     longest: float | None = None
     """Stop every trial after this many seconds; default the session's own limit."""
-    engine: Literal["native"] = "native"
+    engine: Literal["native", "mjx"] = "native"
     """What computes the physics."""
     overwrite: bool = False
     """Replace an existing store, once the new one is complete."""

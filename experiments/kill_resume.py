@@ -1,0 +1,74 @@
+"""Ten kills at random moments while trials are synthesised: the store must equal the uninterrupted one.
+
+Run by hand: python -m experiments.kill_resume [--trials 2000] [--kills 10] [--longest 0.3]
+Writes results/kill_resume.json beside this file. Trials are cut short, because physics is not what is tested.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from sim_mjx.shards import folder_of
+
+RESULT = Path(__file__).parent / "results" / "kill_resume.json"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=2000)
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--longest", type=float, default=0.3, help="s, cuts every trial")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        whole, killed = Path(folder) / "whole.zarr", Path(folder) / "killed.zarr"
+        start = time.perf_counter()
+        start_run(whole, options).wait()
+        seconds = time.perf_counter() - start
+        moments = kill_at_random(killed, options, seconds)
+        start_run(killed, options).wait()
+        same = tree(whole) == tree(killed)
+        tidy = not folder_of(killed).exists()
+    result = {
+        "trials": options.trials, "longest": options.longest, "seconds_uninterrupted": round(seconds, 1),
+        "shards_done_at_kills": moments, "same_bytes": same, "work_folder_removed": tidy,
+    }  # fmt: skip
+    RESULT.write_text(json.dumps(result, indent=1) + "\n")
+    print(json.dumps(result))
+    sys.exit(not (same and tidy and len(moments) == options.kills))
+
+
+def start_run(target: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
+    words = ["simulate", str(target), "--trials", str(options.trials), "--longest", str(options.longest)]
+    code = "import sys; from rcbht_jax.cli import main; sys.exit(main(sys.argv[1:]))"
+    return subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.DEVNULL)
+
+
+def kill_at_random(target: Path, options: argparse.Namespace, seconds: float) -> list[int]:
+    """Kill runs so that their times add up to about one whole run; how many shards there were at each kill."""
+    rng, moments = random.Random(options.seed), []
+    for _ in range(options.kills):
+        child = start_run(target, options)
+        # a run that has nothing left to do may be over before it can be killed
+        time.sleep(rng.uniform(0.2, 2.0) * (seconds / options.kills + 2.0))
+        child.send_signal(signal.SIGKILL)
+        if child.wait() == -signal.SIGKILL:
+            moments.append(len(list(folder_of(target).glob("shard-*.npz"))))
+    return moments
+
+
+def tree(path: Path) -> dict[str, bytes]:
+    """Content of all files below a folder."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
+
+
+if __name__ == "__main__":
+    main()
