@@ -1,6 +1,6 @@
 """Ten kills at random moments while trials are synthesised: the store must equal the uninterrupted one.
 
-Run by hand: python -m experiments.kill_resume [--trials 2000] [--kills 10] [--longest 0.3]
+Run by hand: python -m experiments.kill_resume [--trials 2000] [--kills 10] [--longest 3.0]
 Writes results/kill_resume.json beside this file. Trials are cut short, because physics is not what is tested.
 """
 
@@ -18,6 +18,7 @@ from pathlib import Path
 
 from sim_mjx.shards import folder_of
 
+STARTING = 3.5  # s
 RESULT = Path(__file__).parent / "results" / "kill_resume.json"
 
 
@@ -25,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=2000)
     parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--longest", type=float, default=0.3, help="s, cuts every trial")
+    parser.add_argument("--longest", type=float, default=3.0, help="s, cuts every trial")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -34,7 +35,8 @@ def main() -> None:
         start_run(whole, options).wait()
         seconds = time.perf_counter() - start
         moments = kill_at_random(killed, options, seconds)
-        start_run(killed, options).wait()
+        if not killed.exists():
+            start_run(killed, options).wait()
         same = tree(whole) == tree(killed)
         tidy = not folder_of(killed).exists()
     result = {
@@ -53,15 +55,16 @@ def start_run(target: Path, options: argparse.Namespace) -> subprocess.Popen[byt
 
 
 def kill_at_random(target: Path, options: argparse.Namespace, seconds: float) -> list[int]:
-    """Kill runs so that their times add up to about one whole run; how many shards there were at each kill."""
+    """Kill run after run at random moments; how many shards were finished at each kill."""
     rng, moments = random.Random(options.seed), []
-    for _ in range(options.kills):
+    while len(moments) < options.kills:
         child = start_run(target, options)
-        # a run that has nothing left to do may be over before it can be killed
-        time.sleep(rng.uniform(0.2, 2.0) * (seconds / options.kills + 2.0))
+        # a run needs some seconds before it works; together the runs take about as long as one without kills
+        time.sleep(STARTING * rng.uniform(0.5, 1.1) + rng.uniform(0.0, 1.2) * (seconds - STARTING) / options.kills)
         child.send_signal(signal.SIGKILL)
-        if child.wait() == -signal.SIGKILL:
-            moments.append(len(list(folder_of(target).glob("shard-*.npz"))))
+        if child.wait() != -signal.SIGKILL:
+            break
+        moments.append(len(list(folder_of(target).glob("shard-*.npz"))))
     return moments
 
 

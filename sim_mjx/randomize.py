@@ -60,7 +60,8 @@ class Randomisation:
     fault_x: Range = (0.0, 0.020)  # m, pose fault; recorded failures 0-19.7 mm; audit
     fault_y: Range = (-0.0105, 0.0105)  # m, pose fault; recorded failures +-10.5 mm; audit
     fault_roll: Range = (-0.5235, 0.5235)  # rad, pose fault; recorded failures +-30 degrees; audit
-    jam_friction: Range = (3.0, 5.0)  # factor: a hook's slope no longer slides; chosen
+    jam_friction: Range = (3.0, 5.0)  # factor: a rough hook; alone it creeps past its lip in time; chosen
+    jam_overlap: Range = (1.65e-3, 1.85e-3)  # m, each hook: nearly the tip's radius, which no tab passes; chosen
     wedge_roll: Range = (0.09, 0.20)  # rad, either sign: more than the slots' play allows; chosen
     wedge_tilt: Range = (0.05, 0.12)  # rad, either sign, of the hand at contact; chosen
     moved_by: Range = (0.021, 0.040)  # m, part along x or y: beyond every pose fault; chosen
@@ -72,7 +73,7 @@ LIMITS: dict[str, Range] = {
     "shift": (-0.1, 0.1), "turn": (-1.0, 1.0), "stiffness": (0.05, 20.0), "overlap": (0.05, 2.0),
     "friction": (0.01, 20.0), "mount": (0.05, 20.0), "gain": (0.0, 10.0), "goal": (0.0, 10.0), "speed": (0.05, 20.0),
     "noise": (0.0, 100.0), "force_bias": (-50.0, 50.0), "moment_bias": (-5.0, 5.0), "tare": (0.0, 1.0),
-    "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0), "jam_friction": (0.01, 20.0),
+    "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0), "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
     "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "moved_by": (0.0, 0.1), "stop_at": (0.01, 1.0),
 }  # fmt: skip
 
@@ -249,8 +250,9 @@ def _pose(values: _Values, spec: Randomisation, rng: np.random.Generator) -> Non
 
 
 def _jamming(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
-    """So much friction that the tabs do not slide over their lips."""
+    """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
     values.friction *= _draw(rng, spec.jam_friction)
+    values.overlap = _draw(rng, spec.jam_overlap, 4) / parts.nominal().hook_overlap
 
 
 def _wedging(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
