@@ -73,7 +73,8 @@ LIMITS: dict[str, Range] = {
     "shift": (-0.1, 0.1), "turn": (-1.0, 1.0), "stiffness": (0.05, 20.0), "overlap": (0.05, 2.0),
     "friction": (0.01, 20.0), "mount": (0.05, 20.0), "gain": (0.0, 10.0), "goal": (0.0, 10.0), "speed": (0.05, 20.0),
     "noise": (0.0, 100.0), "force_bias": (-50.0, 50.0), "moment_bias": (-5.0, 5.0), "tare": (0.0, 1.0),
-    "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0), "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
+    "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0), "jam_friction": (0.01, 20.0),
+    "jam_overlap": (1e-5, 1.99e-3),
     "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "moved_by": (0.0, 0.1), "stop_at": (0.01, 1.0),
 }  # fmt: skip
 
