@@ -27,6 +27,7 @@ TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
 FIRST_TOUCH = np.array([0.3091, -0.1727, 0.4247])  # m, world, midway between the front tips as they meet the lips
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
+FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips
 LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
 BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
 
@@ -41,6 +42,9 @@ class PartParams:
     hook_overlap: Array  # [4] m, how far a lip reaches over its tab; negative = the tab is missing
     slot_play: Array  # m, between a tip and the blocks on each side
     seat_depth: Array  # m, below first touch, where the part sits on the seat
+    foot_spread: Array  # m, from the middle of the male part to its feet on the right and on the left
+    foot_offset: Array  # m, of the feet's middle to the left
+    rear_rise: Array  # [2] m, rear lips above the front ones and rear feet above the front ones
     friction: Array  # sliding friction of all contacts
     mount_stiffness: Array  # [3] N/m, x y z of the female part's mount
     mount_damping: Array  # [3] Ns/m
@@ -71,6 +75,9 @@ def nominal(session: str = "A") -> PartParams:
         hook_overlap=np.full(4, 0.555e-3),
         slot_play=np.array(1.9e-3),
         seat_depth=np.array(2.626e-3),
+        foot_spread=np.array(30.5e-3),
+        foot_offset=np.array(0.0),
+        rear_rise=np.zeros(2),
         friction=np.array(0.216),
         mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
         mount_damping=np.array([120.0, 120.0, 98.5]),
@@ -130,7 +137,7 @@ def add_male(spec: mujoco.MjSpec, arm: str) -> None:
         )  # fmt: skip
         tool.add_geom(
             name=f"{arm}FOOT_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
-            pos=(up + 0.004, left + aside * 1.9, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
+            pos=_foot(index, nominal()), rgba=(0.25, 0.45, 0.75, 1.0),
         )  # fmt: skip
 
 
@@ -185,6 +192,7 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
         out["dof_damping"][joint.dofadr[0]] = params.tab_damping[index]
         for kind, place in _boxes(index, params).items():
             out["geom_pos"][model.geom(f"{kind}_{name}").id] = place
+        out["geom_pos"][model.geom(f"{arm}FOOT_{name}").id] = _foot(index, params)
     for axis, name in enumerate("XYZ"):
         joint = model.joint(f"MOUNT_{name}")
         out["jnt_stiffness"][joint.id] = params.mount_stiffness[axis]
@@ -198,6 +206,14 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
     return out
 
 
+def _foot(index: int, params: PartParams) -> Vector:
+    """Place of a foot in the wrist's frame, x up the hand and z backwards."""
+    aft, _ = _tab_place(index)
+    left = float(params.foot_spread) * (1 if index % 2 else -1) + float(params.foot_offset)
+    rise = float(params.rear_rise[1]) if index >= 2 else 0.0
+    return TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft
+
+
 def _boxes(index: int, params: PartParams) -> dict[str, Vector]:
     """Places of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
     aft, aside = _tab_place(index)
@@ -206,6 +222,7 @@ def _boxes(index: int, params: PartParams) -> dict[str, Vector]:
     edge = aft + outward * (TIP_RADIUS - overlap)
     # the tips' lowest points touch the lips' edges at the mount's origin height
     top = -np.sqrt(max(TIP_RADIUS**2 - (TIP_RADIUS - max(overlap, 0.0)) ** 2, 0.0))
+    top += float(params.rear_rise[0]) if index >= 2 else 0.0
     gone = -0.05 if overlap < 0 else 0.0  # a missing tab meets nothing
     reach = TIP_RADIUS + float(params.slot_play) + BLOCK[1]
     return {
@@ -216,6 +233,5 @@ def _boxes(index: int, params: PartParams) -> dict[str, Vector]:
 
 
 def _seat(params: PartParams) -> Vector:
-    # a foot's lowest point is 4 mm - radius above the tips' centres
-    top = 0.004 - TIP_RADIUS - float(params.seat_depth)
+    top = FOOT_HEIGHT - TIP_RADIUS - float(params.seat_depth)
     return (-TAB_SPACING[0] / 2, 0.0, top - 0.004)
