@@ -109,8 +109,8 @@ class _Probe:
     ) -> None:
         models = [self._models[row] for row in live]
         _, exact = self._pool.rollout(models, self._datas, state, wanted, nstep=self._exact.substeps)
-        wrench = slice(self._exact.force, self._exact.force + 6)
-        error = np.zeros((self._count, 6))
+        wrench = (self._exact.forces[:, None] + np.arange(6)).ravel()
+        error = np.zeros((self._count, len(wrench)))
         error[live] = np.abs(readings - exact)[:, :, wrench].max(1)
         self.errors.append(error)
 

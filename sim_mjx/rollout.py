@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,20 +50,33 @@ class Loop:
 class Reading:
     """What is logged each control period."""
 
-    wrench: Array  # [6] N and Nm, world frame, as the robot logs it
-    joints: Array  # [6] rad, measured
-    phase: Array  # int32
+    wrench: Array  # [6K] N and Nm, world frame, as the robot logs it; K = wrist sensors
+    joints: Array  # [J] rad, measured
+    phase: Array  # int32, numbered as in ``sim_mjx.task``
+
+
+@dataclass(frozen=True)
+class Program:
+    """What runs between physics steps: pure functions of one trial, which engines batch and compile.
+
+    Parameters of any program are a pytree whose leaves lead with the trial, with ``parts`` among its attributes.
+    """
+
+    begin: Callable[[Any, Array], Any]  # parameters, first readings [6K] -> loop state
+    control: Callable[[Any, Any, Array, Array], tuple[Any, Array, Reading]]  # see ``control``
+    home: Callable[[Any], Array]  # parameters -> joint angles at time zero [..., J], rad
+    timeout: Callable[[Any], Array]  # parameters -> longest time of a trial [...], s
 
 
 @dataclass(frozen=True)
 class Rollouts:
     """Simulated trials on the host, padded to the longest; rows beyond ``length`` are zero."""
 
-    wrench: NDArray[np.float32]  # [trial, time, 6] N and Nm, world frame
-    joints: NDArray[np.float32]  # [trial, time, 6] rad
+    wrench: NDArray[np.float32]  # [trial, time, 6K] N and Nm, world frame
+    joints: NDArray[np.float32]  # [trial, time, J] rad
     length: NDArray[np.int32]  # [trial] control periods until the trial ended
     onset: NDArray[np.float64]  # [trial, 4] s, NaN = state never reached
-    seated: NDArray[np.bool_]  # [trial, 4] tabs past their lips at the end, order of parts.TABS
+    seated: NDArray[np.bool_]  # [trial, tab] tabs past their lips at the end, order of parts.TABS
     diverged: NDArray[np.bool_]  # [trial] the physics gave a value that is not finite; not data
 
 
@@ -94,8 +108,11 @@ def control(params: TrialParams, loop: Loop, joints: Array, raw: Array) -> tuple
     return Loop(state, read, commands), between, Reading(wrench, joints, loop.task.phase)
 
 
-def as_float32(params: TrialParams) -> TrialParams:
-    """All real leaves in single precision, for the controllers."""
+ONE_ARM = Program(begin, control, lambda params: params.task.home, lambda params: params.task.timeout)
+
+
+def as_float32(params: Any) -> Any:
+    """All real leaves of a program's parameters in single precision, for the controllers."""
 
     def cast(leaf: Array) -> Array:
         leaf = jnp.asarray(leaf)
@@ -109,6 +126,6 @@ def stack(trials: list[TrialParams]) -> TrialParams:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
 
 
-def batch_size(params: TrialParams) -> int:
-    """Trials in a batch."""
-    return int(np.shape(params.command_delay)[0])
+def batch_size(params: Any) -> int:
+    """Trials in a batch of a program's parameters."""
+    return len(jax.tree.leaves(params)[0])

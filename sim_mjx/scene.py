@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 from sim_mjx import parts
 from sim_mjx.hiro import new_robot
 from sim_mjx.presets import CONTROL_PERIOD
+from sim_mjx.rollout import ONE_ARM, Program
 
 SUBSTEPS = 2  # physics steps per control period
 ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
@@ -18,13 +22,18 @@ ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver h
 
 @dataclass(frozen=True)
 class Scene:
-    """One compiled scene; the model holds nominal parts, trials replace some of its fields."""
+    """One compiled scene and all that an engine must know about it.
+
+    The model holds nominal parts; each trial replaces some of its fields.
+    """
 
     model: mujoco.MjModel
-    arm: str
-    joints: NDArray[np.int32]  # [6] addresses in qpos
-    tabs: NDArray[np.int32]  # [4] addresses in qpos
-    force: int  # address of the wrist force in sensordata; the torque follows
+    program: Program
+    joints: NDArray[np.int32]  # [J] addresses in qpos
+    forces: NDArray[np.int32]  # [K] addresses of the wrists' forces in sensordata; each is followed by its torque
+    tips: NDArray[np.int32]  # [tab] geoms; a tab is seated when its tip is past its lip
+    lips: NDArray[np.int32]  # [tab] geoms
+    fields: Callable[[Any], dict[str, NDArray[Any]]]  # one trial's parts -> fields of the model
     substeps: int = SUBSTEPS
 
 
@@ -45,5 +54,8 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     for name, value in parts.model_fields(model, parts.nominal()).items():
         getattr(model, name)[:] = value
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
-    tabs = np.array([model.joint(f"RTAB_{name}").qposadr[0] for name in parts.TABS], np.int32)
-    return Scene(model, "R", joints, tabs, int(model.sensor("RARM_FORCE").adr[0]), substeps)
+    forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
+    tips, lips = (
+        np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", "LIP_")
+    )
+    return Scene(model, ONE_ARM, joints, forces, tips, lips, partial(parts.model_fields, model), substeps)

@@ -42,16 +42,17 @@ def collect(
     wrench: NDArray[np.float32],
     joints: NDArray[np.float32],
     phases: NDArray[np.int32],
-    entered: NDArray[np.int32],
     seated: NDArray[np.bool_],
 ) -> Rollouts:
     """Cut the logs where the trials ended and mark those whose physics diverged.
 
     Args:
-        wrench: [trial, time, 6]. joints: [trial, time, 6]. phases: [trial, time].
-        entered: [trial, 6], control period in which each phase began.
-        seated: [trial, 4].
+        wrench: [trial, time, 6K]. joints: [trial, time, J]. phases: [trial, time], as logged.
+        seated: [trial, tab].
     """
+    # a phase is logged one period after the measurement that began it
+    at = phases[:, :, None] == np.arange(task.ENDED)
+    entered = np.where(at.any(1), np.maximum(at.argmax(1) - 1, 0), -1)
     length = (phases < task.ENDED).sum(1).astype(np.int32)
     wrench, joints = wrench[:, : length.max()], joints[:, : length.max()]
     inside = np.arange(wrench.shape[1])[None] < length[:, None]

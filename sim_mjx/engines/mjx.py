@@ -13,10 +13,10 @@ import numpy as np
 from mujoco import mjx
 from numpy.typing import NDArray
 
-from sim_mjx import parts, task
+from sim_mjx import task
 from sim_mjx.engines.common import CPU_OPTIONS, SETTLING, collect, past_lips
 from sim_mjx.presets import CONTROL_PERIOD
-from sim_mjx.rollout import Loop, Reading, Rollouts, TrialParams, as_float32, batch_size, begin, control
+from sim_mjx.rollout import Program, Reading, Rollouts, as_float32, batch_size
 from sim_mjx.scene import Scene
 
 Array = Any
@@ -27,11 +27,12 @@ CHUNK = 200  # control periods that run without asking whether all trials have e
 class _Layout:
     """What a compiled program must know of its scene; hashable."""
 
+    program: Program
     joints: tuple[int, ...]
-    force: int
-    substeps: int
-    tips: tuple[int, ...]  # geoms, order of parts.TABS
+    readings: tuple[int, ...]  # [6K] addresses in sensordata
+    tips: tuple[int, ...]  # geoms
     lips: tuple[int, ...]
+    substeps: int
 
 
 @jax.tree_util.register_dataclass
@@ -39,7 +40,7 @@ class _Layout:
 class _Trial:
     """What stays the same during a trial."""
 
-    params: TrialParams
+    params: Any  # of the scene's program
     fields: dict[str, Array]  # of the model
 
 
@@ -54,12 +55,12 @@ class _Body:
     sensors: Array
 
 
-def simulate(scene: Scene, params: TrialParams, *, progress: Callable[[int], None] | None = None) -> Rollouts:
+def simulate(scene: Scene, params: Any, *, progress: Callable[[int], None] | None = None) -> Rollouts:
     """Simulate a batch of trials until all have ended, in single precision on JAX's default device.
 
     Args:
         scene: what is simulated.
-        params: batch of trials.
+        params: batch of trials of the scene's program.
         progress: called with the number of control periods done since the last call, summed over trials.
     """
     model, layout = mjx.put_model(scene.model, impl="jax"), _layout(scene)
@@ -67,7 +68,7 @@ def simulate(scene: Scene, params: TrialParams, *, progress: Callable[[int], Non
     settle, run, seated = _programs(jax.default_backend())
     body, loop = settle(layout, model, trials)
     logs: list[Reading] = []
-    limit = int(np.ceil(np.max(params.task.timeout) / CONTROL_PERIOD)) + 1
+    limit = int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
     for _ in range(-(-limit // CHUNK)):
         body, loop, log = run(layout, model, trials, body, loop)
         logs.append(jax.device_get(log))
@@ -77,7 +78,7 @@ def simulate(scene: Scene, params: TrialParams, *, progress: Callable[[int], Non
             break
     whole: Reading = jax.tree.map(lambda *pieces: np.moveaxis(np.concatenate(pieces), 0, 1), *logs)
     reached = np.asarray(seated(layout, model, trials, body))
-    return collect(whole.wrench, whole.joints, whole.phase, np.asarray(loop.task.entered), reached)
+    return collect(whole.wrench, whole.joints, whole.phase, reached)
 
 
 @lru_cache
@@ -88,28 +89,25 @@ def _programs(backend: str) -> tuple[Callable[..., Any], ...]:
 
 
 def _layout(scene: Scene) -> _Layout:
-    def geoms(prefix: str) -> tuple[int, ...]:
-        return tuple(int(scene.model.geom(prefix + name).id) for name in parts.TABS)
+    readings = (scene.forces[:, None] + np.arange(6)).ravel()
+    joints, seen, tips, lips = (
+        tuple(int(i) for i in column) for column in (scene.joints, readings, scene.tips, scene.lips)
+    )
+    return _Layout(scene.program, joints, seen, tips, lips, scene.substeps)
 
-    joints = tuple(int(address) for address in scene.joints)
-    return _Layout(joints, scene.force, scene.substeps, geoms(f"{scene.arm}TIP_"), geoms("LIP_"))
 
-
-def _fields(scene: Scene, params: TrialParams) -> dict[str, NDArray[np.float32]]:
+def _fields(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
     """Model fields of all trials, each [trial, ...]."""
-    rows = [
-        parts.model_fields(scene.model, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts), scene.arm)
-        for i in range(batch_size(params))
-    ]
+    rows = [scene.fields(jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(batch_size(params))]
     return {name: np.stack([row[name] for row in rows]).astype(np.float32) for name in rows[0]}
 
 
-def _settle(layout: _Layout, model: mjx.Model, trials: _Trial) -> tuple[_Body, Loop]:
+def _settle(layout: _Layout, model: mjx.Model, trials: _Trial) -> tuple[_Body, Any]:
     """At rest in the home pose, with the sensor reading of that moment."""
     empty = mjx.make_data(model, impl="jax")
 
-    def one(trial: _Trial) -> tuple[_Body, Loop]:
-        own, home = model.tree_replace(trial.fields), trial.params.task.home
+    def one(trial: _Trial) -> tuple[_Body, Any]:
+        own, home = model.tree_replace(trial.fields), layout.program.home(trial.params)
         qpos = empty.qpos.at[jnp.array(layout.joints)].set(home)
 
         def step(body: _Body, last: Array) -> tuple[_Body, None]:
@@ -120,18 +118,18 @@ def _settle(layout: _Layout, model: mjx.Model, trials: _Trial) -> tuple[_Body, L
 
         body = _Body(qpos, empty.qvel, empty.qacc_warmstart, empty.sensordata)
         body, _ = jax.lax.scan(step, body, jnp.arange(SETTLING + 1) == SETTLING)
-        return body, begin(trial.params, _raw(layout, body))
+        return body, layout.program.begin(trial.params, _raw(layout, body))
 
     return jax.vmap(one)(trials)
 
 
-def _run(layout: _Layout, model: mjx.Model, trials: _Trial, body: _Body, loop: Loop) -> tuple[_Body, Loop, Reading]:
+def _run(layout: _Layout, model: mjx.Model, trials: _Trial, body: _Body, loop: Any) -> tuple[_Body, Any, Reading]:
     """``CHUNK`` control periods; the log leads with time."""
     empty = mjx.make_data(model, impl="jax")
 
-    def one(trial: _Trial, body: _Body, loop: Loop) -> tuple[_Body, Loop, Reading]:
+    def one(trial: _Trial, body: _Body, loop: Any) -> tuple[_Body, Any, Reading]:
         joints = body.qpos[jnp.array(layout.joints)]
-        loop, (before, after), log = control(trial.params, loop, joints, _raw(layout, body))
+        loop, (before, after), log = layout.program.control(trial.params, loop, joints, _raw(layout, body))
         share = jnp.arange(1, layout.substeps + 1)[:, None] / layout.substeps
         own = model.tree_replace(trial.fields)
 
@@ -142,7 +140,7 @@ def _run(layout: _Layout, model: mjx.Model, trials: _Trial, body: _Body, loop: L
         ended = log.phase == task.ENDED
         return jax.tree.map(lambda old, new: jnp.where(ended, old, new), body, moved), loop, log
 
-    def period(carry: tuple[_Body, Loop], _: None) -> tuple[tuple[_Body, Loop], Reading]:
+    def period(carry: tuple[_Body, Any], _: None) -> tuple[tuple[_Body, Any], Reading]:
         body, loop, log = jax.vmap(one)(trials, *carry)
         return (body, loop), log
 
@@ -157,8 +155,8 @@ def _step(model: mjx.Model, empty: mjx.Data, body: _Body, wanted: Array) -> _Bod
 
 
 def _raw(layout: _Layout, body: _Body) -> Array:
-    """What the part exerts on the hand [6]: the sensor reports the opposite."""
-    return -body.sensors[layout.force : layout.force + 6]
+    """What the parts exert on the hands [6K]: the sensors report the opposite."""
+    return -body.sensors[jnp.array(layout.readings)]
 
 
 def _seated(layout: _Layout, model: mjx.Model, trials: _Trial, body: _Body) -> Array:

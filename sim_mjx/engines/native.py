@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,24 +15,20 @@ import numpy as np
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
-from sim_mjx import parts, task
+from sim_mjx import task
 from sim_mjx.engines.common import CPU_OPTIONS, SETTLING, collect, past_lips, sane
 from sim_mjx.presets import CONTROL_PERIOD
-from sim_mjx.rollout import Rollouts, TrialParams, as_float32, batch_size, begin, control
+from sim_mjx.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.scene import Scene
 
-_begin = jax.jit(jax.vmap(begin), compiler_options=CPU_OPTIONS)
-_control = jax.jit(jax.vmap(control), compiler_options=CPU_OPTIONS, donate_argnums=1)
-
-
-# Rows of the batch that were stepped, their states before [row, ...], references [row, substep, 6] and sensor
+# Rows of the batch that were stepped, their states before [row, ...], references [row, substep, J] and sensor
 # readings [row, substep, ...] of one control period.
 Watch = Callable[[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], None]
 
 
 def simulate(
     scene: Scene,
-    params: TrialParams,
+    params: Any,
     *,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
@@ -40,7 +38,7 @@ def simulate(
 
     Args:
         scene: what is simulated.
-        params: batch of trials.
+        params: batch of trials of the scene's program.
         threads: default all cores.
         progress: called with the number of control periods done since the last call, summed over trials.
         watch: called after the physics of each control period; see ``Watch``.
@@ -49,16 +47,17 @@ def simulate(
     models = [model_of(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(trials)]
     threads = threads or os.cpu_count() or 1
     datas = [mujoco.MjData(scene.model) for _ in range(threads)]
-    state, readings = _first(scene, models, np.asarray(params.task.home))
+    state, readings = _first(scene, models, np.asarray(scene.program.home(params)))
     fast = as_float32(params)
     joints = state[:, 1 + scene.joints].astype(np.float32)
-    loop = _begin(fast, jnp.asarray(_raw(scene, readings)))
+    begin, control = _compiled(scene.program)
+    loop = begin(fast, jnp.asarray(_raw(scene, readings)))
     rows, phases = [], []
     share = (np.arange(1, scene.substeps + 1) / scene.substeps)[None, :, None]
-    limit = int(np.ceil(np.max(params.task.timeout) / CONTROL_PERIOD)) + 1
+    limit = int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
     with mj_rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
         for _ in range(limit):
-            loop, command, log = _control(fast, loop, jnp.asarray(joints), jnp.asarray(_raw(scene, readings)))
+            loop, command, log = control(fast, loop, jnp.asarray(joints), jnp.asarray(_raw(scene, readings)))
             rows.append((np.asarray(log.wrench), np.asarray(log.joints)))
             phases.append(np.asarray(log.phase))
             if (phases[-1] == task.ENDED).all():
@@ -77,15 +76,22 @@ def simulate(
             if progress is not None:
                 progress(int((phases[-1] < task.ENDED).sum()))
     wrench, angles = (np.stack(column, 1) for column in zip(*rows, strict=True))
-    seated = np.stack([tips_past_lips(model, row, scene) for model, row in zip(models, state, strict=True)])
-    return collect(wrench, angles, np.stack(phases, 1), np.asarray(loop.task.entered), seated)
+    seated = np.stack([tips_past_lips(scene, model, row) for model, row in zip(models, state, strict=True)])
+    return collect(wrench, angles, np.stack(phases, 1), seated)
 
 
-def model_of(scene: Scene, part: parts.PartParams) -> mujoco.MjModel:
+@lru_cache
+def _compiled(program: Program) -> tuple[Callable[..., Any], ...]:
+    """Begin and control of a batch."""
+    begin = jax.jit(jax.vmap(program.begin), compiler_options=CPU_OPTIONS)
+    return begin, jax.jit(jax.vmap(program.control), compiler_options=CPU_OPTIONS, donate_argnums=1)
+
+
+def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     """The compiled model with one trial's parts."""
     model = copy.copy(scene.model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # it would hide a divergence
-    for name, value in parts.model_fields(scene.model, part, scene.arm).items():
+    for name, value in scene.fields(part).items():
         getattr(model, name)[:] = value
     return model
 
@@ -112,15 +118,14 @@ def _first(
 
 
 def _raw(scene: Scene, readings: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What the part exerts on the hand [trial, 6]: the sensor reports the opposite."""
-    return -readings[:, scene.force : scene.force + 6].astype(np.float32)
+    """What the parts exert on the hands [trial, 6K]: the sensors report the opposite."""
+    return -readings[:, (scene.forces[:, None] + np.arange(6)).ravel()].astype(np.float32)
 
 
-def tips_past_lips(model: mujoco.MjModel, state: NDArray[np.float64], scene: Scene) -> NDArray[np.bool_]:
-    """Which tabs have snapped [4] in a full physics state."""
+def tips_past_lips(scene: Scene, model: mujoco.MjModel, state: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which tabs have snapped [tab] in a full physics state."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     mujoco.mj_kinematics(model, data)
-    tips = [model.geom(f"{scene.arm}TIP_{name}").id for name in parts.TABS]
-    lips = [model.geom(f"LIP_{name}").id for name in parts.TABS]
-    return past_lips(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips].reshape(4, 3, 3))
+    turns = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
+    return past_lips(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns)
