@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from sim_mjx import parts, presets, sensor
+from sim_mjx import parts, physical, presets, sensor
 from sim_mjx.parts import TABS, PartParams
+from sim_mjx.physical import Physical
 from sim_mjx.presets import TaskParams
 from sim_mjx.rollout import TrialParams, stack
 from sim_mjx.sensor import LONGEST_DELAY, SensorParams
@@ -41,6 +42,7 @@ class Randomisation:
         "pose", "jamming", "wedging", "missing-tab", "moved-part", "early-stop",
     )  # fmt: skip
     longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
+    physical: Physical = ()  # nominal parameters of parts and sensor that replace the preset's, by name
 
     shift: Range = (-5e-4, 5e-4)  # m, hand in x and y without a fault: seated by A, B, OpenHRP
     turn: Range = (-0.005, 0.005)  # rad, hand about the vertical without a fault; chosen
@@ -97,6 +99,7 @@ class _Values:
     tilt: float  # rad
     overlap: NDArray[np.float64]  # [4], negative = missing
     friction: float
+    hooks: NDArray[np.float64] | None = None  # [4] m, overlaps in place of the nominal ones
     stop: float | None = None  # share of the time to mating
     failure_type: str = ""
 
@@ -113,6 +116,7 @@ def check(spec: Randomisation) -> None:
         raise InputError(f"The faults are {list(spec.faults)}; expected some of {', '.join(FAULTS)}.")
     if spec.longest is not None and not 0.0 < spec.longest < np.inf:
         raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
+    physical.check(spec.physical)
     if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
         raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for name, (least, most) in LIMITS.items():
@@ -200,11 +204,11 @@ def _mild(
     )  # fmt: skip
     tare = _draw(rng, spec.tare)
     if preset == SIMULATED:
-        touch = sensor.simulated_sensor()
+        touch = physical.changed(sensor.simulated_sensor(), "sensor", spec.physical)
     else:
-        real = sensor.real_sensor()
-        touch = replace(real, noise=real.noise * noise, bias=bias, tared=np.asarray(real.tared * tare))
-    part = parts.nominal(preset)
+        real = physical.changed(sensor.real_sensor(), "sensor", spec.physical)
+        touch = replace(real, noise=real.noise * noise, bias=real.bias + bias, tared=np.asarray(real.tared * tare))
+    part = physical.changed(parts.nominal(preset), "parts", spec.physical)
     part = replace(
         part,
         tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
@@ -233,7 +237,7 @@ def _with_task(preset: str, task: TaskParams, values: _Values, longest: float | 
 def _with_parts(part: PartParams, values: _Values) -> PartParams:
     return replace(
         part,
-        hook_overlap=part.hook_overlap * values.overlap,
+        hook_overlap=part.hook_overlap * values.overlap if values.hooks is None else values.hooks,
         friction=np.asarray(part.friction * values.friction),
         position=part.position + np.array([*values.part, 0.0]),
     )
@@ -253,7 +257,7 @@ def _pose(values: _Values, spec: Randomisation, rng: np.random.Generator) -> Non
 def _jamming(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
     """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
     values.friction *= _draw(rng, spec.jam_friction)
-    values.overlap = _draw(rng, spec.jam_overlap, 4) / parts.nominal().hook_overlap
+    values.hooks = _draw(rng, spec.jam_overlap, 4)
 
 
 def _wedging(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:

@@ -62,7 +62,7 @@ def save(folder: Path, shard: int, arrays: Arrays) -> None:
     def write(file: IO[bytes]) -> None:
         np.savez_compressed(file, allow_pickle=False, sha256=digest, **arrays)
 
-    _write_atomically(_file(folder, shard), write)
+    write_atomically(_file(folder, shard), write)
 
 
 def load(folder: Path, shard: int) -> Arrays | None:
@@ -107,7 +107,7 @@ def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
         if foreign:
             raise InputError(f"{folder} holds {foreign[0]} and no {MANIFEST}; move it away or choose another name.")
         text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
-        _write_atomically(path, lambda file: file.write(text.encode()))
+        write_atomically(path, lambda file: file.write(text.encode()))
         return
     try:
         found = json.loads(path.read_text())
@@ -129,7 +129,7 @@ def _difference(found: Any, wanted: Any, name: str = "") -> str:
     return f"{name or 'a manifest'} {json.dumps(found)}, not {json.dumps(wanted)}"
 
 
-def _write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     draft = path.with_name(path.name + PARTIAL)
     try:
         with draft.open("wb") as file:
