@@ -109,9 +109,9 @@ class SvmModel:
         if x.ndim != 2 or x.shape[1] != self.center.size:
             raise InputError(f"features of shape {x.shape} do not fit a model of {self.center.size} features.")
         kernel = gram((x - self.center) / self.width, self.support, self.spec.kernel, self.gamma)
-        return kernel @ self._pair_weights() + self.intercept
+        return kernel @ self.pair_weights() + self.intercept
 
-    def _pair_weights(self) -> NDArray[np.float64]:
+    def pair_weights(self) -> NDArray[np.float64]:
         """``[vector, pair]``: libsvm keeps class i's weight against j in row j - 1, class j's in row i."""
         edge = np.concatenate([[0], np.cumsum(self.support_count)])
         first, second = pairs(len(self.classes))
