@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 
@@ -115,11 +116,16 @@ def _tab_place(index: int) -> tuple[float, float]:
     return aft, left
 
 
-def add_male(spec: mujoco.MjSpec, arm: str) -> None:
-    """Hang the male part on the tool: four sliding tabs and four feet that meet the seat."""
+def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> None:
+    """Hang the male part on the tool: four sliding tabs and four feet that meet the seat.
+
+    Args:
+        spec: of the scene. arm: that holds the part.
+        grip: m, wrist frame, where the hand holds it, from the recorded place of the one-arm sessions.
+    """
     tool = spec.body(f"{arm}ARM_TOOL")
     half = TAB_SPACING[0] / 2
-    up, left, back = TIP_HEIGHT, 0.0, -half  # wrist frame: x up the hand, z backwards
+    up, left, back = TIP_HEIGHT + grip[0], grip[1], grip[2] - half  # wrist frame: x up the hand, z backwards
     tool.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX, pos=(up + 0.012, left, back + half), size=(0.007, 0.037, 0.0225),
         contype=0, conaffinity=0, mass=0.0, group=2, rgba=(0.25, 0.45, 0.75, 1.0),
@@ -137,13 +143,26 @@ def add_male(spec: mujoco.MjSpec, arm: str) -> None:
         )  # fmt: skip
         tool.add_geom(
             name=f"{arm}FOOT_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
-            pos=_foot(index, nominal()), rgba=(0.25, 0.45, 0.75, 1.0),
+            pos=np.add(_foot(index, nominal()), grip), rgba=(0.25, 0.45, 0.75, 1.0),
         )  # fmt: skip
 
 
-def add_female(spec: mujoco.MjSpec, arm: str) -> None:
-    """Stand the female part on its mount: per tab a lip and two blocks, and one seat for all feet."""
-    mount = spec.worldbody.add_body(name="MOUNT", pos=FIRST_TOUCH)
+def add_female(
+    spec: mujoco.MjSpec,
+    arm: str,
+    holder: mujoco.MjsBody | None = None,
+    place: NDArray[np.float64] = FIRST_TOUCH,
+    turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+) -> None:
+    """Put the female part on its mount: per tab a lip and two blocks, and one seat for all feet.
+
+    Args:
+        spec: of the scene. arm: that holds the male part.
+        holder: body that carries the mount; None = the world.
+        place: [3] m, of the front tips' first touch in the holder's frame.
+        turn: quaternion of the mount in that frame; its z axis points from the female part to the male one.
+    """
+    mount = (holder or spec.worldbody).add_body(name="MOUNT", pos=place, quat=turn)
     mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
     mount.gravcomp = 1.0
     for axis, name in enumerate("XYZ"):
