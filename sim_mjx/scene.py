@@ -47,10 +47,7 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     spec = new_robot(("R",))
     parts.add_male(spec, "R")
     parts.add_female(spec, "R")
-    spec.option.timestep = CONTROL_PERIOD / substeps
-    spec.option.iterations, spec.option.ls_iterations = iterations, ls_iterations
-    # pyramids push a sliding contact apart: the raw wrench chattered by 5 N a step, now by 0.03 N
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    set_solver(spec, substeps, iterations, ls_iterations)
     model = spec.compile()
     for name, value in parts.model_fields(model, parts.nominal()).items():
         getattr(model, name)[:] = value
@@ -60,3 +57,11 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
         np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", "LIP_")
     )
     return Scene(model, ONE_ARM, joints, forces, tips, lips, partial(parts.model_fields, model), substeps)
+
+
+def set_solver(spec: mujoco.MjSpec, substeps: int, iterations: int, ls_iterations: int) -> None:
+    """Time step and solver of every scene; arguments as of :func:`one_arm`."""
+    spec.option.timestep = CONTROL_PERIOD / substeps
+    spec.option.iterations, spec.option.ls_iterations = iterations, ls_iterations
+    # pyramids push a sliding contact apart: the raw wrench chattered by 5 N a step, now by 0.03 N
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
