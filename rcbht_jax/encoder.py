@@ -119,9 +119,15 @@ def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Arra
     Returns:
         the new state and at most one label per layer and lane, packed.
     """
-    count = jnp.full_like(state.time, config.window)
+    return step_partial(config, limits, state, window, jnp.full_like(state.time, config.window))
+
+
+def step_partial(
+    config: EncoderConfig, limits: Array, state: EncoderState, window: Array, count: Array
+) -> tuple[EncoderState, Published]:
+    """As :func:`step`, for a window of which ``count`` samples (int32, lanes) are there; a single one is dropped."""
     x = primitives.fit(window, count, _lane_limits(limits, window), config.dt, state.time)
-    return _advance(config, state, x, count)
+    return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
 
 
 def unpack(published: Published) -> LabelTracks:
@@ -148,8 +154,8 @@ def flush(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array
     shape, lanes = state.time.shape, state.time.size
     state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
     rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
-    x = primitives.fit(rest, count, _lane_limits(limits, rest, shape), config.dt, state.time)
-    state, out = _advance(config, state, x, jnp.where(x.label > 0, count, 0))
+    lane_limits = jnp.broadcast_to(jnp.asarray(limits, rest.dtype), (*shape, 4)).reshape(lanes, 4)
+    state, out = step_partial(config, lane_limits, state, rest, count)
     joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
 
@@ -226,27 +232,41 @@ def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = Non
 
 
 def _advance(config: EncoderConfig, state: EncoderState, x: Item, count: Array) -> tuple[EncoderState, Published]:
-    """Window item through pipe, composer, pipe, composer, pipe (section 4.7)."""
-    pa, pb, hm, ma, mb, hl, la, lb = _unpack(state.ints, state.reals)
+    held, out = chain(config, _unpack(state.ints, state.reals), x, state.time)
+    state = EncoderState(state.time + count, *_pack(held))
+    return state, Published(*_pack(out), state.time)
+
+
+def chain(config: EncoderConfig, held: Sequence[Item], x: Item, time: Array) -> tuple[list[Item], list[Item]]:
+    """Window item through pipe, composer, pipe, composer, pipe (section 4.7).
+
+    Args:
+        config: static configuration.
+        held: the eight items of the state, in its order.
+        x: the window; an empty one changes nothing.
+        time: int32 ``[...]``, samples consumed before.
+
+    Returns:
+        the eight items held afterwards and one published item per layer.
+    """
+    pa, pb, hm, ma, mb, hl, la, lb = held
     pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
-    p = _settled(p, state)
+    p = _settled(p, time)
     hm, m = compose.push_primitive(hm, p, config.gate, config.contact_first)
-    ma, mb, m = pipe.push(ma, mb, _settled(m, state), config.rules(1))
-    m = _settled(m, state)
+    ma, mb, m = pipe.push(ma, mb, _settled(m, time), config.rules(1))
+    m = _settled(m, time)
     hl, l = compose.push_composition(hl, m, config.short)
-    la, lb, l = pipe.push(la, lb, _settled(l, state), config.rules(2))
-    ints, reals = _pack([pa, pb, hm, ma, mb, hl, la, lb])
-    state = EncoderState(state.time + count, ints, reals)
-    return state, Published(*_pack([p, m, l]), state.time)
+    la, lb, l = pipe.push(la, lb, _settled(l, time), config.rules(2))
+    return [pa, pb, hm, ma, mb, hl, la, lb], [p, m, l]
 
 
-def _settled(x: Item, state: EncoderState) -> Item:
+def _settled(x: Item, time: Array) -> Item:
     """The same item with its label computed once.
 
     A compiler that fuses the chain into one loop per output repeats the early layers in each of them; it does
     not repeat a division. This halves the time of a step. The divisor is 1, which the compiler cannot know.
     """
-    one = jnp.where(state.time < 0, jnp.float32(2), jnp.float32(1))
+    one = jnp.where(time < 0, jnp.float32(2), jnp.float32(1))
     return pipe.relabel(x, (x.label.astype(jnp.float32) / one).astype(jnp.int32))
 
 
@@ -255,7 +275,13 @@ def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
 
     State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots (section 4.8).
     """
-    pa, pb, hm, ma, mb, hl, la, lb = _unpack(state.ints, state.reals)
+    layers = drain_items(config, _unpack(state.ints, state.reals))
+    return LabelTracks(*(_last_axis_track(items, state.time) for items in layers))
+
+
+def drain_items(config: EncoderConfig, held: Sequence[Item]) -> tuple[Item, Item, Item]:
+    """What the eight held items still publish, per layer: 2, 5 and 8 items stacked in front of the lanes."""
+    pa, pb, hm, ma, mb, hl, la, lb = held
 
     def primitive(h: Item, x: Item) -> tuple[Item, Item]:
         return compose.push_primitive(h, x, config.gate, config.contact_first)
@@ -268,7 +294,7 @@ def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
     mcs = _drain_pipe(config, 1, ma, mb, _append(out, compose.single_composition(hm)))
     hl, out = jax.lax.scan(composition, hl, mcs)
     llbs = _drain_pipe(config, 2, la, lb, _append(out, compose.single_behaviour(hl, config.short)))
-    return LabelTracks(*(_last_axis_track(items, state.time) for items in (prims, mcs, llbs)))
+    return prims, mcs, llbs
 
 
 def _drain_pipe(config: EncoderConfig, layer: int, a: Item, b: Item, arrivals: Item) -> Item:

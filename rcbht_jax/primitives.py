@@ -28,6 +28,13 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> It
     Returns:
         one item per lane; its extremes are those of the line at the first and last sample.
     """
+    slope, x = line(samples, count, dt, t0)
+    label = jnp.where(count >= 2, gradient_label(slope, limits), 0)
+    return Item(label, x.t0, x.t1, x.vmax, x.vmin, x.area, x.rise)
+
+
+def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Item]:
+    """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and items whose label is 0."""
     dtype = samples.dtype
     n = jnp.maximum(count, 2).astype(dtype)
     total, moment = _sums(samples, count, (n - 1) / 2)
@@ -37,8 +44,7 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> It
     half = jnp.abs(slope) * (n - 1) * period * 0.5
     mean = total / n
     rise = slope / (1 / n)
-    label = jnp.where(count >= 2, gradient_label(slope, limits), 0)
-    return Item(label, t0, t0 + count, mean + half, mean - half, total, rise)
+    return slope, Item(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
 
 
 def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
