@@ -125,6 +125,42 @@ def check(spec: Randomisation) -> None:
             raise InputError(f"The range of {name} is {low} to {high}; expected it within {least} to {most}.")
 
 
+@dataclass(frozen=True)
+class Setup:
+    """What a preset is before anything varies."""
+
+    task: TaskParams
+    sensor: SensorParams
+    parts: PartParams
+    mating_begins: float  # s, median of the recordings
+    lag: int | None  # control periods from command to servo; None = as the distributions say
+    drifts: bool  # whether the sensor's noise, bias and tare vary
+    across: NDArray[np.float64]  # [2, 3] world directions of the part's x and y
+    turns: NDArray[np.float64]  # [2, 3] roll, pitch, yaw per radian of the hand's turn about itself and of its tilt
+
+
+def setup(preset: str) -> Setup:
+    """The one-arm task of a recorded session.
+
+    Args:
+        preset: one of ``presets.PRESETS``.
+
+    Raises:
+        InputError: unknown preset.
+    """
+    simulated = preset == SIMULATED
+    return Setup(
+        task=presets.preset(preset),
+        sensor=sensor.simulated_sensor() if simulated else sensor.real_sensor(),
+        parts=parts.nominal(preset),
+        mating_begins=MATING_BEGINS[preset],
+        lag=1 if simulated else None,
+        drifts=not simulated,
+        across=np.eye(3)[:2],
+        turns=np.eye(3)[:2],
+    )
+
+
 def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TrialParams, Fault]:
     """One trial.
 
@@ -140,10 +176,14 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[Trial
     Raises:
         InputError: unknown preset, negative seed or index, or impossible distributions.
     """
+    return vary(setup(preset), seed, index, spec)
+
+
+def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[TrialParams, Fault]:
+    """One trial of a setup; see :func:`draw`."""
     check(spec)
-    task = presets.preset(preset)
-    rng = _stream(seed, index)
-    task, touch, part = _mild(preset, task, spec, rng)
+    rng = stream(seed, index)
+    task, touch, part = _mild(base, spec, rng)
     values = _Values(
         hand=np.array([_draw(rng, spec.shift), _draw(rng, spec.shift), _draw(rng, spec.turn)]),
         part=np.zeros(2),
@@ -151,13 +191,13 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[Trial
         overlap=_draw(rng, spec.overlap, 4),
         friction=float(_draw(rng, spec.friction)),
     )
-    lag = 1 if preset == SIMULATED else int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True))
+    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True)) if base.lag is None else base.lag
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kind = "none" if rng.random() < spec.nominal_share else spec.faults[int(rng.integers(len(spec.faults)))]
     if kind != "none":
         FAULTS[kind](values, spec, rng)
     params = TrialParams(
-        task=_with_task(preset, task, values, spec.longest),
+        task=_with_task(base, task, values, spec.longest),
         sensor=touch,
         parts=_with_parts(part, values),
         command_delay=np.array(lag, np.int32),
@@ -173,22 +213,26 @@ def draw_batch(preset: str, seed: int, indices: Sequence[int], spec: Randomisati
     return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
-def _stream(seed: int, index: int) -> np.random.Generator:
+def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
+    """A trial's random numbers; branches of one trial never overlap.
+
+    Raises:
+        InputError: negative or too large seed or index.
+    """
     if not 0 <= seed < 2**64:
         raise InputError(f"The seed is {seed}; expected 0 to 2^64 - 1.")
     if not 0 <= index < 2**63:
         raise InputError(f"The trial's index is {index}; expected 0 or more.")
-    return np.random.Generator(np.random.Philox(key=seed, counter=index << 192))
+    return np.random.Generator(np.random.Philox(key=seed, counter=(index << 192) + (branch << 128)))
 
 
 def _draw(rng: np.random.Generator, span: Range, size: int | None = None) -> Any:
     return rng.uniform(span[0], span[1], size)
 
 
-def _mild(
-    preset: str, task: TaskParams, spec: Randomisation, rng: np.random.Generator
-) -> tuple[TaskParams, SensorParams, PartParams]:
+def _mild(base: Setup, spec: Randomisation, rng: np.random.Generator) -> tuple[TaskParams, SensorParams, PartParams]:
     """What differs between any two trials: controller, sensor and the materials of the parts."""
+    task = base.task
     speed, force_gain, moment_gain = _draw(rng, spec.speed), _draw(rng, spec.gain), _draw(rng, spec.gain)
     task = replace(
         task,
@@ -203,12 +247,10 @@ def _mild(
         [_draw(rng, spec.force_bias, 3), _draw(rng, spec.moment_bias, 3)]
     )  # fmt: skip
     tare = _draw(rng, spec.tare)
-    if preset == SIMULATED:
-        touch = physical.changed(sensor.simulated_sensor(), "sensor", spec.physical)
-    else:
-        real = physical.changed(sensor.real_sensor(), "sensor", spec.physical)
-        touch = replace(real, noise=real.noise * noise, bias=real.bias + bias, tared=np.asarray(real.tared * tare))
-    part = physical.changed(parts.nominal(preset), "parts", spec.physical)
+    touch = physical.changed(base.sensor, "sensor", spec.physical)
+    if base.drifts:
+        touch = replace(touch, noise=touch.noise * noise, bias=touch.bias + bias, tared=np.asarray(touch.tared * tare))
+    part = physical.changed(base.parts, "parts", spec.physical)
     part = replace(
         part,
         tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
@@ -217,19 +259,19 @@ def _mild(
     return task, touch, part
 
 
-def _with_task(preset: str, task: TaskParams, values: _Values, longest: float | None) -> TaskParams:
+def _with_task(base: Setup, task: TaskParams, values: _Values, longest: float | None) -> TaskParams:
     """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limit."""
     approach_ends = float(task.way_time[-1])
-    planned = float(presets.preset(preset).way_time[-1])
+    planned = float(base.task.way_time[-1])
     timeout = float(task.timeout)
     if values.stop is not None:
-        timeout = min(timeout, values.stop * (approach_ends + MATING_BEGINS[preset] - planned))
+        timeout = min(timeout, values.stop * (approach_ends + base.mating_begins - planned))
     if longest is not None:
         timeout = min(timeout, longest)
     return replace(
         task,
-        way_position=task.way_position + np.array([*values.hand[:2], 0.0]),
-        way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt, 0.0]),
+        way_position=task.way_position + values.hand[:2] @ base.across,
+        way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt]) @ base.turns,
         timeout=np.array(timeout),
     )
 
