@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import mujoco
@@ -72,7 +72,7 @@ def certify(
     same = (np.nan_to_num(found.onset, nan=-1.0) == np.nan_to_num(expected.onset, nan=-1.0)).all(1)
     return Certificate(
         batch_size(params),
-        _largest(np.stack(probe.errors, 1)),
+        probe.largest(),
         _largest(_path_errors(found, expected, alike)),
         float(same.mean()),
         float((found.seated == expected.seated).all(1).mean()),
@@ -83,11 +83,10 @@ class _Probe:
     """Repeats each control period of a running simulation with the reference settings."""
 
     def __init__(self, exact: Scene, params: TrialParams) -> None:
-        count = batch_size(params)
-        self.errors: list[NDArray[np.float64]] = []  # [trial, 6] per control period
-        self._exact, self._count = exact, count
+        self._exact, self._worst = exact, Difference(0.0, 0.0, 0, 0.0)
         self._models = [
-            native.model_of(exact, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(count)
+            native.model_of(exact, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts))
+            for i in range(batch_size(params))
         ]
         threads = os.cpu_count() or 1
         self._datas = [mujoco.MjData(exact.model) for _ in range(threads)]
@@ -102,17 +101,23 @@ class _Probe:
 
     def compare(
         self,
-        live: NDArray[np.intp],
+        trials: NDArray[np.intp],
         state: NDArray[np.float64],
         wanted: NDArray[np.float64],
         readings: NDArray[np.float64],
     ) -> None:
-        models = [self._models[row] for row in live]
+        """One control period of some trials; see ``native.Watch``."""
+        models = [self._models[trial] for trial in trials]
         _, exact = self._pool.rollout(models, self._datas, state, wanted, nstep=self._exact.substeps)
         wrench = (self._exact.forces[:, None] + np.arange(6)).ravel()
-        error = np.zeros((self._count, len(wrench)))
-        error[live] = np.abs(readings - exact)[:, :, wrench].max(1)
-        self.errors.append(error)
+        here = _largest(np.abs(readings - exact)[:, :, wrench])
+        worst, moment = self._worst, max(self._worst.moment, here.moment)
+        if here.force > worst.force:  # a full physics state begins with the time
+            worst = Difference(here.force, moment, int(trials[here.trial]), float(state[here.trial, 0]))
+        self._worst = replace(worst, moment=moment)
+
+    def largest(self) -> Difference:
+        return self._worst
 
 
 def _agree_until(found: Rollouts, expected: Rollouts) -> NDArray[np.int64]:
@@ -129,8 +134,8 @@ def _path_errors(found: Rollouts, expected: Rollouts, periods: NDArray[np.int64]
 
 
 def _largest(errors: NDArray[np.float64]) -> Difference:
-    """Of errors [trial, time, 6]."""
-    force = errors[..., :3].max(2)
+    """Of errors [trial, time, 6K]."""
+    by_kind = errors.reshape(*errors.shape[:2], -1, 2, 3).max((2, 4))
+    force, moment = by_kind[..., 0], float(by_kind[..., 1].max())
     trial, period = np.unravel_index(force.argmax(), force.shape)
-    moment = float(errors[..., 3:].max())
     return Difference(float(force.max()), moment, int(trial), float(period) * CONTROL_PERIOD)

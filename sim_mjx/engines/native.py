@@ -1,10 +1,19 @@
-"""C MuJoCo, batched over threads: the source of truth."""
+"""C MuJoCo, batched over threads: the source of truth.
+
+Each thread steps a fixed number of lanes. A lane takes the next trial as soon as it has ended one, so that no
+thread waits for another and none for the longest trial of a batch; and every trial goes through the same compiled
+control program, whatever the size of its batch, so that its bytes do not depend on the others.
+"""
 
 from __future__ import annotations
 
 import copy
 import os
+import threading
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,12 +26,14 @@ from numpy.typing import NDArray
 
 from sim_mjx import task
 from sim_mjx.engines.common import CPU_OPTIONS, SETTLING, collect, past_lips, sane
-from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.scene import Scene
 
-# Rows of the batch that were stepped, their states before [row, ...], references [row, substep, J] and sensor
-# readings [row, substep, ...] of one control period.
+LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+# Trials that were stepped, their states before [row, ...] (which begin with the trial's time), references
+# [row, substep, J] and sensor readings [row, substep, ...] of one control period.
 Watch = Callable[[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], None]
 
 
@@ -41,50 +52,218 @@ def simulate(
         params: batch of trials of the scene's program.
         threads: default all cores.
         progress: called with the number of control periods done since the last call, summed over trials.
-        watch: called after the physics of each control period; see ``Watch``.
+        watch: called after the physics of each control period of a thread's trials; see ``Watch``. Calls do not
+            overlap; up to ``LANES`` trials are all in one thread and in step.
     """
-    trials = batch_size(params)
-    models = [model_of(scene, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(trials)]
-    threads = threads or os.cpu_count() or 1
-    datas = [mujoco.MjData(scene.model) for _ in range(threads)]
-    state, readings = _first(scene, models, np.asarray(scene.program.home(params)))
-    fast = as_float32(params)
-    joints = state[:, 1 + scene.joints].astype(np.float32)
-    begin, control = _compiled(scene.program)
-    loop = begin(fast, jnp.asarray(_raw(scene, readings)))
-    rows, phases = [], []
-    share = (np.arange(1, scene.substeps + 1) / scene.substeps)[None, :, None]
-    limit = int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
-    with mj_rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        for _ in range(limit):
-            loop, command, log = control(fast, loop, jnp.asarray(joints), jnp.asarray(_raw(scene, readings)))
-            rows.append((np.asarray(log.wrench), np.asarray(log.joints)))
-            phases.append(np.asarray(log.phase))
-            if (phases[-1] == task.ENDED).all():
-                break
-            before, after = np.moveaxis(np.asarray(command, np.float64), 1, 0)
-            wanted = before[:, None] + share * (after - before)[:, None]
-            # an ended trial stays as it is, or its end would depend on how long the others last
-            live = np.flatnonzero((phases[-1] < task.ENDED) & sane(readings))
-            if len(live) > 0:
-                mine = [models[i] for i in live]
-                states, sensors = pool.rollout(mine, datas, state[live], wanted[live], nstep=scene.substeps)
-                if watch is not None:
-                    watch(live, state[live], wanted[live], sensors)
-                state[live], readings[live] = states[:, -1], sensors[:, -1]
-            joints = state[:, 1 + scene.joints].astype(np.float32)
-            if progress is not None:
-                progress(int((phases[-1] < task.ENDED).sum()))
-    wrench, angles = (np.stack(column, 1) for column in zip(*rows, strict=True))
-    seated = np.stack([tips_past_lips(scene, model, row) for model, row in zip(models, state, strict=True)])
-    return collect(wrench, angles, np.stack(phases, 1), seated)
+    timeout = np.asarray(scene.program.timeout(params))
+    job = _Job(scene, params, deque(np.argsort(-timeout, kind="stable").tolist()), watch, progress)
+    workers = min(threads or os.cpu_count() or 1, -(-len(timeout) // LANES))
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            done = [future.result() for future in [pool.submit(job.work) for _ in range(workers)]]
+        except BaseException:
+            job.stopped.set()  # or the pool would wait for all trials to end
+            raise
+    return _gathered([run for runs in done for run in runs])
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One trial as it was logged, up to and including the period in which it had ended."""
+
+    trial: int
+    wrench: NDArray[np.float32]
+    joints: NDArray[np.float32]
+    phase: NDArray[np.int32]
+    seated: NDArray[np.bool_]
+
+
+def _gathered(runs: list[_Run]) -> Rollouts:
+    """Trials in their order, padded to the longest."""
+    runs = sorted(runs, key=lambda run: run.trial)
+    periods = max(len(run.phase) for run in runs)
+    wrench = np.zeros((len(runs), periods, runs[0].wrench.shape[1]), np.float32)
+    joints = np.zeros((len(runs), periods, runs[0].joints.shape[1]), np.float32)
+    phase = np.full((len(runs), periods), task.ENDED, np.int32)
+    for row, run in enumerate(runs):
+        for whole, own in ((wrench, run.wrench), (joints, run.joints), (phase, run.phase)):
+            whole[row, : len(own)] = own
+    return collect(wrench, joints, phase, np.stack([run.seated for run in runs]))
+
+
+class _Job:
+    """A batch of trials that threads share."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        params: Any,
+        waiting: deque[int],
+        watch: Watch | None,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.scene, self.watch, self.progress = scene, watch, progress
+        self.params, self.home = as_float32(params), np.asarray(scene.program.home(params), np.float64)
+        self.parts = [jax.tree.map(lambda leaf, i=i: leaf[i], params.parts) for i in range(batch_size(params))]
+        self.waiting = waiting  # longest first, so that no thread ends up alone with one
+        self.stopped = threading.Event()
+        self.lock = threading.Lock()
+
+    def work(self) -> list[_Run]:
+        """Take trials until none is left."""
+        lanes, runs = _Lanes(self), []
+        with mj_rollout.Rollout(nthread=0) as pool:
+            while not self.stopped.is_set():
+                runs += lanes.finished()
+                lanes.refill()
+                if not lanes.busy.any():
+                    break
+                lanes.advance(pool)
+        return runs
+
+
+class _Log:
+    """What all lanes logged, period by period; a block of memory that grows as long as a trial asks for."""
+
+    def __init__(self) -> None:
+        self.count = 0  # periods kept
+        self.columns: tuple[NDArray[Any], ...] = ()  # wrench, joints, phase [period, lane, ...]
+
+    def add(self, *rows: NDArray[Any]) -> None:
+        if not self.columns:
+            self.columns = tuple(np.empty((1024, *row.shape), row.dtype) for row in rows)
+        if self.count == len(self.columns[0]):
+            self.columns = tuple(np.concatenate([column, np.empty_like(column)]) for column in self.columns)
+        for column, row in zip(self.columns, rows, strict=True):
+            column[self.count] = row
+        self.count += 1
+
+    def forget(self, periods: int) -> None:
+        """Drop the oldest periods."""
+        for column in self.columns:
+            column[: self.count - periods] = column[periods : self.count]
+        self.count -= periods
+
+    def of(self, lane: int, begun: int) -> list[NDArray[Any]]:
+        """Of one lane since a period: [period, ...]."""
+        return [column[begun : self.count, lane].copy() for column in self.columns]
+
+
+class _Lanes:
+    """The trials that one thread steps."""
+
+    def __init__(self, job: _Job) -> None:
+        self.job, scene = job, job.scene
+        self.trial = np.full(LANES, -1)
+        self.begun = np.zeros(LANES, np.int64)  # period of the log in which the lane's trial began
+        self.log = _Log()
+        self.phase = np.full(LANES, task.ENDED, np.int32)
+        self.models = [scene.model] * LANES
+        self.data = mujoco.MjData(scene.model)
+        self.state = np.zeros((LANES, mujoco.mj_stateSize(scene.model, STATE)))
+        self.readings = np.zeros((LANES, scene.model.nsensordata))
+        self.begin, self.control = _compiled(scene.program)
+        self.share = (np.arange(1, scene.substeps + 1) / scene.substeps)[None, :, None]
+        self.params: Any = None
+        self.loop: Any = None
+
+    @property
+    def busy(self) -> NDArray[np.bool_]:
+        return self.trial >= 0
+
+    def finished(self) -> list[_Run]:
+        """Trials that ended with the last period; their lanes are free again."""
+        out = []
+        for lane in np.flatnonzero(self.busy & (self.phase == task.ENDED)).tolist():
+            wrench, joints, phase = self.log.of(lane, int(self.begun[lane]))
+            seated = tips_past_lips(self.job.scene, self.models[lane], self.state[lane])
+            out.append(_Run(int(self.trial[lane]), wrench, joints, phase, seated))
+            self.trial[lane] = -1
+        return out
+
+    def refill(self) -> None:
+        """Put waiting trials into free lanes, at rest in their home pose."""
+        fresh = np.zeros(LANES, np.bool_)
+        for lane in np.flatnonzero(~self.busy).tolist():
+            with self.job.lock:
+                if not self.job.waiting:
+                    break
+                self.trial[lane] = self.job.waiting.popleft()
+            self._rest(lane)
+            fresh[lane] = True
+        if fresh.any():
+            self.begun[fresh] = self.log.count
+            oldest = int(self.begun[self.busy].min())
+            if oldest > self.log.count // 2:  # seldom enough to be cheap
+                self.log.forget(oldest)
+                self.begun -= oldest
+            rows = np.maximum(self.trial, 0)
+            self.params = jax.tree.map(lambda leaf: jnp.asarray(leaf[rows]), self.job.params)
+            self.loop = self.begin(self.params, self.loop, fresh, self._raw())
+
+    def _rest(self, lane: int) -> None:
+        """Settle a trial: full physics state and sensor reading."""
+        scene, home = self.job.scene, self.job.home[self.trial[lane]]
+        model = self.models[lane] = model_of(scene, self.job.parts[self.trial[lane]])
+        mujoco.mj_resetData(model, self.data)
+        self.data.qpos[scene.joints] = home
+        self.data.ctrl[:] = home
+        mujoco.mj_step(model, self.data, SETTLING)
+        self.data.time = 0.0
+        mujoco.mj_forward(model, self.data)
+        mujoco.mj_getState(model, self.data, self.state[lane], STATE)
+        self.readings[lane] = self.data.sensordata
+
+    def advance(self, pool: mj_rollout.Rollout) -> None:
+        """One control period of all lanes."""
+        joints = self.state[:, 1 + self.job.scene.joints].astype(np.float32)
+        self.loop, command, log = self.control(self.params, self.loop, joints, self._raw())
+        self.phase = np.asarray(log.phase)
+        self.log.add(np.asarray(log.wrench), np.asarray(log.joints), self.phase)
+        going = self.busy & (self.phase < task.ENDED)
+        # a diverged trial stays as it is
+        live = np.flatnonzero(going & sane(self.readings))
+        if len(live) > 0:
+            self._step(pool, live, np.asarray(command)[live].astype(np.float64))
+        if self.job.progress is not None:
+            with self.job.lock:
+                self.job.progress(int(going.sum()))
+
+    def _step(self, pool: mj_rollout.Rollout, live: NDArray[np.intp], command: NDArray[np.float64]) -> None:
+        """The physics of one control period."""
+        job, steps = self.job, self.job.scene.substeps
+        before, after = command[:, :1], command[:, 1:]
+        wanted = before + self.share * (after - before)
+        old, states = self.state[live], np.empty((len(live), steps, self.state.shape[1]))
+        readings = np.empty((len(live), steps, self.readings.shape[1]))
+        # its checks would take a tenth of the time
+        pool.rollout(
+            [self.models[lane] for lane in live], [self.data], old, wanted,
+            nstep=steps, state=states, sensordata=readings, skip_checks=True,
+        )  # fmt: skip
+        if job.watch is not None:
+            with job.lock:
+                job.watch(self.trial[live], old, wanted, readings)
+        self.state[live], self.readings[live] = states[:, -1], readings[:, -1]
+
+    def _raw(self) -> NDArray[np.float32]:
+        """What the parts exert on the hands [lane, 6K]: the sensors report the opposite."""
+        return -self.readings[:, (self.job.scene.forces[:, None] + np.arange(6)).ravel()].astype(np.float32)
 
 
 @lru_cache
 def _compiled(program: Program) -> tuple[Callable[..., Any], ...]:
-    """Begin and control of a batch."""
-    begin = jax.jit(jax.vmap(program.begin), compiler_options=CPU_OPTIONS)
-    return begin, jax.jit(jax.vmap(program.control), compiler_options=CPU_OPTIONS, donate_argnums=1)
+    """Begin and control of all lanes."""
+
+    def begin(params: Any, loop: Any, fresh: Any, raw: Any) -> Any:
+        def chosen(new: Any, old: Any) -> Any:
+            return jnp.where(fresh.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        started = jax.vmap(program.begin)(params, raw)
+        return started if loop is None else jax.tree.map(chosen, started, loop)
+
+    control = jax.jit(jax.vmap(program.control), compiler_options=CPU_OPTIONS, donate_argnums=1)
+    return jax.jit(begin, compiler_options=CPU_OPTIONS), control
 
 
 def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
@@ -96,36 +275,10 @@ def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     return model
 
 
-def _first(
-    scene: Scene, models: list[mujoco.MjModel], home: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Full physics states [trial, ...] at rest in the home pose, and their sensor readings."""
-    data = mujoco.MjData(scene.model)
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    states = np.zeros((len(models), mujoco.mj_stateSize(scene.model, kind)))
-    readings = np.zeros((len(models), scene.model.nsensordata))
-    for row, model in enumerate(models):
-        mujoco.mj_resetData(model, data)
-        data.qpos[scene.joints] = home[row]
-        data.ctrl[:] = home[row]
-        for _ in range(SETTLING):
-            mujoco.mj_step(model, data)
-        data.time = 0.0
-        mujoco.mj_forward(model, data)
-        mujoco.mj_getState(model, data, states[row], kind)
-        readings[row] = data.sensordata
-    return states, readings
-
-
-def _raw(scene: Scene, readings: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What the parts exert on the hands [trial, 6K]: the sensors report the opposite."""
-    return -readings[:, (scene.forces[:, None] + np.arange(6)).ravel()].astype(np.float32)
-
-
 def tips_past_lips(scene: Scene, model: mujoco.MjModel, state: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which tabs have snapped [tab] in a full physics state."""
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    mujoco.mj_setState(model, data, state, STATE)
     mujoco.mj_kinematics(model, data)
     turns = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
     return past_lips(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns)
