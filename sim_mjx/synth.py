@@ -2,8 +2,9 @@
 
 Each shard of trials is simulated and kept in a work folder beside the target (``sim_mjx.shards``); when all are
 there they become one store. A trial depends on seed and index alone, so that shards only decide how much a kill
-can cost. The store holds no date, and its group ``simulation/`` what only a simulation knows, one row per trial:
-index, fault, failed_in, seated [4], noise_key [2] and the drawn ``PARAMETERS``.
+can cost. The store holds no date, and its group ``simulation/`` what only a simulation knows, one row per recording:
+index, fault, failed_in, seated [4], noise_key [2] and the drawn parameters (``kinds``). A two-arm trial is two
+recordings, right arm and left arm, as the importer stores them.
 """
 
 from __future__ import annotations
@@ -25,26 +26,18 @@ import rcbht_jax
 from rcbht_jax.data import hiro_kinematics, hiro_onsets, store
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
-from sim_mjx import engines, randomize, shards
+from sim_mjx import engines, shards
+from sim_mjx.kinds import kind
 from sim_mjx.presets import CONTROL_PERIOD, STATES
-from sim_mjx.randomize import Fault, Randomisation, draw_batch
-from sim_mjx.rollout import Rollouts, TrialParams, batch_size
-from sim_mjx.scene import one_arm
+from sim_mjx.randomize import Fault, Randomisation
+from sim_mjx.rollout import Rollouts, batch_size
 
-Simulate = Callable[[TrialParams], Rollouts]
+Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
 # A compiler may round the last lanes of a batch differently from full vectors: batches are filled up to this.
 LANES = 16
 # No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 CREATED = "undated"  # a date would make every store different
-# Group of the trial's parameters and the field that is stored as simulation/<field>.
-PARAMETERS = (
-    ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
-    ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"),
-    ("sensor", "noise"), ("sensor", "bias"), ("sensor", "tared"),
-    ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
-    ("parts", "position"), ("parts", "roll"),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ def synthesise(
             resumed = _simulate_missing(folder, job, simulate, progress)
             _assemble(folder, target, job, manifest)
         shards.remove(folder)
-    return _report(target, resumed)
+    return _report(target, job, resumed)
 
 
 def check(job: Synthesis) -> None:
@@ -126,10 +119,10 @@ def check(job: Synthesis) -> None:
             raise InputError(f"The {name} is {value}; expected 1 or more.")
     if job.engine not in engines.ENGINES:
         raise InputError(f"There is no engine {job.engine!r}; expected one of {', '.join(engines.ENGINES)}.")
-    randomize.draw(job.preset, job.seed, 0, job.spec)
+    kind(job.preset).draw(job.preset, job.seed, 0, job.spec)
 
 
-def simulate_trials(simulate: Simulate, params: TrialParams) -> Rollouts:
+def simulate_trials(simulate: Simulate, params: Any) -> Rollouts:
     """Simulate a batch so that no trial depends on how many others there are.
 
     Args:
@@ -145,9 +138,9 @@ def simulate_trials(simulate: Simulate, params: TrialParams) -> Rollouts:
     )  # fmt: skip
 
 
-def engine(name: str) -> Simulate:
-    """The one-arm scene in an engine, one of ``engines.ENGINES``."""
-    return partial(engines.simulate, one_arm(), engine=name)
+def engine(name: str, preset: str) -> Simulate:
+    """A preset's scene in an engine, one of ``engines.ENGINES``."""
+    return partial(engines.simulate, kind(preset).scene(), engine=name)
 
 
 def _manifest(job: Synthesis) -> dict[str, Any]:
@@ -200,9 +193,9 @@ def _simulate_missing(
     if progress is not None:
         progress(Progress(done, job.trials, 0.0, None))
     for shard in missing:
-        simulate = simulate or engine(job.engine)
+        simulate = simulate or engine(job.engine, job.preset)
         indices = _indices(job, shard)
-        params, _ = draw_batch(job.preset, job.seed, indices, job.spec)
+        params, _ = kind(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
         shards.save(folder, shard, _shard_arrays(simulate_trials(simulate, params)))
         done += len(indices)
         if progress is not None:
@@ -233,7 +226,7 @@ def _shard_arrays(out: Rollouts) -> shards.Arrays:
     for row, samples in enumerate(out.length):
         note = ""
         if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD) and not diverged[row]:
-            joints = out.joints[row, :samples].astype(np.float64)
+            joints = out.joints[row, :samples, :6].astype(np.float64)
             tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(joints)[1])
             better[row], note = hiro_onsets.harmonised(onset[row], np.arange(samples) * CONTROL_PERIOD, tilt)
         notes.append(note)
@@ -255,33 +248,34 @@ def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, An
     kept = np.flatnonzero(~diverged)
     if len(kept) == 0:
         raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
-    params, faults = draw_batch(job.preset, job.seed, kept.tolist(), job.spec)
+    params, faults = kind(job.preset).draw_batch(job.preset, job.seed, kept.tolist(), job.spec)
     rows = {name: np.concatenate([part[name] for part in parts])[kept] for name in parts[0] if name != "wrench"}
     recordings = _recordings(job, rows, _wrench(parts, kept, rows["length"]), kept, faults)
     attrs = {"simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
     draft = folder / "store.zarr"
     store.write_recordings(
         draft, recordings, attrs, overwrite=True, created=CREATED,
-        simulation=_simulation(rows, recordings, kept, params, faults),
+        simulation=_simulation(job, rows, kept, params, faults),
     )  # fmt: skip
     if target.exists():
         target.rename(folder / f"replaced-{time.time_ns()}.zarr")
     draft.rename(target)
 
 
-def _report(target: Path, resumed: int) -> Report:
+def _report(target: Path, job: Synthesis, resumed: int) -> Report:
     """What the finished store holds."""
-    simulation = store.read_simulation(target)
+    arms = len(kind(job.preset).arms)
+    simulation = {name: rows[::arms] for name, rows in store.read_simulation(target).items()}
     seated, kinds = np.asarray(simulation["seated"].all(1)), simulation["fault"]
     faults = {str(k): (int((kinds == k).sum()), int(seated[kinds == k].sum())) for k in np.unique(kinds)}
     return Report(len(seated), int(seated.sum()), store.read_attrs(target)["diverged"], resumed, faults)
 
 
 def _wrench(parts: list[shards.Arrays], kept: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.float32]:
-    """All kept trials [trial, time, 6], padded to the longest of them."""
+    """All kept trials [trial, time, 6K], padded to the longest of them."""
     rows = (trial for part in parts for trial in part["wrench"])
     wanted = set(kept.tolist())
-    out = np.zeros((len(kept), int(length.max()), 6), np.float32)
+    out = np.zeros((len(kept), int(length.max()), parts[0]["wrench"].shape[2]), np.float32)
     kept_rows = (trial for index, trial in enumerate(rows) if index in wanted)
     for row, (trial, samples) in enumerate(zip(kept_rows, length, strict=True)):
         out[row, :samples] = trial[:samples]
@@ -291,36 +285,46 @@ def _wrench(parts: list[shards.Arrays], kept: NDArray[np.int64], length: NDArray
 def _recordings(
     job: Synthesis, rows: shards.Arrays, wrench: NDArray[np.float32], index: NDArray[np.int64], faults: list[Fault]
 ) -> Recordings:
-    count = len(index)
+    arms = kind(job.preset).arms
+    count, samples = wrench.shape[:2]
+
+    def each(values: Any) -> NDArray[Any]:
+        return np.repeat(np.asarray(values), len(arms), axis=0)
+
     return Recordings(
-        wrench=wrench,
-        length=rows["length"],
+        wrench=wrench.reshape(count, samples, len(arms), 6).swapaxes(1, 2).reshape(-1, samples, 6),
+        length=each(rows["length"]),
         dt=CONTROL_PERIOD,
-        onset=rows["onset"],
-        onset_harmonised=rows["onset_harmonised"],
-        trial=np.array([f"sim-{job.preset}-{i:06d}" for i in index]),
-        arm=np.full(count, "R"),
-        source=np.full(count, f"SIM_MJX_{job.preset}"),
-        session=np.full(count, f"sim-{job.preset}"),
-        outcome=np.where(rows["seated"].all(1), "success", "failure"),
-        failure_type=np.array([fault.failure_type for fault in faults], np.str_),
-        deviation=np.stack([fault.deviation for fault in faults]),
-        note=rows["note"],
+        onset=each(rows["onset"]),
+        onset_harmonised=each(rows["onset_harmonised"]),
+        trial=each([f"sim-{job.preset}-{i:06d}" for i in index]),
+        arm=np.tile(np.array(arms), count),
+        source=np.full(count * len(arms), f"SIM_MJX_{job.preset}"),
+        session=np.full(count * len(arms), f"sim-{job.preset}"),
+        outcome=each(np.where(rows["seated"].all(1), "success", "failure")),
+        failure_type=each(np.array([fault.failure_type for fault in faults], np.str_)),
+        deviation=each(np.stack([fault.deviation for fault in faults])),
+        note=each(rows["note"]),
     )
 
 
 def _simulation(
-    rows: shards.Arrays, recordings: Recordings, index: NDArray[np.int64], params: TrialParams, faults: list[Fault]
+    job: Synthesis, rows: shards.Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
 ) -> shards.Arrays:
     """The arrays of the group ``simulation/``."""
-    last = np.array(STATES)[np.isfinite(recordings.onset).sum(1) - 1]
-    drawn = {name: np.asarray(getattr(getattr(params, group), name)) for group, name in PARAMETERS}
-    return {
+    last = np.array(STATES)[np.isfinite(rows["onset"]).sum(1) - 1]
+    of_kind = kind(job.preset)
+    drawn = {
+        name if group in ("task", "sensor", "parts") else f"{group}_{name}": getattr(getattr(params, group), name)
+        for group, name in of_kind.parameters
+    }
+    trials = {
         "index": index,
         "fault": np.array([fault.kind for fault in faults], np.str_),
-        "failed_in": np.where(recordings.outcome == "failure", last, ""),
+        "failed_in": np.where(rows["seated"].all(1), "", last),
         "seated": rows["seated"],
-        "command_delay": np.asarray(params.command_delay),
-        "noise_key": np.asarray(params.seed),
+        "command_delay": params.command_delay,
+        "noise_key": params.seed,
         **drawn,
     }
+    return {name: np.repeat(np.asarray(values), len(of_kind.arms), axis=0) for name, values in trials.items()}

@@ -385,7 +385,7 @@ def test_engine_gets_full_vectors_only() -> None:
 
 
 def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
-    engine = synth.engine("native")
+    engine = synth.engine("native", "A")
     whole_batch, _ = draw_batch("A", 4, range(2 * LANES), short(longest=0.8))
     reference = synth.simulate_trials(engine, whole_batch)
     assert np.abs(reference.wrench).max() > 0.1

@@ -28,8 +28,8 @@ class Simulate(Command):
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.zarr")]
     """Store to create, for example trials.zarr."""
-    preset: Literal["A", "B", "C", "openhrp"] = "A"
-    """Recorded session whose controller is simulated."""
+    preset: Literal["A", "B", "C", "openhrp", "two", "two-fixed"] = "A"
+    """Recorded session whose controller is simulated; two = two arms, the left one under force control or fixed."""
     trials: int = 200
     """Number of trials."""
     seed: int = 0

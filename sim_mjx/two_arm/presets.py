@@ -1,0 +1,94 @@
+"""The recorded two-arm task as numbers, and the parts that go with it.
+
+Waypoints are half-cosine fits to the recorded approach (0.02 mm rms after the first waypoint). Set-points and gains
+come from the recorded joint increments, solved for the force and moment that the law must have seen: they follow
+the logged wrench with slope 0.98 to 1.00 in the wrist's frame, and what remains is the set-point, equal in all 15
+trials to 0.01 N and 0.01 Nm. Thresholds are the joint angles at which the recorded set-points change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from sim_mjx import parts, sensor
+from sim_mjx.parts import PartParams
+from sim_mjx.presets import NEVER, WRIST, TaskParams
+from sim_mjx.sensor import SensorParams
+from sim_mjx.two_arm.program import HoldParams
+
+# The left arm under force control, and kept still as in the recordings.
+PRESETS = ("two", "two-fixed")
+QUARTER = np.pi / 2
+YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
+
+
+def task() -> TaskParams:
+    """What the right arm does; in mating it keeps still, whatever the last row says."""
+    return TaskParams(
+        home=np.array([0.197087, 0.0622684, -1.66923, -1.29718, -0.180523, -0.0861625]),
+        way_time=np.array([2.0, 5.0]),
+        way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
+        way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
+        contact_force=np.array(1.0),  # recorded 2.4-2.9 N at the first moment at which it may count
+        contact_after=np.array(4.0),
+        frame=np.array(WRIST),
+        force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
+        moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 80.0, 0.0], [0.0, 80.0, 0.0]]),
+        force_gain=np.array(5e-5),
+        moment_gain=np.full(4, 3.5e-6),
+        leave_after=np.zeros(4),
+        leave_wrist=np.array([-0.03327, -0.1672, -0.23213, NEVER]),
+        leave_pitch=np.full(4, NEVER),
+        leave_moment=np.full(4, NEVER),
+        mating_time=np.array(0.55),
+        timeout=np.array(20.0),
+    )
+
+
+def hold(name: str) -> HoldParams:
+    """What the left arm does.
+
+    Args:
+        name: one of ``PRESETS``.
+
+    Raises:
+        InputError: unknown name.
+    """
+    if name not in PRESETS:
+        raise InputError(f"There is no two-arm preset {name!r}; expected one of {', '.join(PRESETS)}.")
+    on = float(name == "two")
+    # along and about the hand's own axes what the recorded left wrist felt on average; nothing across
+    return HoldParams(
+        home=np.array([-0.23289, 0.0790619, -1.68294, 1.29484, -0.21605, 0.0938121]),
+        force=np.array([[0.27, 0.0, 0.0], [0.99, 0.0, 0.0], [4.94, 0.0, 0.0], [1.35, 0.0, 0.0]]),
+        moment=np.array([[0.0, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.65, 0.0], [0.0, 0.16, 0.0]]),
+        force_gain=np.array(5e-5 * on),
+        moment_gain=np.array(3.5e-6 * on),
+    )
+
+
+def right_sensor() -> SensorParams:
+    """OpenHRP's chain with the offset that the right wrist shows in free space."""
+    return replace(
+        sensor.simulated_sensor(),
+        tared=np.array(1.0),
+        bias=np.array([0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107]),
+        reference=np.array([-0.047, 0.0, -0.030]),
+    )
+
+
+def left_sensor() -> SensorParams:
+    """The same of the left wrist."""
+    return replace(
+        right_sensor(),
+        bias=np.array([0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]),
+        reference=np.array([-0.040, 0.0, -0.030]),
+    )
+
+
+def nominal() -> PartParams:
+    """Parts as the recorded two-arm trials have them."""
+    return parts.nominal()

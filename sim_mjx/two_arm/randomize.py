@@ -1,0 +1,77 @@
+"""Randomised two-arm trials: the distributions and faults of one arm, turned sideways, and what the left arm adds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim_mjx import randomize
+from sim_mjx.randomize import Fault, Randomisation, Range, Setup
+from sim_mjx.sensor import SensorParams
+from sim_mjx.two_arm import presets
+from sim_mjx.two_arm.program import TwoArmParams
+
+MATING_BEGINS = 15.67  # s, median of the recordings
+MATING_TIME: Range = (0.15, 0.96)  # s, recorded after mating begins: lowest and highest of 13 trials
+DRIFT: tuple[Range, Range] = (
+    (-0.05, 0.05),
+    (-0.003, 0.003),
+)  # N and Nm, either wrist: what the free-space offset moves
+
+
+def setup() -> Setup:
+    """The right arm's task, which is done sideways: the part's y is the world's z, and the hand leans about it."""
+    return Setup(
+        task=presets.task(),
+        sensor=presets.right_sensor(),
+        parts=presets.nominal(),
+        mating_begins=MATING_BEGINS,
+        lag=1,
+        drifts=False,
+        across=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        turns=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    )
+
+
+def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoArmParams, Fault]:
+    """One two-arm trial.
+
+    Args:
+        preset: one of ``two_arm.presets.PRESETS``.
+        seed: of the whole set, 0 to 2^64 - 1.
+        index: of the trial within the set, >= 0.
+        spec: the distributions; the sensors are OpenHRP's, whose noise and tare do not vary.
+
+    Returns:
+        its parameters (a single trial: leaves have no batch axis) and what is wrong with it; a deviation is the
+        right hand's from the part, x forward and y up.
+
+    Raises:
+        InputError: unknown preset, negative seed or index, or impossible distributions.
+    """
+    hold = presets.hold(preset)
+    right, fault = randomize.vary(setup(), seed, index, spec)
+    rng = randomize.stream(seed, index, branch=1)
+    hold = replace(
+        hold,
+        force=hold.force * rng.uniform(*spec.goal),
+        moment=hold.moment * rng.uniform(*spec.goal),
+        force_gain=hold.force_gain * rng.uniform(*spec.gain),
+        moment_gain=hold.moment_gain * rng.uniform(*spec.gain),
+    )
+    params = TwoArmParams(
+        task=replace(right.task, mating_time=np.array(rng.uniform(*MATING_TIME))),
+        hold=hold,
+        sensor=_drifted(right.sensor, rng),
+        left_sensor=_drifted(presets.left_sensor(), rng),
+        parts=right.parts,
+        command_delay=right.command_delay,
+        seed=right.seed,
+    )
+    return params, fault
+
+
+def _drifted(touch: SensorParams, rng: np.random.Generator) -> SensorParams:
+    drift = [rng.uniform(*span, 3) for span in DRIFT]
+    return replace(touch, bias=touch.bias + np.concatenate(drift))
