@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
     "simulate": ("sim_mjx.commands.simulate:Simulate", "simulate randomised trials into a store"),
     "fidelity fit": ("sim_mjx.commands.fit:FidelityFit", "fit physical parameters to a recorded session"),
+    "view": ("sim_mjx.commands.view:View", "look at a trial: viewer, pictures or film"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),
     "plot map": ("rcbht_jax.commands.plot:PlotMap", "draw the label map of a store"),

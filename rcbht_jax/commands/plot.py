@@ -43,7 +43,7 @@ class PlotTrial(Command):
 
     def run(self) -> dict[str, Any]:
         recordings = read_recordings(self.store)
-        index = _find(recordings, self.trial, self.arm, self.source)
+        index = find_recording(recordings, self.trial, self.arm, self.source)
         name, labels, attrs = choose_tracks(self.store, self.tracks)
         window = attrs.get("window")
         figure = trial_figure(
@@ -106,7 +106,7 @@ def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[n
     return select
 
 
-def _find(recordings: Recordings, trial: str, arm: str | None, source: str) -> int:
+def find_recording(recordings: Recordings, trial: str, arm: str | None, source: str) -> int:
     """Row of the one recording that is meant."""
     found = (recordings.trial == trial) & _of_source(recordings, (source,) if source else ())
     if arm is not None:

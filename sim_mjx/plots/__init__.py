@@ -1,0 +1,1 @@
+"""Pictures of simulated and replayed trials, as matplotlib figures without any global state."""

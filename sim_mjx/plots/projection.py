@@ -1,0 +1,116 @@
+"""A MuJoCo scene as flat outlines: works without any graphics library, and stays sharp at any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+ROUND = np.linspace(0.0, 2.0 * np.pi, 33)
+SEATED, FREE, LIP, SEAT = "#1a9850", "#f28e2b", "#444444", "#d0d0d0"
+HIDDEN = ("BLOCK",)  # they would hide the tips from the side
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic view along one axis of the world."""
+
+    right: int  # world axis to the right of the picture
+    up: int
+    away: float  # +1 when larger coordinates along the third axis are farther away
+
+    @property
+    def depth(self) -> int:
+        """The third axis."""
+        return 3 - self.right - self.up
+
+
+SIDE = View(0, 2, 1.0)  # from the robot's right: x to the right, z up
+FRONT = View(1, 2, 1.0)  # from behind the robot, along its look: y to the right
+
+
+def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Floats:
+    """The silhouette of one geom [corner, 2], m: sphere, capsule or box; empty for any other shape."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    center, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+    plane = [view.right, view.up]
+    circle = size[0] * np.stack([np.cos(ROUND), np.sin(ROUND)], -1)
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return center[plane] + circle
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        half = turn[:, 2] * size[1]
+        return _hull(np.concatenate([(center + half)[plane] + circle, (center - half)[plane] + circle]))
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return _hull((center + (CORNERS * size) @ turn.T)[:, plane])
+    return np.zeros((0, 2))
+
+
+def _hull(points: Floats) -> Floats:
+    """Convex hull of points [n, 2] by Andrew's monotone chain."""
+    order = points[np.lexsort((points[:, 1], points[:, 0]))]
+
+    def chain(rows: Floats) -> list[Floats]:
+        kept: list[Floats] = []
+        for point in rows:
+            while len(kept) > 1 and _turns_right(kept[-2], kept[-1], point):
+                kept.pop()
+            kept.append(point)
+        return kept[:-1]
+
+    return np.array(chain(order) + chain(order[::-1]))
+
+
+def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
+    return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) <= 0)
+
+
+class Drawing:
+    """A scene in one axes; ``show`` moves it to other positions."""
+
+    def __init__(self, ax: Axes, model: mujoco.MjModel, view: View) -> None:
+        self._model, self._data, self._view = model, mujoco.MjData(model), view
+        names = [model.geom(i).name for i in range(model.ngeom)]
+        self._geoms = [i for i, name in enumerate(names) if not name.startswith(HIDDEN)]
+        self._tips = [next((t for t, tab in enumerate(_tabs(model)) if tab == i), None) for i in self._geoms]
+        self._collection = PolyCollection([], linewidths=0.6)
+        ax.add_collection(self._collection, autolim=False)
+        ax.set_aspect("equal")
+
+    def show(self, qpos: Floats, past: NDArray[np.bool_]) -> None:
+        """Draw the scene at positions [nq]; tips [tab] of tabs that are past their lips turn green."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        depth = self._data.geom_xpos[self._geoms, self._view.depth] * self._view.away
+        # tips and lips on top: they are what happens
+        pairs = zip(self._geoms, self._tips, strict=True)
+        top = np.array([tip is not None or "LIP" in self._name(geom) for geom, tip in pairs])
+        order = np.lexsort((-depth, top))
+        shapes = [outline(self._model, self._data, self._geoms[i], self._view) for i in order]
+        colors = [self._color(self._geoms[i], self._tips[i], past) for i in order]
+        self._collection.set_verts(shapes)
+        self._collection.set_facecolor(colors)
+        self._collection.set_edgecolor("0.25")
+
+    def _name(self, geom: int) -> str:
+        return str(self._model.geom(geom).name)
+
+    def _color(self, geom: int, tip: int | None, past: NDArray[np.bool_]) -> Any:
+        if tip is not None:
+            return SEATED if past[tip] else FREE
+        if "LIP" in self._name(geom):
+            return LIP
+        if self._name(geom).startswith("SEAT"):
+            return SEAT
+        return tuple(float(c) for c in self._model.geom_rgba[geom])
+
+
+def _tabs(model: mujoco.MjModel) -> list[int]:
+    """Geoms of the tips, in the model's order, which is that of ``parts.TABS``."""
+    return [i for i in range(model.ngeom) if "TIP_" in model.geom(i).name]
