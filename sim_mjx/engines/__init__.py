@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sim_mjx.rollout import Rollouts
     from sim_mjx.scene import Scene
 
-ENGINES = ("native", "mjx")
+ENGINES = ("native", "mjx", "warp")
 
 
 def simulate(
