@@ -44,7 +44,7 @@ class PartParams:
     slot_play: Array  # m, between a tip and the blocks on each side
     seat_depth: Array  # m, below first touch, where the part sits on the seat
     foot_spread: Array  # m, from the middle of the male part to its feet on the right and on the left
-    foot_offset: Array  # m, of the feet's middle to the left
+    foot_offset: Array  # [2] m, of the front and the rear feet's middle to the left
     rear_rise: Array  # [2] m, rear lips above the front ones and rear feet above the front ones
     friction: Array  # sliding friction of all contacts
     mount_stiffness: Array  # [3] N/m, x y z of the female part's mount
@@ -77,7 +77,7 @@ def nominal(session: str = "A") -> PartParams:
         slot_play=np.array(1.9e-3),
         seat_depth=np.array(2.626e-3),
         foot_spread=np.array(30.5e-3),
-        foot_offset=np.array(0.0),
+        foot_offset=np.zeros(2),
         rear_rise=np.zeros(2),
         friction=np.array(0.216),
         mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
@@ -228,7 +228,7 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
 def _foot(index: int, params: PartParams) -> Vector:
     """Place of a foot in the wrist's frame, x up the hand and z backwards."""
     aft, _ = _tab_place(index)
-    left = float(params.foot_spread) * (1 if index % 2 else -1) + float(params.foot_offset)
+    left = float(params.foot_spread) * (1 if index % 2 else -1) + float(params.foot_offset[index // 2])
     rise = float(params.rear_rise[1]) if index >= 2 else 0.0
     return TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft
 
