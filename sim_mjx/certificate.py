@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import mujoco
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from sim_mjx.engines import native
 from sim_mjx.presets import CONTROL_PERIOD
-from sim_mjx.rollout import Rollouts, TrialParams, batch_size
+from sim_mjx.rollout import Rollouts, batch_size
 from sim_mjx.scene import ITERATIONS, LS_ITERATIONS, Scene, one_arm
 
 REFERENCE = (100, 50)  # iterations of the solver and of its line search
@@ -52,7 +53,7 @@ class Certificate:
 
 
 def certify(
-    params: TrialParams,
+    params: Any,
     scene_of: Callable[..., Scene] = one_arm,
     settings: tuple[int, int] = (ITERATIONS, LS_ITERATIONS),
 ) -> Certificate:
@@ -82,7 +83,7 @@ def certify(
 class _Probe:
     """Repeats each control period of a running simulation with the reference settings."""
 
-    def __init__(self, exact: Scene, params: TrialParams) -> None:
+    def __init__(self, exact: Scene, params: Any) -> None:
         self._exact, self._worst = exact, Difference(0.0, 0.0, 0, 0.0)
         self._models = [
             native.model_of(exact, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts))
