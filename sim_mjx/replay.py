@@ -6,7 +6,7 @@ trial. Of a recorded one only the joint angles are known: the arm follows them, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,14 @@ from rcbht_jax.data import dat, hiro_kinematics, store
 from rcbht_jax.data.hiro_trial import data_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
-from sim_mjx import kinematics, parts, randomize
+from sim_mjx import kinematics, parts, presets
 from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
+from sim_mjx.kinds import kind
 from sim_mjx.randomize import Randomisation
-from sim_mjx.rollout import Rollouts, TrialParams
-from sim_mjx.scene import Scene, one_arm
-from sim_mjx.synth import LANES
+from sim_mjx.rollout import Rollouts
+from sim_mjx.scene import Scene
+from sim_mjx.two_arm import presets as two_arm_presets
 
 Floats = NDArray[np.float64]
 PASSES = " past lip"  # of a tab's name, in the names of moments
@@ -47,65 +48,59 @@ class Recorder:
     """Keeps what the native engine passes by: give its ``watch`` to ``native.simulate``."""
 
     def __init__(self, scene: Scene, trials: int) -> None:
-        self._scene, self._trials = scene, trials
-        self._qpos: list[Floats] = []
-        self._raw: list[Floats] = []
+        self._scene = scene
+        self._rows: list[list[tuple[Floats, Floats]]] = [[] for _ in range(trials)]
 
-    def watch(self, live: NDArray[np.intp], state: Floats, wanted: Floats, sensors: Floats) -> None:
-        """Called by the engine once per control period; an ended trial keeps its last values."""
+    def watch(self, trials: NDArray[np.intp], state: Floats, wanted: Floats, sensors: Floats) -> None:
+        """Called by the engine once per control period of some trials."""
         del wanted
-        nq = self._scene.model.nq
-        qpos = self._qpos[-1].copy() if self._qpos else np.zeros((self._trials, nq))
-        raw = self._raw[-1].copy() if self._raw else np.zeros((self._trials, 6))
-        qpos[live] = state[:, 1 : 1 + nq]  # a full physics state begins with the time
-        force = int(self._scene.forces[0])
-        raw[live] = -sensors[:, 0, force : force + 6]
-        self._qpos.append(qpos)
-        self._raw.append(raw)
+        qpos = state[:, 1 : 1 + self._scene.model.nq]  # a full physics state begins with the time
+        wrench = (self._scene.forces[:, None] + np.arange(6)).ravel()
+        for trial, now, felt in zip(trials.tolist(), qpos.copy(), -sensors[:, 0, wrench], strict=True):
+            self._rows[trial].append((now, felt))
 
-    @property
-    def qpos(self) -> Floats:
-        """Positions [trial, period, nq] at the beginning of each control period."""
-        return np.stack(self._qpos, 1)
+    def qpos(self, trial: int) -> Floats:
+        """Positions [period, nq] at the beginning of each control period."""
+        return np.stack([now for now, _ in self._rows[trial]])
 
-    @property
-    def raw(self) -> Floats:
-        """What the part exerted on the hand [trial, period, 6], wrist frame, before the sensor's chain."""
-        return np.stack(self._raw, 1)
+    def raw(self, trial: int) -> Floats:
+        """What the parts exerted on the hands [period, 6K], wrist frames, before the sensor's chain."""
+        return np.stack([felt for _, felt in self._rows[trial]])
 
-    def raw_in_world(self, run: Rollouts) -> Floats:
-        """Raw forces [trial, period, 3] in the world's axes, N, without the tool's weight at the start."""
-        force = self.raw[..., :3]
-        _, rotation, _ = kinematics.fk(run.joints[:, : force.shape[1]].astype(np.float64))
-        return ((force - force[:, :1])[..., None, :] * rotation[:, : force.shape[1]]).sum(-1)
+
+def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Floats:
+    """Right hand's force [period, 3] as it was, N, world axes, without the tool's weight at the start.
+
+    What the sensor's chain then delays, filters and amplifies.
+    """
+    force = recorder.raw(trial)[:, :3]
+    _, rotation, _ = kinematics.fk(run.joints[trial, : len(force), :6].astype(np.float64))
+    return ((force - force[0])[:, None, :] * rotation).sum(-1)
 
 
 def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
     """Simulate a stored trial again.
 
     Args:
-        path: store made by "rcbht simulate". recordings: its content. row: of the trial.
+        path: store made by "rcbht simulate". recordings: its content. row: of the recording.
 
     Raises:
         InputError: the store was not simulated, or by a version whose options are unknown here.
     """
-    params = stored_trial(path, row)
-    scene = one_arm()
-    # as in synthesis, a batch is filled up: a compiler may round a single trial differently
-    batch = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], LANES, axis=0), params)
-    timeout = np.where(np.arange(LANES) == 0, batch.task.timeout, 0.0)  # the others end at once
-    batch = replace(batch, task=replace(batch.task, timeout=timeout))
-    recorder = Recorder(scene, LANES)
-    run = native.simulate(scene, batch, watch=recorder.watch)
-    samples = int(run.length[0])
-    qpos = _as_long_as(recorder.qpos[0], samples)
+    preset, params = stored_trial(path, row)
+    scene = kind(preset).scene()
+    recorder = Recorder(scene, 1)
+    run = native.simulate(scene, jax.tree.map(lambda leaf: np.asarray(leaf)[None], params), watch=recorder.watch)
+    qpos = _as_long_as(recorder.qpos(0), int(run.length[0]))
     model = native.model_of(scene, params.parts)
     past, height = tab_states(scene, model, qpos)
-    return Replay(model, qpos, recordings.dt, past, height, _likeness(run, recordings, row))
+    columns = slice(6 * kind(preset).arms.index(str(recordings.arm[row])), None)
+    how = _likeness(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
+    return Replay(model, qpos, recordings.dt, past, height, how)
 
 
-def stored_trial(path: Path, row: int) -> TrialParams:
-    """Parameters of a stored trial: its store holds the seed, the index and the distributions.
+def stored_trial(path: Path, row: int) -> tuple[str, Any]:
+    """Preset and parameters of a stored recording: its store holds the seed, the index and the distributions.
 
     Raises:
         InputError: the store was not simulated, or by a version whose options are unknown here.
@@ -116,7 +111,7 @@ def stored_trial(path: Path, row: int) -> TrialParams:
     job, index = made["job"], int(store.read_simulation(path)["index"][row])
     try:
         spec = Randomisation(**{name: _tuples(value) for name, value in job["spec"].items()})
-        return randomize.draw(job["preset"], job["seed"], index, spec)[0]
+        return job["preset"], kind(job["preset"]).draw(job["preset"], job["seed"], index, spec)[0]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
 
@@ -131,47 +126,57 @@ def _as_long_as(rows: Floats, samples: int) -> Floats:
     return rows[np.minimum(np.arange(samples), len(rows) - 1)]
 
 
-def _likeness(run: Rollouts, recordings: Recordings, row: int) -> str:
-    samples = int(run.length[0])
-    if samples != recordings.length[row]:
-        had = recordings.length[row] * recordings.dt
-        return f"simulated again; differs from the stored trial: {samples * recordings.dt:.2f} s, stored {had:.2f} s"
-    gap = np.abs(run.wrench[0, :samples] - recordings.wrench[row, :samples])[:, :3].max()
+def _likeness(wrench: NDArray[np.float32], recordings: Recordings, row: int) -> str:
+    samples, had = len(wrench), int(recordings.length[row])
+    if samples != had:
+        seconds = (samples * recordings.dt, had * recordings.dt)
+        return "simulated again; differs from the stored trial: {:.2f} s, stored {:.2f} s".format(*seconds)
+    gap = np.abs(wrench - recordings.wrench[row, :samples])[:, :3].max()
     said = "equal to the stored trial" if gap == 0 else f"forces within {gap:.2g} N of the stored trial"
     return f"simulated again; {said}"
 
 
 def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:
-    """Lead the arm through the joint angles that a robot recorded.
+    """Lead the arms through the joint angles that a robot recorded.
 
     Args:
-        folder: of the authors' data sets, or one of them. recordings: imported from it. row: of the trial.
+        folder: of the authors' data sets, or one of them. recordings: imported from it. row: of the recording.
 
     Raises:
-        InputError: the trial's folder or its angles are not there, or the trial is not of the one-arm scene.
+        InputError: the trial's folder or its angles are not there.
     """
     trial, source = str(recordings.trial[row]), str(recordings.source[row])
     places = [place for place in (folder / source / trial, folder / trial) if place.is_dir()]
     if not places:
         raise InputError(f"{folder} holds no trial {source}/{trial}; give the folder that was imported: --data DIR.")
-    if "L" in recordings.arm[(recordings.trial == trial) & (recordings.source == source)]:
-        raise InputError(f"{trial} was done with two arms; only trials of the right arm alone can be replayed.")
-    path = data_file(places[0], "R", "Angles")
-    if path is None:
-        raise InputError(f"{places[0]} holds no R_Angles.dat; without joint angles there is nothing to replay.")
-    angles = dat.read_timed(path, "joint angles").values[:, :6].copy()
-    session = str(recordings.session[row])
-    if session == "C":
-        angles[:, 5] -= hiro_kinematics.FAILURE_SESSION_Q5_OFFSET
-    scene = one_arm()
-    part = parts.nominal({"SIM1": "openhrp"}.get(session, session if session in parts.SESSION_SHIFT else "A"))
+    same = (recordings.trial == trial) & (recordings.source == source)
+    preset = "two" if "L" in recordings.arm[same] else preset_of(str(recordings.session[row]))
+    scene, arms = kind(preset).scene(), kind(preset).arms
+    angles = [_angles(places[0], arm, str(recordings.session[row])) for arm in arms]
+    samples = int(recordings.length[row])
+    qpos = np.zeros((samples, scene.model.nq))
+    qpos[:, scene.joints] = np.concatenate([_as_long_as(one, samples) for one in angles], axis=1)
+    part = two_arm_presets.nominal() if len(arms) == 2 else parts.nominal(preset)
     model = native.model_of(scene, part)
-    qpos = np.zeros((len(angles), scene.model.nq))
-    qpos[:, scene.joints] = angles
-    qpos = _as_long_as(qpos, int(recordings.length[row]))
     past, height = tab_states(scene, model, qpos)
     how = "arm led through the recorded joint angles; the parts stand still where the session's are taken to be"
     return Replay(model, qpos, recordings.dt, past, height, how)
+
+
+def preset_of(session: str) -> str:
+    """The one-arm preset that a recorded session corresponds to; the simulations' for an unknown one."""
+    return session if session in presets.PRESETS else "openhrp"
+
+
+def _angles(trial: Path, arm: str, session: str) -> Floats:
+    """Joint angles [n, 6] of one arm, rad, without the mounting angle of session C's tool."""
+    path = data_file(trial, arm, "Angles")
+    if path is None:
+        raise InputError(f"{trial} holds no {arm}_Angles.dat; without joint angles there is nothing to replay.")
+    angles = dat.read_timed(path, "joint angles").values[:, :6].copy()
+    if session == "C":
+        angles[:, 5] -= hiro_kinematics.FAILURE_SESSION_Q5_OFFSET
+    return angles
 
 
 def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Floats) -> tuple[NDArray[np.bool_], Floats]:

@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -49,6 +49,8 @@ class View(Command):
     """File to write; default: the viewer, or without a display TRIAL.png."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder that a recorded trial was imported from; it holds the joint angles."""
+    arm: Literal["R", "L"] = "R"
+    """Whose wrench to draw, where a trial has two arms."""
     source: str = ""
     """Data set, where several hold a trial of this name: the beginning of its name is enough."""
     speed: float = 1.0
@@ -58,7 +60,7 @@ class View(Command):
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
         self._check(out)
         recordings = read_recordings(self.store)
-        row = find_recording(recordings, self.trial, None, self.source)
+        row = find_recording(recordings, self.trial, self.arm, self.source)
         replay = self._replay(recordings, row)
         result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
         found = moments(replay, recordings.onset_harmonised[row])

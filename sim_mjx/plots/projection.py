@@ -33,7 +33,7 @@ class View:
 
 
 SIDE = View(0, 2, 1.0)  # from the robot's right: x to the right, z up
-FRONT = View(1, 2, 1.0)  # from behind the robot, along its look: y to the right
+ABOVE = View(0, 1, -1.0)  # from above: x to the right, y up
 
 
 def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Floats:
@@ -97,6 +97,10 @@ class Drawing:
         self._collection.set_verts(shapes)
         self._collection.set_facecolor(colors)
         self._collection.set_edgecolor("0.25")
+
+    def place(self, body: str) -> Floats:
+        """Where a body is in the picture [2], m, as last shown."""
+        return self._data.body(body).xpos[[self._view.right, self._view.up]]
 
     def _name(self, geom: int) -> str:
         return str(self._model.geom(geom).name)

@@ -14,7 +14,7 @@ from rcbht_jax.labels import AXES, COLORS
 from rcbht_jax.plots.canvas import label_legend, new_figure
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.parts import TABS
-from sim_mjx.plots.projection import SEATED, SIDE, Drawing
+from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
 from sim_mjx.presets import STATES
 from sim_mjx.replay import PASSES, Replay
 
@@ -91,14 +91,16 @@ def _joined(names: list[str]) -> str:
 
 
 def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Drawing, Drawing]:
-    """Draw arm and parts at one moment, from the robot's right."""
+    """Draw arms and parts at one moment: one arm from the robot's right, two from above."""
     index = min(round(seconds / replay.dt), len(replay.qpos) - 1)
-    drawings = Drawing(pair[0], replay.model, SIDE), Drawing(pair[1], replay.model, SIDE)
+    one = all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
+    view = SIDE if one else ABOVE
+    drawings = Drawing(pair[0], replay.model, view), Drawing(pair[1], replay.model, view)
     for drawing in drawings:
         drawing.show(replay.qpos[index], replay.past[index])
-    x, _, z = replay.model.body("MOUNT").pos
-    _look_at(pair[0], 0.16, z + 0.22, 0.27)
-    _look_at(pair[1], x - 0.02, z + 0.018, 0.03)
+    x, y = drawings[0].place("MOUNT")
+    _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
+    _look_at(pair[1], *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
     for ax in pair:
         ax.set(xticks=[], yticks=[])
         for spine in ax.spines.values():
@@ -106,12 +108,12 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
     return drawings
 
 
-def _look_at(ax: Axes, x: float, z: float, half: float) -> None:
+def _look_at(ax: Axes, x: float, y: float, half: float) -> None:
     """Show a window of at least ``half`` metres to every side of a point."""
     box = ax.get_window_extent()
     wide = box.width / box.height
     ax.set(xlim=(x - half * max(wide, 1.0), x + half * max(wide, 1.0)))
-    ax.set(ylim=(z - half * max(1.0 / wide, 1.0), z + half * max(1.0 / wide, 1.0)))
+    ax.set(ylim=(y - half * max(1.0 / wide, 1.0), y + half * max(1.0 / wide, 1.0)))
 
 
 def _tabs(ax: Axes, replay: Replay) -> None:
