@@ -35,12 +35,10 @@ class _Learning(Command):
     """Data sets; default all."""
     session: tuple[str, ...] = ()
     """Recording sessions, for example A B; default all."""
-    features: tuple[Literal["sentence", "histogram", "ngram", "duration", "attributes", "offset"], ...] = (
-        "histogram",
-        "ngram",
-        "attributes",
-    )
-    """Feature families; duration and offset tell data sets apart that words would not."""
+    features: tuple[
+        Literal["sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges"], ...
+    ] = ("histogram", "ngram", "attributes")
+    """Feature families; duration, offset and edges tell data sets apart that words would not."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
     """Kernels to choose from."""
     costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))

@@ -2,7 +2,7 @@
 
 A *sentence* is what the labels say about one recording between two samples (a sub-task, or a whole
 record). A span that crosses a boundary is clipped there: it keeps its attributes and loses duration.
-Six families of features, each usable alone:
+Families of features, each usable alone:
 
 * ``sentence``: the labels resampled to L slots by duration majority (offline specification, section 13,
   in clean form: the slots divide the interval itself rather than first start to last end, a gap belongs
@@ -12,7 +12,9 @@ Six families of features, each usable alone:
 * ``ngram``: share of each run of n successive labels;
 * ``attributes``: mean amplitude, slope and level relative to the sentence's mean level, per label group;
 * ``duration``: seconds, the family that gives away how long a state lasted;
-* ``offset``: absolute mean level per label group, the family that gives away sensor bias.
+* ``course``: first, last, highest and lowest value relative to the sentence's mean level;
+* ``offset``: absolute mean level per label group, a family that gives away sensor bias;
+* ``edges``: first, last, highest and lowest value, absolute, which give it away as well.
 
 Host code, NumPy only; nothing here trains.
 """

@@ -1,4 +1,4 @@
-"""The six families of features: words of one layer -> columns per axis, each with a name and a meaning."""
+"""The families of features: words of one layer -> columns per axis, each with a name and a meaning."""
 
 from __future__ import annotations
 
@@ -160,3 +160,31 @@ def offset(words: Words) -> Block:
     columns += [("avg", "absolute mean level of the sentence, signed log")]
     values = np.concatenate([_mean_per_group(words, words.value["avg"]), _mean_level(words)], -1)
     return _compressed(values), columns
+
+
+def _edges(words: Words) -> NDArray[np.float64]:
+    """First, last, highest and lowest value of the sentence's lines, N or Nm: ``[sentence, axis, 4]``; 0 if no word."""
+    used = words.code > 0
+    rising = words.value["grad"] > 0
+    begins = np.where(rising, words.value["vmin"], words.value["vmax"])[..., :1]
+    ends = np.where(rising, words.value["vmax"], words.value["vmin"])
+    last = np.maximum(used.sum(-1, keepdims=True) - 1, 0)
+    top = np.where(used, words.value["vmax"], -np.inf).max(-1, keepdims=True)
+    bottom = np.where(used, words.value["vmin"], np.inf).min(-1, keepdims=True)
+    parts = [begins, np.take_along_axis(ends, last, -1), top, bottom]
+    return np.where(used.any(-1, keepdims=True), np.concatenate(parts, -1), 0)
+
+
+def course(words: Words) -> Block:
+    """Where the sentence came from and went, relative to its own mean level."""
+    edges, level = _edges(words), _mean_level(words)
+    values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
+    named = ("first", "last", "highest", "lowest")
+    columns = [(x, f"{x} value minus the sentence's mean level, signed log") for x in named]
+    return _compressed(values), [*columns, ("change", "last minus first value, signed log")]
+
+
+def edges(words: Words) -> Block:
+    """First, last, highest and lowest value, absolute."""
+    named = ("first", "last", "highest", "lowest")
+    return _compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]

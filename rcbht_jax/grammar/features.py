@@ -15,7 +15,7 @@ from rcbht_jax.grammar.words import Intervals, clip
 from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-FAMILIES = ("sentence", "histogram", "ngram", "duration", "attributes", "offset")
+FAMILIES = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
 
 _CHUNK = 64  # sentences handled at once, which bounds memory
 
@@ -134,6 +134,8 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
         "duration": families.duration(intervals.dt),
         "attributes": families.attributes,
         "offset": families.offset,
+        "course": families.course,
+        "edges": families.edges,
     }
     chunks = [clip(track, part, layer) for part in _chunks(intervals)]
     parts = []
