@@ -16,7 +16,9 @@ import numpy as np
 from rcbht_jax.encoder import EncoderConfig, encode
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
-WIDTH = 32  # slots of a compact track are rounded up to this, so that few programs are compiled
+# Sizes are rounded up, so that few programs are compiled: slots of a compact track to this, ...
+WIDTH = 32
+STRETCH = 200  # ... and recordings to this many windows
 
 
 def encode_on_device(
@@ -34,7 +36,9 @@ def encode_on_device(
     Returns:
         device arrays ``[recording, 6, slot]``; unused slots are at the end and zero.
     """
-    count = wrench.shape[0]
+    count, samples = wrench.shape[:2]
+    stretch = config.window * STRETCH
+    wrench = jnp.pad(wrench, ((0, 0), (0, -samples % stretch), (0, 0)))
     limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype), (count, *limits.shape[-2:]))
     pieces = []
     for start in range(0, count, together):

@@ -60,7 +60,8 @@ def save(folder: Path, shard: int, arrays: Arrays) -> None:
     digest = np.array(content_hash(arrays[name] for name in sorted(arrays)))
 
     def write(file: IO[bytes]) -> None:
-        np.savez_compressed(file, allow_pickle=False, sha256=digest, **arrays)
+        # not compressed: noisy wrenches hardly shrink, and it would take longer than simulating them on a GPU
+        np.savez(file, allow_pickle=False, sha256=digest, **arrays)
 
     write_atomically(_file(folder, shard), write)
 

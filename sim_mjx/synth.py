@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -23,18 +23,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax.data import hiro_kinematics, hiro_onsets, store
+from rcbht_jax import thresholds
+from rcbht_jax.data import hiro_onsets, store
+from rcbht_jax.data.tracks import write_tracks
+from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import Recordings
-from sim_mjx import engines, shards
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from sim_mjx import engines, kinematics, labelled, shards
 from sim_mjx.kinds import kind
 from sim_mjx.presets import CONTROL_PERIOD, STATES
 from sim_mjx.randomize import Fault, Randomisation
-from sim_mjx.rollout import Rollouts, batch_size
+from sim_mjx.rollout import Rollouts
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
-# A compiler may round the last lanes of a batch differently from full vectors: batches are filled up to this.
-LANES = 16
+# Trials per shard, unless said otherwise: what a kill costs at most. A GPU needs many to be busy.
+SHARD = {"native": 256, "mjx": 8192, "warp": 8192}
+ROBOT = "hiro"  # whose thresholds label the trials
+FIELDS_OF_LABELS = tuple(field.name for field in fields(LabelTrack))
+TILTS = 2**16  # angles that are computed at once
 # No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 CREATED = "undated"  # a date would make every store different
@@ -48,8 +55,9 @@ class Synthesis:
     trials: int
     seed: int = 0
     engine: str = "native"
-    shard: int = 64  # trials per shard: what a kill costs at most
+    shard: int = 256  # trials per shard: what a kill costs at most
     spec: Randomisation = field(default_factory=Randomisation)
+    window: int | None = None  # samples per line of the labels; None = no labels
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,8 @@ def synthesise(
         target: store to create, for example trials.zarr; the work folder is trials.zarr.work beside it.
         job: what to simulate.
         overwrite: replace an existing store, once the new one is complete.
-        simulate: what simulates a batch; default the engine that ``job`` names.
+        simulate: what simulates a batch; default the engine that ``job`` names. Must give a trial the same bytes in
+            whatever batch.
         progress: called at the beginning and after each shard.
 
     Raises:
@@ -117,25 +126,10 @@ def check(job: Synthesis) -> None:
     for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
         if value < 1:
             raise InputError(f"The {name} is {value}; expected 1 or more.")
-    if job.engine not in engines.ENGINES:
-        raise InputError(f"There is no engine {job.engine!r}; expected one of {', '.join(engines.ENGINES)}.")
+    engines.check(job.engine)
+    if job.window is not None:
+        _encoder(job)
     kind(job.preset).draw(job.preset, job.seed, 0, job.spec)
-
-
-def simulate_trials(simulate: Simulate, params: Any) -> Rollouts:
-    """Simulate a batch so that no trial depends on how many others there are.
-
-    Args:
-        simulate: an engine.
-        params: batch of any size.
-    """
-    count = batch_size(params)
-    rows = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
-    out = simulate(jax.tree.map(lambda leaf: leaf[rows], params))
-    return Rollouts(
-        out.wrench[:count], out.joints[:count], out.length[:count], out.onset[:count], out.seated[:count],
-        out.diverged[:count],
-    )  # fmt: skip
 
 
 def engine(name: str, preset: str) -> Simulate:
@@ -143,14 +137,18 @@ def engine(name: str, preset: str) -> Simulate:
     return partial(engines.simulate, kind(preset).scene(), engine=name)
 
 
+def _encoder(job: Synthesis) -> EncoderConfig:
+    return EncoderConfig(window=job.window or 0, dt=CONTROL_PERIOD)
+
+
 def _manifest(job: Synthesis) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
     versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
-    return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": _code_hash()}}
+    return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
 
 
 @cache  # a file that is edited while a run goes on is not the code that runs
-def _code_hash() -> str:
+def code_hash() -> str:
     """Of this package's sources: shards made by different code must not be mixed."""
     root = Path(__file__).parent
     digest = hashlib.sha256()
@@ -193,15 +191,38 @@ def _simulate_missing(
     if progress is not None:
         progress(Progress(done, job.trials, 0.0, None))
     for shard in missing:
-        simulate = simulate or engine(job.engine, job.preset)
         indices = _indices(job, shard)
         params, _ = kind(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
-        shards.save(folder, shard, _shard_arrays(simulate_trials(simulate, params)))
+        shards.save(folder, shard, _shard_of(job, params, simulate))
         done += len(indices)
         if progress is not None:
             rate = (done - resumed) / (time.perf_counter() - start)
             progress(Progress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
     return resumed
+
+
+def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.Arrays:
+    """Simulate a batch and label it, if that is wanted."""
+    if job.window is None:
+        return _shard_arrays((simulate or engine(job.engine, job.preset))(params))
+    limits = np.asarray(thresholds.preset(ROBOT).limits)
+    if simulate is None:
+        scene = kind(job.preset).scene()
+        out, tracks = labelled.simulate_labelled(scene, params, job.engine, _encoder(job), limits)
+    else:
+        out = simulate(params)
+        tracks = labelled.label(out, _encoder(job), limits)
+    return _shard_arrays(out) | _label_arrays(tracks, len(out.length))
+
+
+def _label_arrays(tracks: LabelTracks, trials: int) -> shards.Arrays:
+    """Labels as arrays [trial, wrist, 6, slot] with plain names."""
+    return {
+        f"{layer}.{name}": np.asarray(getattr(getattr(tracks, layer), name)).reshape(trials, -1, 6, width)
+        for layer in LAYERS
+        for name in FIELDS_OF_LABELS
+        for width in (getattr(tracks, layer).label.shape[-1],)
+    }
 
 
 def _diverged(out: Rollouts) -> NDArray[np.bool_]:
@@ -222,20 +243,49 @@ def _shard_arrays(out: Rollouts) -> shards.Arrays:
     # a trial that was stopped has "entered" all later states with its last sample
     last = (out.length - 1)[:, None] * CONTROL_PERIOD
     onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
-    better, notes = onset.copy(), []
-    for row, samples in enumerate(out.length):
-        note = ""
-        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD) and not diverged[row]:
-            joints = out.joints[row, :samples, :6].astype(np.float64)
-            tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(joints)[1])
-            better[row], note = hiro_onsets.harmonised(onset[row], np.arange(samples) * CONTROL_PERIOD, tilt)
-        notes.append(note)
+    better, notes = _harmonised(onset, out, diverged)
     longest = int(out.length.max())
     return {
         "wrench": np.where(diverged[:, None, None], np.float32(0), out.wrench[:, :longest]), "length": out.length,
-        "onset": onset, "onset_harmonised": better, "note": np.array(notes, np.str_), "seated": out.seated,
+        "onset": onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
         "diverged": diverged,
     }  # fmt: skip
+
+
+def _harmonised(
+    onset: NDArray[np.float64], out: Rollouts, diverged: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Onsets [trial, 4] with the end of a rotation that lasted one sample moved, as in recorded trials; and notes."""
+    better, notes = onset.copy(), [""] * len(onset)
+    rows = [
+        row for row in np.flatnonzero(~diverged).tolist()
+        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD)
+    ]  # fmt: skip
+    ends = np.where(np.isfinite(onset[:, 3]), np.round(onset[:, 3] / CONTROL_PERIOD), out.length).astype(np.int64)
+    spans = [slice(int(np.round(onset[row, 1] / CONTROL_PERIOD)), int(ends[row])) for row in rows]
+    tilts = _tilts([out.joints[row, span, :6] for row, span in zip(rows, spans, strict=True)])
+    for row, span, tilt in zip(rows, spans, tilts, strict=True):
+        times = np.arange(span.start, span.stop, dtype=np.float64) * CONTROL_PERIOD
+        better[row], notes[row] = hiro_onsets.harmonised(onset[row], times, tilt)
+    return better, np.array(notes, np.str_)
+
+
+def _tilts(joints: list[NDArray[np.float32]]) -> list[NDArray[np.float64]]:
+    """Angles [n] in degrees between hand and vertical, for each array of joint angles [n, 6]."""
+    if not joints:
+        return []
+    flat = np.concatenate(joints)
+    angles = np.empty(-(-len(flat) // TILTS) * TILTS)
+    for start in range(0, len(flat), TILTS):
+        block = np.zeros((TILTS, 6), np.float32)  # always full: a compiler may round the last lanes differently
+        block[: len(flat) - start] = flat[start : start + TILTS]
+        angles[start : start + TILTS] = _tilt(block)
+    return np.split(np.degrees(angles[: len(flat)]), np.cumsum([len(part) for part in joints])[:-1])
+
+
+@jax.jit
+def _tilt(joints: jax.Array) -> jax.Array:
+    return kinematics.tilt(kinematics.fk(joints)[1])
 
 
 def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any]) -> None:
@@ -249,7 +299,8 @@ def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, An
     if len(kept) == 0:
         raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
     params, faults = kind(job.preset).draw_batch(job.preset, job.seed, kept.tolist(), job.spec)
-    rows = {name: np.concatenate([part[name] for part in parts])[kept] for name in parts[0] if name != "wrench"}
+    plain = [name for name in parts[0] if name != "wrench" and "." not in name]
+    rows = {name: np.concatenate([part[name] for part in parts])[kept] for name in plain}
     recordings = _recordings(job, rows, _wrench(parts, kept, rows["length"]), kept, faults)
     attrs = {"simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
     draft = folder / "store.zarr"
@@ -257,9 +308,27 @@ def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, An
         draft, recordings, attrs, overwrite=True, created=CREATED,
         simulation=_simulation(job, rows, kept, params, faults),
     )  # fmt: skip
+    if job.window is not None:
+        _write_labels(draft, job, parts, kept)
     if target.exists():
         target.rename(folder / f"replaced-{time.time_ns()}.zarr")
     draft.rename(target)
+
+
+def _write_labels(draft: Path, job: Synthesis, parts: list[shards.Arrays], kept: NDArray[np.int64]) -> None:
+    """Add the labels of the kept trials to the store, under the name and with the attributes of ``rcbht encode``."""
+
+    def joined(name: str) -> NDArray[Any]:
+        width = max(part[name].shape[-1] for part in parts)
+        wide = [np.pad(part[name], ((0, 0),) * 3 + ((0, width - part[name].shape[-1]),)) for part in parts]
+        whole = np.concatenate(wide)[kept]
+        return whole.reshape(-1, 6, width)
+
+    layers = {layer: LabelTrack(**{name: joined(f"{layer}.{name}") for name in FIELDS_OF_LABELS}) for layer in LAYERS}
+    config = _encoder(job)
+    limits = np.asarray(thresholds.preset(ROBOT).limits)
+    how = {"semantics": "online", "window": config.window, "config": asdict(config), "thresholds": limits.tolist()}
+    write_tracks(draft, f"online-W{config.window}", LabelTracks(**layers), how, created=CREATED)
 
 
 def _report(target: Path, job: Synthesis, resumed: int) -> Report:

@@ -21,13 +21,18 @@ import pytest
 import xarray
 from sim_fake import JOB, fake_engine, short, tree
 
+from rcbht_jax.batch import encode_recordings
 from rcbht_jax.data import hiro_kinematics
 from rcbht_jax.data.store import read_attrs, read_recordings, read_simulation, write_recordings
+from rcbht_jax.data.tracks import read_tracks
+from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.thresholds import preset
 from sim_mjx import shards, synth
 from sim_mjx.randomize import Randomisation, draw, draw_batch
 from sim_mjx.rollout import Rollouts, TrialParams
-from sim_mjx.synth import LANES, Progress, Synthesis, synthesise
+from sim_mjx.synth import Progress, Synthesis, synthesise
 
 SMALL = replace(JOB, trials=12, shard=5)
 
@@ -370,28 +375,29 @@ def test_progress_counts_trials(tmp_path: Path) -> None:
     assert all(now.per_minute > 0 and now.total == 12 for now in seen[1:])
 
 
-def test_engine_gets_full_vectors_only() -> None:
-    sizes: list[int] = []
-
-    def engine(params: TrialParams) -> Rollouts:
-        sizes.append(len(params.seed))
-        return fake_engine(params)
-
-    for count in (1, LANES, LANES + 1):
-        params, _ = draw_batch("A", 0, range(count), Randomisation())
-        out = synth.simulate_trials(engine, params)
-        assert len(out.wrench) == len(out.seated) == count
-    assert sizes == [LANES, LANES, 2 * LANES]
+def test_labels_are_those_of_the_stored_wrench_whatever_the_shards(tmp_path: Path) -> None:
+    job = replace(SMALL, window=5)
+    for name, shard in (("a", 5), ("b", 12)):
+        synthesise(tmp_path / name, replace(job, shard=shard), simulate=fake_engine)
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    found, how = read_tracks(tmp_path / "a", "online-W5")
+    recordings = read_recordings(tmp_path / "a")
+    expected = encode_recordings(EncoderConfig(window=5), preset("hiro"), recordings.wrench, recordings.length)
+    assert how["thresholds"] == preset("hiro").limits.tolist()
+    for layer in LAYERS:
+        theirs = getattr(expected, layer).label
+        assert np.array_equal(getattr(found, layer).label[:, :, : theirs.shape[2]], theirs)
+        assert not getattr(found, layer).label[:, :, theirs.shape[2] :].any()
 
 
 def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
     engine = synth.engine("native", "A")
-    whole_batch, _ = draw_batch("A", 4, range(2 * LANES), short(longest=0.8))
-    reference = synth.simulate_trials(engine, whole_batch)
+    whole_batch, _ = draw_batch("A", 4, range(32), short(longest=0.8))
+    reference = engine(whole_batch)
     assert np.abs(reference.wrench).max() > 0.1
     for rows in ([30], [5, 17, 2], list(range(1, 20))):
         params = jax.tree.map(lambda leaf, rows=rows: leaf[np.array(rows)], whole_batch)
-        out = synth.simulate_trials(engine, params)
+        out = engine(params)
         for place, row in enumerate(rows):
             samples = reference.length[row]
             assert out.length[place] == samples

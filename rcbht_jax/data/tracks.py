@@ -25,7 +25,9 @@ FIELDS = {field.name: INTEGERS.get(field.name, "float") for field in fields(Labe
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
-def write_tracks(path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str, Any]) -> None:
+def write_tracks(
+    path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
+) -> None:
     """Add a set of label tracks to a store, atomically.
 
     Args:
@@ -33,6 +35,7 @@ def write_tracks(path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str,
         name: for example "online-W5" or "offline-master"; letters, digits, dot, hyphen and underscore.
         tracks: arrays [recording, axis, slot]; the layers may differ in slots.
         attrs: how the labels were made (semantics, window, thresholds): JSON values.
+        created: what to keep as creation date; default now.
 
     Raises:
         InputError: no store, the name is malformed or taken, wrong shapes or dtypes, or ``attrs`` not JSON.
@@ -44,7 +47,7 @@ def write_tracks(path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str,
     arrays = {layer: _checked(getattr(tracks, layer), layer, count) for layer in LAYERS}
     own = {
         "rcbht_jax_version": rcbht_jax.__version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "content_sha256": zarrio.content_hash(a for layer in arrays.values() for a in layer.values()),
     }
     # Outside the store while it grows: readers list every folder inside it.

@@ -13,7 +13,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 from rcbht_jax.commands import Command
 from sim_mjx.randomize import Randomisation
-from sim_mjx.synth import Progress, Synthesis, synthesise
+from sim_mjx.synth import SHARD, Progress, Synthesis, synthesise
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,21 @@ class Simulate(Command):
     """Determines, with a trial's index, everything about it."""
     nominal_share: float = 0.5
     """Share of the trials without a fault, 0 to 1."""
-    shard: int = 64
-    """Trials that are kept together: an interruption costs at most so many."""
+    shard: int | None = None
+    """Trials that are kept together: an interruption costs at most so many; default 256, on a GPU 8192."""
     longest: float | None = None
     """Stop every trial after this many seconds; default the session's own limit."""
-    engine: Literal["native", "mjx"] = "native"
-    """What computes the physics."""
+    engine: Literal["native", "mjx", "warp"] = "native"
+    """What computes the physics: C MuJoCo on all cores; MJX with JAX's or with Warp's kernels, for GPUs."""
+    window: int | None = None
+    """Also label the trials, with so many samples per straight-line fit, as "rcbht encode" does."""
     overwrite: bool = False
     """Replace an existing store, once the new one is complete."""
 
     def run(self) -> dict[str, Any]:
         spec = Randomisation(nominal_share=self.nominal_share, longest=self.longest)
-        job = Synthesis(self.preset, self.trials, self.seed, self.engine, self.shard, spec)
+        shard = SHARD[self.engine] if self.shard is None else self.shard
+        job = Synthesis(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
         start = time.perf_counter()
         with tqdm(total=self.trials, desc="simulate", unit=" trials", file=sys.stderr, disable=None) as bar:
             report = synthesise(self.out, job, overwrite=self.overwrite, progress=lambda now: _show(bar, now))

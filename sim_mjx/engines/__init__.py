@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from rcbht_jax.errors import InputError
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from sim_mjx.scene import Scene
 
 ENGINES = ("native", "mjx", "warp")
+IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp"}  # of MJX
 
 
 def simulate(
@@ -23,12 +25,27 @@ def simulate(
     Args:
         scene: what is simulated.
         params: batch of trials of the scene's program.
-        engine: one of ``ENGINES``; an engine is imported when it is first used.
+        engine: one of ``ENGINES``: C MuJoCo; MJX with JAX's kernels; MJX with Warp's, the fastest on an NVIDIA GPU.
+            An engine is imported when it is first used.
         progress: called with the number of control periods done since the last call, summed over trials.
 
     Raises:
-        InputError: unknown engine.
+        InputError: unknown engine, or what it needs is not installed.
+    """
+    check(engine)
+    if engine == "native":
+        return import_module("sim_mjx.engines.native").simulate(scene, params, progress=progress)
+    impl = IMPLEMENTATIONS[engine]
+    return import_module("sim_mjx.engines.device").simulate(scene, params, impl, progress=progress)
+
+
+def check(engine: str) -> None:
+    """Refuse an engine that cannot run here.
+
+    Raises:
+        InputError: unknown engine, or what it needs is not installed.
     """
     if engine not in ENGINES:
         raise InputError(f"There is no engine {engine!r}; expected one of {', '.join(ENGINES)}.")
-    return import_module(f"sim_mjx.engines.{engine}").simulate(scene, params, progress=progress)
+    if engine == "warp" and find_spec("warp") is None:
+        raise InputError('The engine "warp" needs warp-lang; install it with: pip install "rcbht-jax[warp]".')

@@ -26,6 +26,7 @@ from sim_mjx.rollout import Program, Reading, Rollouts, as_float32, batch_size
 from sim_mjx.scene import Scene
 
 Array = Any
+LANES = 16
 STRETCH = 200  # control periods that run without asking whether all trials have ended
 
 
@@ -66,12 +67,30 @@ class _Body:
     sensordata: Array
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _State:
+    """Everything that changes."""
+
+    body: Any
+    loop: Any  # of the scene's program
+    tick: Array  # int32, control periods since time zero; negative while settling
+
+
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Outcome:
-    """A batch of trials that all have ended, on the device."""
+    """A batch of trials that all have ended, on the device; values after a trial's end mean nothing."""
 
-    log: Reading  # [time, trial, ...]
+    wrench: Array  # [trial, time, 6K] N and Nm, world frame
+    joints: Array  # [trial, time, J] rad
+    phase: Array  # int32 [trial, time]
     seated: Array  # [trial, tab]
+
+    @property
+    def length(self) -> Array:
+        """Control periods until each trial ended, int32 [trial]."""
+        return (self.phase < task.ENDED).sum(1, dtype=jnp.int32)
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
@@ -83,36 +102,49 @@ def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], 
         impl: "jax" or "warp".
         progress: called with the number of control periods done since the last call, summed over trials.
     """
-    out = run(scene, params, impl, progress=progress)
-    log: Reading = jax.device_get(out.log)
-    wrench, joints, phase = (np.moveaxis(column, 0, 1) for column in (log.wrench, log.joints, log.phase))
-    return collect(wrench, joints, phase, np.asarray(out.seated))
+    return to_host(run(scene, params, impl, progress=progress))
+
+
+def to_host(out: Outcome) -> Rollouts:
+    """Copy what came of the trials to the host and cut it where they ended."""
+    wrench, joints, phase, seated = jax.device_get((out.wrench, out.joints, out.phase, out.seated))
+    return collect(wrench, joints, phase, seated)
 
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
     """As :func:`simulate`, but what comes out stays on the device."""
+    count = batch_size(params)
+    # a compiler may round the last lanes of a batch differently from full vectors: batches are filled up
+    rows = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
+    params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
     layout, fixed = _layout(scene), _fixed(scene, params, impl)
     start, stretch, seated = _programs(jax.default_backend())
-    body, loop = start(layout, fixed)
+    state = start(layout, fixed)
     logs: list[Reading] = []
-    limit = int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
+    settling = -(-SETTLING // scene.substeps)
+    limit = settling + int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
     for _ in range(-(-limit // STRETCH)):
-        body, loop, log = stretch(layout, fixed, body, loop)
+        state, log = stretch(layout, fixed, state)
         logs.append(log)
-        last = np.asarray(log.phase[-1])
         if progress is not None:
-            progress(int((np.asarray(log.phase) < task.ENDED).sum()))
-        if (last == task.ENDED).all():
+            progress(int((log.phase[:, :count] < task.ENDED).sum()))
+        if bool((log.phase[-1] == task.ENDED).all()):
             break
-    whole: Reading = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *logs)
-    return Outcome(whole, seated(layout, fixed, body))
+    return _outcome(settling, count, logs, seated(layout, fixed, state))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _outcome(settling: int, count: int, logs: list[Reading], seated: Array) -> Outcome:
+    """The stretches as one log of the trials from time zero."""
+    whole: Reading = jax.tree.map(lambda *pieces: jnp.concatenate(pieces)[settling:, :count].swapaxes(0, 1), *logs)
+    return Outcome(whole.wrench, whole.joints, whole.phase, seated[:count])
 
 
 @lru_cache
 def _programs(backend: str) -> tuple[Callable[..., Any], ...]:
     """Compiled functions of a backend: start, stretch, seated."""
     jit = partial(jax.jit, static_argnums=0, compiler_options=CPU_OPTIONS if backend == "cpu" else None)
-    return jit(_start), jit(_stretch, donate_argnums=(2, 3)), jit(_seated)
+    return jit(_start), jit(_stretch, donate_argnums=2), jit(_seated)
 
 
 def _layout(scene: Scene) -> _Layout:
@@ -143,36 +175,49 @@ def _most_rows(model: mujoco.MjModel) -> int:
     return int(contacts.sum() + model.jnt_limited.sum())
 
 
-def _start(layout: _Layout, fixed: _Fixed) -> tuple[Any, Any]:
-    """Bodies at rest in the home pose, and the loops with the sensor reading of that moment."""
+def _start(layout: _Layout, fixed: _Fixed) -> _State:
+    """In the home pose, not yet settled."""
     home = layout.program.home(fixed.params)
-    body = jax.vmap(lambda q: fixed.empty.replace(qpos=fixed.empty.qpos.at[jnp.array(layout.joints)].set(q)))(home)
+    joints = jnp.array(layout.joints)
+    body: Any = jax.vmap(lambda q: fixed.empty.replace(qpos=fixed.empty.qpos.at[joints].set(q)))(home)
     if fixed.model.impl == mjx.Impl.JAX:
         body = _Body(body.qpos, body.qvel, body.qacc_warmstart, body.sensordata)
-    body = jax.lax.fori_loop(0, SETTLING, lambda _, at: _step(fixed, at, home), body)
-    # a step's reading is that of its start: one more step reads the settled state and is not kept
-    seen = _step(fixed, body, home).sensordata
-    body = dataclasses.replace(body, sensordata=seen)
-    return body, jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
+    return _State(body, _begin(layout, fixed, body), -jnp.int32(-(-SETTLING // layout.substeps)))
 
 
-def _stretch(layout: _Layout, fixed: _Fixed, body: Any, loop: Any) -> tuple[Any, Any, Reading]:
-    """``STRETCH`` control periods; the log leads with time."""
+def _begin(layout: _Layout, fixed: _Fixed, body: Any) -> Any:
+    return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
-    def period(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], Reading]:
-        body, loop = carry
-        raw = _raw(layout, body)
-        loop, ends, log = jax.vmap(layout.program.control)(
-            fixed.params, loop, body.qpos[:, jnp.array(layout.joints)], raw
-        )
-        before, after = ends[:, 0], ends[:, 1]
-        moved = body
-        for share in np.arange(1, layout.substeps + 1, dtype=np.float32) / np.float32(layout.substeps):
-            moved = _step(fixed, moved, before + share * (after - before))
-        return (_kept(body, moved, log.phase == task.ENDED), loop), log
 
-    (body, loop), log = jax.lax.scan(period, (body, loop), length=STRETCH)
-    return body, loop, log
+def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, Reading]:
+    """``STRETCH`` control periods; the log leads with time.
+
+    Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
+    compile, and this way it is compiled once.
+    """
+    home = layout.program.home(fixed.params)
+    shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
+    unroll = fixed.model.impl == mjx.Impl.WARP  # quick to compile, and a loop would copy its buffers
+
+    def period(state: _State, _: None) -> tuple[_State, Reading]:
+        body, settling = state.body, state.tick < 0
+        loop = _chosen(state.tick > 0, state.loop, _begin(layout, fixed, body))
+        joints = body.qpos[:, jnp.array(layout.joints)]
+        loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
+        before, after = (jnp.where(settling, home, ends[:, i]) for i in (0, 1))
+
+        def substep(at: Any, share: Array) -> tuple[Any, None]:
+            return _step(fixed, at, before + share * (after - before)), None
+
+        moved, _ = jax.lax.scan(substep, body, shares, unroll=unroll)
+        moved = _kept(body, moved, (log.phase == task.ENDED) & ~settling)
+        return _State(moved, loop, state.tick + 1), log
+
+    return jax.lax.scan(period, state, length=STRETCH)
+
+
+def _chosen(which: Array, first: Any, second: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(which, a, b), first, second)
 
 
 def _step(fixed: _Fixed, body: Any, wanted: Array) -> Any:
@@ -201,10 +246,10 @@ def _raw(layout: _Layout, body: Any) -> Array:
     return -body.sensordata[:, jnp.array(layout.readings)]
 
 
-def _seated(layout: _Layout, fixed: _Fixed, body: Any) -> Array:
+def _seated(layout: _Layout, fixed: _Fixed, state: _State) -> Array:
     def one(fields: dict[str, Array], qpos: Array) -> Array:
         data = mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos))
         tips, lips = jnp.array(layout.tips), jnp.array(layout.lips)
         return past_lips(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])
 
-    return jax.vmap(one)(fixed.fields, body.qpos)
+    return jax.vmap(one)(fixed.fields, state.body.qpos)
