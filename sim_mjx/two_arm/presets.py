@@ -21,8 +21,15 @@ from sim_mjx.two_arm.program import HoldParams
 
 # The left arm under force control, and kept still as in the recordings.
 PRESETS = ("two", "two-fixed")
+# of the right arm's gains: a hand that gives way as fast as the other presses keeps the parts from snapping
+HOLD_SHARE = 0.2
 QUARTER = np.pi / 2
 YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
+# N and Nm, right and left wrist, mean of the recorded approaches after the first waypoint; the recordings begin at
+# zero and reach it as the filter lets them
+OFFSET = np.array(
+    [0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107, 0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]
+)  # fmt: skip
 
 
 def task() -> TaskParams:
@@ -32,7 +39,7 @@ def task() -> TaskParams:
         way_time=np.array([2.0, 5.0]),
         way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
         way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
-        contact_force=np.array(1.0),  # recorded 2.4-2.9 N at the first moment at which it may count
+        contact_force=np.array(0.7),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
         contact_after=np.array(4.0),
         frame=np.array(WRIST),
         force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
@@ -59,36 +66,42 @@ def hold(name: str) -> HoldParams:
     """
     if name not in PRESETS:
         raise InputError(f"There is no two-arm preset {name!r}; expected one of {', '.join(PRESETS)}.")
-    on = float(name == "two")
+    share = HOLD_SHARE if name == "two" else 0.0
     # along and about the hand's own axes what the recorded left wrist felt on average; nothing across
     return HoldParams(
         home=np.array([-0.23289, 0.0790619, -1.68294, 1.29484, -0.21605, 0.0938121]),
         force=np.array([[0.27, 0.0, 0.0], [0.99, 0.0, 0.0], [4.94, 0.0, 0.0], [1.35, 0.0, 0.0]]),
         moment=np.array([[0.0, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.65, 0.0], [0.0, 0.16, 0.0]]),
-        force_gain=np.array(5e-5 * on),
-        moment_gain=np.array(3.5e-6 * on),
+        force_gain=np.array(5e-5 * share),
+        moment_gain=np.array(3.5e-6 * share),
     )
 
 
 def right_sensor() -> SensorParams:
-    """OpenHRP's chain with the offset that the right wrist shows in free space."""
-    return replace(
-        sensor.simulated_sensor(),
-        tared=np.array(1.0),
-        bias=np.array([0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107]),
-        reference=np.array([-0.047, 0.0, -0.030]),
-    )
+    """OpenHRP's chain; moments refer to where the recorded lever arms begin."""
+    return replace(sensor.simulated_sensor(), tared=np.array(1.0), reference=np.array([-0.099, 0.0, -0.040]))
 
 
 def left_sensor() -> SensorParams:
     """The same of the left wrist."""
-    return replace(
-        right_sensor(),
-        bias=np.array([0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]),
-        reference=np.array([-0.040, 0.0, -0.030]),
-    )
+    return replace(right_sensor(), reference=np.array([-0.085, 0.0, -0.114]))
 
 
 def nominal() -> PartParams:
-    """Parts as the recorded two-arm trials have them."""
-    return parts.nominal()
+    """Parts of the two-arm trials; values found by black-box search on both arms' recorded signatures."""
+    return replace(
+        parts.nominal(),
+        tab_stiffness=np.array([3100.0, 3100.0, 3150.0, 3150.0]),
+        hook_overlap=np.array([0.56e-3, 0.56e-3, 0.63e-3, 0.63e-3]),
+        tab_damping=np.full(4, 80.0),
+        slot_play=np.array(2.03e-3),
+        seat_depth=np.array(4.71e-3),
+        foot_spread=np.array(27.9e-3),
+        foot_offset=np.zeros(2),
+        rear_rise=np.array([0.49e-3, 1.45e-3]),
+        friction=np.array(0.319),
+        mount_stiffness=np.array([1420.0, 1690.0, 2790.0]),
+        mount_damping=np.array([120.0, 120.0, 98.5]),
+        position=np.array([0.54e-3, 0.43e-3, -2.25e-3]),
+        roll=np.array(0.0123),
+    )

@@ -27,7 +27,8 @@ Array = Any
 class HoldParams:
     """What the left arm does: it keeps its pose until the right hand touches, then gives way to the force.
 
-    Set-points are in its wrist frame, one row per phase of the right arm: rotation, insertion, pre-mating, mating.
+    Set-points are in its wrist frame and count from the free-space offset; one row per phase of the right arm:
+    rotation, insertion, pre-mating, mating.
     """
 
     home: Array  # [6] rad
@@ -46,6 +47,7 @@ class TwoArmParams:
     hold: HoldParams  # of the left arm
     sensor: SensorParams  # of the right wrist
     left_sensor: SensorParams
+    offset: Array  # [12] N and Nm, what right and left wrist log in free space
     parts: PartParams
     command_delay: Array  # int32, control periods between reference and servo, both arms
     seed: Array  # uint32 [2], key of the sensors' noise
@@ -84,12 +86,14 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
     """
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (12,), raw.dtype)
     itself = jnp.eye(3, dtype=raw.dtype)
-    read, right = sensor.read(params.sensor, loop.sensor, raw[:6], noise[:6], itself)
-    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, raw[6:], noise[6:], itself)
+    felt = _felt(params.sensor, raw[:6], params.offset[:6])
+    left_felt = _felt(params.left_sensor, raw[6:], params.offset[6:])
+    read, right = sensor.read(params.sensor, loop.sensor, felt, noise[:6], itself)
+    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_felt, noise[6:], itself)
     state = task.advance(params.task, loop.task, joints[:6], _in_world(right, joints[:6], "R"))
     # recorded: once mating begins the right arm keeps still
     state = replace(state, command=jnp.where(state.phase == task.MATING, loop.task.command, state.command))
-    held = hold(params.hold, loop.commands[0, 6:], joints[6:], left, state.phase)
+    held = hold(params.hold, loop.commands[0, 6:], joints[6:], left - params.offset[6:], state.phase)
     commands = jnp.concatenate([jnp.concatenate([state.command, held])[None], loop.commands[:-1]])
     between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
     log = Reading(jnp.concatenate([right, left]), joints, loop.task.phase)
@@ -103,7 +107,7 @@ def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase
         params: of the left arm.
         command: its joint references [6], rad.
         joints: measured [6], rad.
-        wrench: measured and filtered [6], N and Nm, left wrist frame.
+        wrench: measured and filtered [6], N and Nm, left wrist frame, without the free-space offset.
         phase: of the right arm.
 
     Returns:
@@ -121,6 +125,12 @@ def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase
         "L",
     )
     return jnp.where((phase >= task.ROTATION) & (phase < task.ENDED), pressed, command)
+
+
+def _felt(touch: SensorParams, raw: Array, offset: Array) -> Array:
+    """Readings [6] with the free-space offset; the tare took place without it."""
+    about_wrist = offset[3:] + jnp.cross(touch.reference, offset[:3])
+    return raw + jnp.concatenate([offset[:3], about_wrist])
 
 
 def _in_world(wrench: Array, joints: Array, arm: str) -> Array:

@@ -8,12 +8,17 @@ import numpy as np
 
 from sim_mjx import randomize
 from sim_mjx.randomize import Fault, Randomisation, Range, Setup
-from sim_mjx.sensor import SensorParams
 from sim_mjx.two_arm import presets
 from sim_mjx.two_arm.program import TwoArmParams
+from sim_mjx.two_arm.scene import ARMS
 
 MATING_BEGINS = 15.67  # s, median of the recordings
 MATING_TIME: Range = (0.15, 0.96)  # s, recorded after mating begins: lowest and highest of 13 trials
+# The recorded trials repeat one pose with the same gains: what is left is chosen small.
+REPEATED = Randomisation(
+    nominal_share=1.0, shift=(-1e-4, 1e-4), turn=(-1e-3, 1e-3), stiffness=(1.0, 1.0), overlap=(1.0, 1.0),
+    friction=(1.0, 1.0), mount=(1.0, 1.0), gain=(1.0, 1.0), goal=(1.0, 1.0), speed=(1.0, 1.0),
+)  # fmt: skip
 DRIFT: tuple[Range, Range] = (
     (-0.05, 0.05),
     (-0.003, 0.003),
@@ -60,18 +65,15 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoAr
         force_gain=hold.force_gain * rng.uniform(*spec.gain),
         moment_gain=hold.moment_gain * rng.uniform(*spec.gain),
     )
+    drift = [rng.uniform(*span, 3) for _ in ARMS for span in DRIFT]
     params = TwoArmParams(
         task=replace(right.task, mating_time=np.array(rng.uniform(*MATING_TIME))),
         hold=hold,
-        sensor=_drifted(right.sensor, rng),
-        left_sensor=_drifted(presets.left_sensor(), rng),
+        sensor=right.sensor,
+        left_sensor=presets.left_sensor(),
+        offset=presets.OFFSET + np.concatenate(drift),
         parts=right.parts,
         command_delay=right.command_delay,
         seed=right.seed,
     )
     return params, fault
-
-
-def _drifted(touch: SensorParams, rng: np.random.Generator) -> SensorParams:
-    drift = [rng.uniform(*span, 3) for span in DRIFT]
-    return replace(touch, bias=touch.bias + np.concatenate(drift))
