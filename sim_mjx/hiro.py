@@ -61,11 +61,12 @@ class Servo:
 class Tool:
     """What hangs behind the force sensor; the part to be mated is added to its body.
 
-    Its weight is what session C's untared wrench shows: about 4 N.
+    Its weight is what session C's untared wrench shows, about 4 N; its centre what the drift of My shows while
+    session A's hand turns on its way down.
     """
 
     mass: float = 0.41  # kg
-    com: Vector = (-0.030, 0.0, -0.0225)  # m, wrist frame; taken between the sensor and the tool centre point
+    com: Vector = (-0.088, 0.0, -0.0225)  # m, wrist frame
     radius: float = 0.02  # m, of the ball that has its inertia
 
 

@@ -53,7 +53,7 @@ def real_sensor() -> SensorParams:
     """The JR3 chain of sessions A, B and C, delays as the ringing after mating shows."""
     return SensorParams(
         a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064), delay=np.array(7, np.int32),
-        noise=np.array([0.080, 0.064, 0.038, 0.0025, 0.0025, 0.0025]) / 2,
+        noise=np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038]),
         step=np.array([0.024, 0.008, 0.008, 0.0008, 0.0008, 0.0008]),
         bias=np.zeros(6), tared=np.array(1.0), reference=np.array(REFERENCE),
     )  # fmt: skip
