@@ -11,14 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from rcbht_jax.batch import encode_recordings
 from rcbht_jax.data import dat
 from rcbht_jax.data.store import read_attrs, read_recordings, read_simulation
-from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.offline.dataset import encode_dataset
 from rcbht_jax.tasks import TaskSpec, describe, sentences
-from rcbht_jax.thresholds import preset as thresholds
 from rcbht_jax.types import Recordings
 from sim_mjx import kinds, kinematics, task
 from sim_mjx.certificate import certify
@@ -152,21 +150,22 @@ def test_left_hand_gives_way_under_force_control_only(whole: dict[str, Rollouts]
 
 
 def test_force_control_moves_the_left_hand_with_the_push() -> None:
+    hold = jax.jit(program.hold)
     held = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.hold("two"))
     home = held.home
     row = task.INSERTION - task.ROTATION
     goal = jnp.concatenate([held.force[row], held.moment[row]])
     phase = jnp.int32(task.INSERTION)
-    np.testing.assert_allclose(program.hold(held, home, home, goal, phase), home, atol=1e-7)
+    np.testing.assert_allclose(hold(held, home, home, goal, phase), home, atol=1e-7)
     for phase_off in (task.APPROACH, task.ENDED):
-        np.testing.assert_array_equal(program.hold(held, home, home, goal + 5.0, jnp.int32(phase_off)), home)
+        np.testing.assert_array_equal(hold(held, home, home, goal + 5.0, jnp.int32(phase_off)), home)
     before, rotation, _ = kinematics.fk(np.asarray(home, np.float64), "L")
     for axis in range(3):
         push = goal.at[axis].add(10.0)
-        after, _, _ = kinematics.fk(np.asarray(program.hold(held, home, home, push, phase), np.float64), "L")
+        after, _, _ = kinematics.fk(np.asarray(hold(held, home, home, push, phase), np.float64), "L")
         assert ((after - before) @ rotation)[axis] > 0
     off = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.hold("two-fixed"))
-    np.testing.assert_array_equal(program.hold(off, home, home, goal + 5.0, phase), home)
+    np.testing.assert_array_equal(hold(off, home, home, goal + 5.0, phase), home)
 
 
 def test_free_space_offset_appears_as_recorded(recorded: list[Path], whole: dict[str, Rollouts]) -> None:
@@ -263,7 +262,7 @@ def test_grammar_of_both_arms(whole: dict[str, Rollouts]) -> None:
         trial=np.array([f"trial {row}" for row in rows]), arm=np.tile(["R", "L"], count), source=blank, session=blank,
         outcome=np.full(2 * count, "success"), failure_type=blank, deviation=np.zeros((2 * count, 3)), note=blank,
     )  # fmt: skip
-    tracks = encode_recordings(EncoderConfig(window=5, dt=both.dt), thresholds(), both.wrench, both.length)
+    tracks = encode_dataset(both)
     items = sentences(both, TaskSpec(arms="both"))
     assert items.classes == ("approach", "rotation", "insertion", "mating")
     single = describe(tracks, sentences(both, TaskSpec(arms="R")), FeatureSpec())
