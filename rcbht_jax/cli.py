@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
     "simulate": ("sim_mjx.commands.simulate:Simulate", "simulate randomised trials into a store"),
+    "fidelity": ("sim_mjx.commands.fidelity:Fidelity", "hold the simulation against solver, engines and recordings"),
     "fidelity fit": ("sim_mjx.commands.fit:FidelityFit", "fit physical parameters to a recorded session"),
     "view": ("sim_mjx.commands.view:View", "look at a trial: viewer, pictures or film"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),

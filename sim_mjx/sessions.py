@@ -41,6 +41,7 @@ IN_PLACE: dict[str, Any] = {
     "shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.2, 0.2), "moment_bias": (-0.005, 0.005),
 }  # fmt: skip
 REPEATS = 16
+RING = (0.0, 4.0)  # s after the onset of mating, in which its ring is sought
 SLACK = 4.0  # s after the recorded start of mating, by which a shortened trial is over
 
 
@@ -127,6 +128,7 @@ class Target:
     session: str
     profiles: Floats  # [n, 4, 100, 6] N and Nm
     onset: Floats  # [3] s, median start of rotation, insertion (harmonised) and mating
+    ring: dict[str, float] | None  # of Fz in mating; see rings
 
 
 def recorded(recordings: Recordings, session: str) -> Target:
@@ -149,7 +151,36 @@ def recorded(recordings: Recordings, session: str) -> Target:
     if len(rows) == 0:
         raise InputError(f"The store holds no trial of session {session} that reached every state.")
     onset = np.median(recordings.onset_harmonised[rows, 1:], axis=0)
-    return Target(session, signature.profiles(recordings, rows), onset)
+    ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.onset[rows, 3])
+    return Target(session, signature.profiles(recordings, rows), onset, ring)
+
+
+def rings(force: NDArray[np.floating], length: NDArray[np.integer], mating: Floats) -> dict[str, float] | None:
+    """How Fz rings after the push that begins mating: medians over the trials that last long enough.
+
+    Args:
+        force: Fz [trial, time], N. length: samples [trial]. mating: its onset [trial], s, NaN = never.
+
+    Returns:
+        "hertz", the strongest frequency between 1 and 6 Hz in the first 4 s after the onset, and "peak", N, in the
+        first second; None if no trial lasts so long.
+    """
+    found = []
+    for row, begin in enumerate(np.nan_to_num(mating, nan=np.inf)):
+        last = (begin + RING[1]) / presets.CONTROL_PERIOD
+        if last <= length[row]:
+            first = round(begin / presets.CONTROL_PERIOD)
+            found.append((_frequency(force[row], begin), force[row, first : first + 200].max()))
+    return None if not found else dict(zip(("hertz", "peak"), np.median(found, axis=0).tolist(), strict=True))
+
+
+def _frequency(force: NDArray[np.floating], begin: float) -> float:
+    first, last = (round((begin + at) / presets.CONTROL_PERIOD) for at in RING)
+    times = np.arange(last - first)
+    tail = force[first:last] - np.polyval(np.polyfit(times, force[first:last], 1), times)
+    power = np.abs(np.fft.rfft(tail * np.hanning(len(tail)), 1 << 15))
+    hertz = np.fft.rfftfreq(1 << 15, presets.CONTROL_PERIOD)
+    return float(hertz[np.where((hertz > 1.0) & (hertz < 6.0), power, -1.0).argmax()])
 
 
 # What one unit of each term of the loss is worth; the worst cells of the metric's tables count as this many sd.
