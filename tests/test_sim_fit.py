@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from rcbht_jax import cli
+from rcbht_jax.data.store import read_attrs, read_simulation
 from rcbht_jax.errors import InputError
 from sim_mjx import parts, physical, sensor
 from sim_mjx.fit import Bound, Fit, Generation, Search, _mirrored, _share, _values, fit
@@ -157,6 +159,20 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
 def test_wrong_parameters_are_one_sentence(pair: tuple[str, float], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         draw("A", 0, 0, Randomisation(physical=(pair,)))
+
+
+def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "fit.json", tmp_path / "t.zarr"
+    physical.write(path, {"parts.friction": 0.123}, {})
+    words = ["simulate", str(out), "--preset", "C", "--trials", "2", "--longest", "0.1", "--nominal-share", "1"]
+    assert cli.main([*words, "--physical", str(path)]) == 0
+    simulation = read_simulation(out)
+    low, high = Randomisation().friction
+    assert ((simulation["friction"] >= 0.123 * low) & (simulation["friction"] <= 0.123 * high)).all()
+    assert read_attrs(out)["simulated"]["job"]["spec"]["physical"] == [["parts.friction", 0.123]]
+    path.write_text("{}")
+    assert cli.main([*words, "--overwrite", "--physical", str(path)]) == 2
+    assert "holds no physical parameters" in capsys.readouterr().err
 
 
 def test_parameter_files_round_trip(tmp_path: Path) -> None:

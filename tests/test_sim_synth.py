@@ -231,7 +231,7 @@ def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: s
 
 def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     interrupted(tmp_path / "t.zarr", SMALL)
-    monkeypatch.setattr(synth, "_code_hash", lambda: "other")
+    monkeypatch.setattr(synth, "code_hash", lambda: "other")
     with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
 

@@ -116,7 +116,7 @@ class Fidelity(Command):
         """Of everything that a part depends on."""
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
         folder = None if self.data is None else str(self.data.resolve())
-        facts = [synth._code_hash(), self.trials, self.longest, self.seed, data, folder]
+        facts = [synth.code_hash(), self.trials, self.longest, self.seed, data, folder]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 

@@ -12,6 +12,7 @@ import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from rcbht_jax.commands import Command
+from sim_mjx import physical
 from sim_mjx.randomize import Randomisation
 from sim_mjx.synth import SHARD, Progress, Synthesis, synthesise
 
@@ -44,11 +45,14 @@ class Simulate(Command):
     """What computes the physics: C MuJoCo on all cores; MJX with JAX's or with Warp's kernels, for GPUs."""
     window: int | None = None
     """Also label the trials, with so many samples per straight-line fit, as "rcbht encode" does."""
+    physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json")] = None
+    """Physical parameters in place of the preset's, from "rcbht fidelity fit"."""
     overwrite: bool = False
     """Replace an existing store, once the new one is complete."""
 
     def run(self) -> dict[str, Any]:
-        spec = Randomisation(nominal_share=self.nominal_share, longest=self.longest)
+        values = () if self.physical is None else physical.read(self.physical)
+        spec = Randomisation(nominal_share=self.nominal_share, longest=self.longest, physical=values)
         shard = SHARD[self.engine] if self.shard is None else self.shard
         job = Synthesis(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
         start = time.perf_counter()
