@@ -46,6 +46,7 @@ class PartParams:
     foot_spread: Array  # m, from the middle of the male part to its feet on the right and on the left
     foot_offset: Array  # [2] m, of the front and the rear feet's middle to the left
     rear_rise: Array  # [2] m, rear lips above the front ones and rear feet above the front ones
+    foot_contact: Array  # [4] the feet's time constant, s, impedances and, m, the depth between them (MuJoCo solref, solimp)
     friction: Array  # sliding friction of all contacts
     mount_stiffness: Array  # [3] N/m, x y z of the female part's mount
     mount_damping: Array  # [3] Ns/m
@@ -79,6 +80,7 @@ def nominal(session: str = "A") -> PartParams:
         foot_spread=np.array(30.5e-3),
         foot_offset=np.zeros(2),
         rear_rise=np.zeros(2),
+        foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
         friction=np.array(0.216),
         mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
         mount_damping=np.array([120.0, 120.0, 98.5]),
@@ -203,7 +205,8 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
         arm: that holds the male part.
     """
     out = {name: getattr(model, name).copy() for name in (
-        "jnt_stiffness", "dof_damping", "geom_pos", "pair_friction", "body_pos", "body_quat"
+        "jnt_stiffness", "dof_damping", "geom_pos", "pair_friction", "pair_solref", "pair_solimp", "body_pos",
+        "body_quat",
     )}  # fmt: skip
     for index, name in enumerate(TABS):
         joint = model.joint(f"{arm}TAB_{name}")
@@ -218,6 +221,8 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
         out["dof_damping"][joint.dofadr[0]] = params.mount_damping[axis]
     out["geom_pos"][model.geom("SEAT").id] = _seat(params)
     out["pair_friction"][:, :2] = params.friction
+    feet = [model.pair(f"{arm}FOOT_{name}:SEAT").id for name in TABS]
+    out["pair_solref"][feet, 0], out["pair_solimp"][feet, :3] = params.foot_contact[0], params.foot_contact[1:]
     mount = model.body("MOUNT").id
     out["body_pos"][mount] = model.body_pos[mount] + params.position
     half = float(params.roll) / 2
