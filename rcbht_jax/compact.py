@@ -18,7 +18,8 @@ from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 # Sizes are rounded up, so that few programs are compiled: slots of a compact track to this, ...
 WIDTH = 32
-STRETCH = 200  # ... and recordings to this many windows
+STRETCH = 200  # ... recordings to this many windows, ...
+ROWS = 64  # ... and batches to this many recordings
 
 
 def encode_on_device(
@@ -38,15 +39,17 @@ def encode_on_device(
     """
     count, samples = wrench.shape[:2]
     stretch = config.window * STRETCH
-    wrench = jnp.pad(wrench, ((0, 0), (0, -samples % stretch), (0, 0)))
     limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype), (count, *limits.shape[-2:]))
+    spare = -count % (ROWS if count < together else together)
+    wrench = jnp.pad(wrench, ((0, spare), (0, -samples % stretch), (0, 0)))
+    limits, length = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge"), jnp.pad(length, (0, spare))
     pieces = []
     for start in range(0, count, together):
         rows = slice(start, start + together)
         dense, used = _encode(config, limits[rows], wrench[rows], length[rows])
         widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used))
         pieces.append(_compacted(widths, dense))
-    return jax.tree.map(_stacked, *pieces) if len(pieces) > 1 else pieces[0]
+    return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
 
 
 @partial(jax.jit, static_argnums=0)
