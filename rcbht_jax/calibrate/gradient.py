@@ -1,0 +1,165 @@
+"""Thresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax  # type: ignore[import-untyped]
+
+from rcbht_jax.calibrate.corpus import Corpus
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import LAYER_SIZES
+from rcbht_jax.relax import overlaps, soft_encode, soft_shares
+from rcbht_jax.thresholds import Thresholds, from_free, to_free
+from rcbht_jax.types import Array
+
+_FEATURES = 6 * sum(LAYER_SIZES)
+_GAIN = 4.0  # shares are small numbers; this gives the classifier's weights a handy scale
+
+
+@dataclass(frozen=True)
+class GradientOptions:
+    """How to train."""
+
+    steps: int = 150
+    rate: float = 0.05  # of Adam, for the logarithms of the thresholds
+    rate_weights: float = 0.05  # of Adam, for the classifier
+    temperature: tuple[float, float] = (1.0, 0.1)  # first and last, geometric in between
+    loss: Literal["logistic", "hinge"] = "logistic"
+    decay: float = 1e-3  # penalty of the classifier's squared weights
+    straight_through: bool = False  # hard labels forward, gradients of the soft ones
+    seed: int = 0  # of the classifier's first weights
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
+            raise InputError("training needs steps, positive temperatures and positive rates.")
+        if self.loss not in ("logistic", "hinge"):
+            raise InputError(f"the loss {self.loss!r} is not known; expected logistic or hinge.")
+
+
+class Parameters(NamedTuple):
+    """What is trained."""
+
+    free: Array  # float32 [6, 4], see rcbht_jax.thresholds.from_free
+    weights: Array  # float32 [150, class]
+    bias: Array  # float32 [class]
+
+
+class Batch(NamedTuple):
+    """Trials on the device."""
+
+    wrench: Array  # float32 [trial, time, 6]
+    length: Array  # int32 [trial]
+    weights: Array  # float32 [trial, sentence, window]
+    y: Array  # int32 [trial, sentence]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """The end of a training."""
+
+    thresholds: Thresholds  # [6, 4]
+    parameters: Parameters
+    history: list[tuple[float, float, float]]  # per step: seconds, training loss, held-out loss (NaN without)
+
+
+def batch_of(corpus: Corpus, config: EncoderConfig) -> Batch:
+    """A corpus as arrays for :func:`loss`."""
+    windows = -(-corpus.wrench.shape[1] // config.window)
+    weights = overlaps(jnp.asarray(corpus.edges), windows, config.window)
+    return Batch(jnp.asarray(corpus.wrench), jnp.asarray(corpus.windows.length), weights, jnp.asarray(corpus.y))
+
+
+def loss(
+    config: EncoderConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
+) -> Array:
+    """Mean loss of the linear classifier on soft label shares, without its penalty."""
+    limits = from_free(parameters.free).limits
+    labels = soft_encode(
+        config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through
+    )
+    x = soft_shares(labels, batch.weights)
+    said = _GAIN * x @ parameters.weights + parameters.bias[None, None]
+    if options.loss == "logistic":
+        return optax.softmax_cross_entropy_with_integer_labels(said, batch.y).mean()
+    # Crammer and Singer: the margin over the best wrong class.
+    true = jax.nn.one_hot(batch.y, said.shape[-1], dtype=said.dtype)
+    margin = jnp.sum(said * true, -1) - jnp.max(said - 1e9 * true, -1)
+    return jnp.maximum(1 - margin, 0).mean()
+
+
+def calibrate(
+    corpus: Corpus,
+    config: EncoderConfig,
+    start: Thresholds,
+    options: GradientOptions,
+    *,
+    held_out: Corpus | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Trained:
+    """Train thresholds and classifier on a corpus, from ``start``.
+
+    Args:
+        corpus: training trials only.
+        config: static configuration of the encoder.
+        start: first thresholds ``[6, 4]``, strictly ordered.
+        options: how to train.
+        held_out: trials whose loss, at the temperature of the step, is recorded and nothing else.
+        progress: called with the number of steps done since the last call.
+
+    Raises:
+        InputError: limits of the start coincide, or the loss is no longer finite.
+    """
+    free = np.asarray(to_free(start), np.float32)
+    if not np.isfinite(free).all():
+        raise InputError("training starts from strictly ordered thresholds; two of the given limits are equal.")
+    classes = len(corpus.classes)
+    weights = 0.01 * jax.random.normal(jax.random.key(options.seed), (_FEATURES, classes))
+    parameters = Parameters(jnp.asarray(free), weights, jnp.zeros(classes))
+    optimizer = optax.multi_transform(
+        {"limits": optax.adam(options.rate), "classifier": optax.adam(options.rate_weights)},
+        Parameters("limits", "classifier", "classifier"),
+    )
+    state = optimizer.init(parameters)
+    batch = batch_of(corpus, config)
+    other = None if held_out is None else batch_of(held_out, config)
+    history, began = [], time.perf_counter()
+    for temperature in np.geomspace(*options.temperature, options.steps).astype(np.float32):
+        outside = np.nan if other is None else float(_loss(config, options, parameters, other, temperature))
+        parameters, state, inside = _step(config, options, optimizer, parameters, state, batch, temperature)
+        history.append((time.perf_counter() - began, float(inside), outside))
+        if not np.isfinite(history[-1][1]):
+            raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
+        if progress is not None:
+            progress(1)
+    return Trained(Thresholds(np.asarray(from_free(parameters.free).limits, np.float64)), parameters, history)
+
+
+_loss = jax.jit(loss, static_argnums=(0, 1))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _step(
+    config: EncoderConfig,
+    options: GradientOptions,
+    optimizer: optax.GradientTransformation,
+    parameters: Parameters,
+    state: Any,
+    batch: Batch,
+    temperature: Array,
+) -> tuple[Parameters, Any, Array]:
+    def total(parameters: Parameters) -> tuple[Array, Array]:
+        value = loss(config, options, parameters, batch, temperature)
+        return value + options.decay * jnp.sum(jnp.square(parameters.weights)), value
+
+    gradients, value = jax.grad(total, has_aux=True)(parameters)
+    updates, state = optimizer.update(gradients, state, parameters)
+    return Parameters(*optax.apply_updates(parameters, updates)), state, value
