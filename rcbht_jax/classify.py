@@ -48,6 +48,7 @@ class SvmSpec:
     gamma: str = "auto"  # "auto" = 1 / features, "scale" = 1 / (features x variance)
     balanced: bool = False  # weigh classes by the inverse of their frequency
     features: str = ""  # which candidate feature matrix; "" = the only one
+    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not shout
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not self.cost > 0:
@@ -67,11 +68,12 @@ class Grid:
     gamma: str = "auto"
     balanced: bool = False  # balanced class weights, and selection by balanced accuracy
     inner: int = 5  # folds of the selection
+    floor: float = 0.0  # see SvmSpec
 
     def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
         """Every choice but the cost, which is set to the smallest."""
         return [
-            SvmSpec(kernel, self.costs[0], scaling, self.gamma, self.balanced, name)
+            SvmSpec(kernel, self.costs[0], scaling, self.gamma, self.balanced, name, self.floor)
             for name in candidates
             for scaling in self.scalings
             for kernel in self.kernels
@@ -155,11 +157,11 @@ def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]
     return np.exp(-gamma * np.maximum(square, 0))
 
 
-def _scaler(x: Matrix, scaling: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _scaler(x: Matrix, scaling: bool, floor: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if not scaling:
         return np.zeros(x.shape[1]), np.ones(x.shape[1])
     deviation = x.std(0, dtype=np.float64)
-    return x.mean(0, dtype=np.float64), np.where(deviation > 0, deviation, 1.0)
+    return x.mean(0, dtype=np.float64), np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
 
 
 def _gamma(x: Matrix, kind: str) -> float:
@@ -175,7 +177,7 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
     """
     _check(x, y, classes)
     x = np.asarray(x, np.float64)
-    center, width = _scaler(x, spec.scaling)
+    center, width = _scaler(x, spec.scaling, spec.floor)
     scaled = (x - center) / width
     gamma = _gamma(scaled, spec.gamma)
     machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
@@ -272,7 +274,7 @@ def predictions(
     x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
 ) -> list[NDArray[np.int64]]:
     """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
-    center, width = _scaler(x[train], spec.scaling)
+    center, width = _scaler(x[train], spec.scaling, spec.floor)
     scaled = (x - center) / width
     gamma = _gamma(scaled[train], spec.gamma)
     kernel = gram(scaled, scaled[train], spec.kernel, gamma)

@@ -7,13 +7,17 @@ names of the features, the encoder's configuration and thresholds, and where it 
 from __future__ import annotations
 
 import json
+import uuid
 import zipfile
 import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.classify import SvmModel, SvmSpec
@@ -45,21 +49,14 @@ def save(path: Path, model: TrainedModel) -> None:
     Raises:
         InputError: the folder does not exist, or a description is not JSON.
     """
+    arrays, described = svm_members(model.svm)
     meta = {
         "format": FORMAT,
-        "spec": asdict(model.svm.spec),
-        "gamma": model.svm.gamma,
-        "classes": model.svm.classes,
+        **described,
         "feature_spec": asdict(model.feature_spec),
         **{k: getattr(model, k) for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra")},
     }
-    try:
-        text = json.dumps(meta, allow_nan=False)
-        with path.open("wb") as out:
-            arrays = {name: getattr(model.svm, name) for name in _ARRAYS}
-            np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
-    except (OSError, TypeError, ValueError) as error:
-        raise InputError(f"the model cannot be written to {path}: {error}.") from error
+    write_archive(path, meta, arrays)
 
 
 def load(path: Path) -> TrainedModel:
@@ -68,28 +65,79 @@ def load(path: Path) -> TrainedModel:
     Raises:
         InputError: the file is missing, damaged, or not a model of this format.
     """
+    with reading(path, FORMAT) as (meta, archive):
+        names = tuple(meta["feature_names"])
+        svm = read_svm(path, meta, archive, len(names))
+        rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
+        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest)
+
+
+def svm_members(svm: SvmModel, prefix: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """An SVM as arrays (their names begin with ``prefix``) and JSON values."""
+    arrays = {prefix + name: getattr(svm, name) for name in _ARRAYS}
+    return arrays, {"spec": asdict(svm.spec), "gamma": svm.gamma, "classes": svm.classes}
+
+
+def read_svm(
+    path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], features: int, prefix: str = ""
+) -> SvmModel:
+    """Undo :func:`svm_members`.
+
+    Raises:
+        InputError: the arrays do not fit each other or the number of features.
+    """
+    svm = SvmModel(
+        spec=SvmSpec(**meta["spec"]),
+        gamma=float(meta["gamma"]),
+        classes=tuple(meta["classes"]),
+        **{name: archive[prefix + name] for name in _ARRAYS},
+    )
+    _check(svm, features, path)
+    return svm
+
+
+def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a JSON text and arrays as one compressed archive, whole or not at all.
+
+    Raises:
+        InputError: the folder does not exist, or ``meta`` is not JSON.
+    """
+    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
+    try:
+        text = json.dumps(meta, allow_nan=False)
+        with draft.open("wb") as out:
+            np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
+        draft.replace(path)
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(f"the model cannot be written to {path}: {error}.") from error
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
+    """Open an archive of format ``kind``: its JSON text and its arrays, which are read when asked for.
+
+    Raises:
+        InputError: missing, damaged, of another format, or whatever goes wrong with its content in the block.
+    """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             meta = json.loads(str(archive["meta"]))
-            if meta["format"] != FORMAT:
-                raise InputError(f"{path} has the format {meta['format']}; this version reads {FORMAT}.")
-            arrays = {name: archive[name] for name in _ARRAYS}
-        svm = SvmModel(
-            spec=SvmSpec(**meta["spec"]), gamma=float(meta["gamma"]), classes=tuple(meta["classes"]), **arrays
-        )
-        rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
-        names = tuple(meta["feature_names"])
-        _check(svm, names, path)
-        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest)
+            if meta["format"] != kind:
+                raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
+            yield meta, archive
     except InputError:
         raise
-    except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        OSError, EOFError, AttributeError, KeyError, IndexError, TypeError, ValueError, zipfile.BadZipFile, zlib.error
+    ) as error:  # fmt: skip
         raise InputError(f"{path} is not a readable model file: {error}.") from error
 
 
-def _check(svm: SvmModel, names: tuple[str, ...], path: Path) -> None:
+def _check(svm: SvmModel, features: int, path: Path) -> None:
     """Refuse arrays that do not fit together, which would otherwise broadcast into nonsense."""
-    classes, features, vectors = len(svm.classes), len(names), int(svm.support_count.sum())
+    classes, vectors = len(svm.classes), int(svm.support_count.sum())
     expected = {
         "center": (features,),
         "width": (features,),

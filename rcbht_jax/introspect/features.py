@@ -10,7 +10,7 @@ they stay exact to 1e-7 over streams of any length; durations are whole samples.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import jax
@@ -195,7 +195,7 @@ def _add_runs(spec: FeatureSpec, tally: Tally, code: Array) -> tuple[Array, Arra
 
 def describe(spec: FeatureSpec, dt: float, tally: Tally, now: Array) -> Array:
     """Features float32 ``[feature]`` of the sentence up to sample ``now``, in the order of :func:`names`."""
-    blocks = {
+    blocks: dict[str, Callable[[], list[Array]]] = {
         "histogram": lambda: [_share(tally.time), _share(tally.count)],
         "ngram": lambda: [_share(tally.runs)],
         "duration": lambda: [_ratio(tally.time, tally.count) * dt, tally.longest.astype(jnp.float32) * dt],
@@ -263,7 +263,7 @@ def _course(spec: FeatureSpec, tally: Tally) -> list[Array]:
 def _columns(spec: FeatureSpec) -> NDArray[np.int32]:
     """Where each feature lies in the flattened ``[layer, axis, wide column]``, in the grammar's order."""
     width = sum(padded for family in FAMILIES if family in spec.families for padded, _ in _widths(spec, family, 0))
-    out = []
+    out: list[int] = []
     for layer in range(len(spec.layers)):
         edge = 0
         for family in FAMILIES:

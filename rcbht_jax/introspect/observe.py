@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoder import EncoderConfig, EncoderState, drain, init, step_partial, unpack
+from rcbht_jax.encoder import EncoderConfig, EncoderState, Published, drain, init, step_partial, unpack
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.introspect.features import Tally, add, check_online, describe, empty, names, restart, stack_words
 from rcbht_jax.thresholds import Thresholds
-from rcbht_jax.types import Array, LabelTracks
+from rcbht_jax.types import Array
 
 _TICKS = 512  # per compiled scan, whatever the length of the recording
 
@@ -56,7 +56,7 @@ def tick(
     window: Array,
     count: Array,
     begins: Array,
-) -> tuple[Progress, tuple[Array, ...], LabelTracks]:
+) -> tuple[Progress, tuple[Array, ...], Published]:
     """One look at the stream.
 
     Args:
@@ -70,7 +70,7 @@ def tick(
 
     Returns:
         the new state (the same unless the window is complete), the features ``[feature]`` of each sentence, and
-        the labels that the window published, ``[6]``, empty unless it is complete.
+        the labels that the window published, packed, none unless it is complete.
     """
     counts = jnp.broadcast_to(count, progress.encoder.time.shape)
     after, out = step_partial(config, limits, progress.encoder, window, counts)
@@ -87,7 +87,7 @@ def tick(
         described.append(describe(sight.spec, config.dt, seen, now))
         tallies.append(kept)
     encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, progress.encoder)
-    published = jax.tree.map(lambda leaf: jnp.where(complete, leaf, jnp.zeros_like(leaf)), said)
+    published = jax.tree.map(lambda leaf: jnp.where(complete, leaf, jnp.zeros_like(leaf)), out)
     return Progress(encoder, tuple(tallies)), tuple(described), published
 
 

@@ -1,0 +1,149 @@
+"""What an introspector tells a planner: frozen, typed events, each a plain JSON object as well."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from rcbht_jax.errors import InputError
+
+Level = Literal["inadmissible", "uncertain", "certain"]
+LEVELS: tuple[Level, ...] = ("inadmissible", "uncertain", "certain")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that was known after ``sample`` samples."""
+
+    sample: int  # samples received when it was known
+    time: float  # s, the time stamp of the latest of them (samples x period where the source has none)
+
+    def to_json(self) -> dict[str, Any]:
+        """The event as JSON values; ``event`` is the name of its class."""
+        return {"event": type(self).__name__, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class SubtaskStarted(Event):
+    """A sub-task began at ``begin``: said by the controller, or detected."""
+
+    begin: int  # sample
+    detected: bool
+
+
+@dataclass(frozen=True)
+class Belief(Event):
+    """What one head of the model holds likely now."""
+
+    head: str
+    label: str  # the likeliest class
+    probability: float  # of it
+    level: Level  # inadmissible below 0.5, certain above the threshold, with hysteresis
+    certain_for: float  # s since the level has been certain with the same label; 0 while it is not
+    classes: tuple[str, ...]
+    probabilities: tuple[float, ...]  # [class]
+
+
+@dataclass(frozen=True)
+class AnomalyRaised(Event):
+    """The abnormal class has been certain for the hold time."""
+
+    head: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class AnomalyCleared(Event):
+    """The abnormal class has fallen below the clearing threshold for the hold time."""
+
+    head: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class FailureType(Event):
+    """The likeliest kind of failure, told while an anomaly stands and whenever it changes."""
+
+    label: str
+    probability: float
+    level: Level
+
+
+@dataclass(frozen=True)
+class Notice(Event):
+    """Something about the stream itself that a careful reader should know."""
+
+    kind: Literal["gap", "late", "repeated", "not-finite", "malformed", "jitter", "silent", "resumed"]
+    text: str
+    count: int = 1  # samples or messages concerned
+
+
+Callback = Callable[[Event], None]
+
+
+class EventHub:
+    """Hands events on to callbacks and to asyncio iterators.
+
+    Example:
+        hub = EventHub()
+        hub.subscribe(print, AnomalyRaised)
+        async for event in hub.events(Belief): ...
+    """
+
+    def __init__(self, backlog: int = 10_000) -> None:
+        self._callbacks: list[tuple[Callback, tuple[type[Event], ...]]] = []
+        self._queues: list[tuple[asyncio.Queue[Event | None], tuple[type[Event], ...]]] = []
+        self._backlog = backlog
+        self.dropped = 0  # events that a slow iterator lost, oldest first
+
+    def subscribe(self, callback: Callback, *kinds: type[Event]) -> Callable[[], None]:
+        """Call ``callback`` with every event of these kinds (none = all); returns what ends it."""
+        entry = (callback, kinds or (Event,))
+        self._callbacks.append(entry)
+
+        def end() -> None:
+            if entry in self._callbacks:
+                self._callbacks.remove(entry)
+
+        return end
+
+    def publish(self, events: Iterable[Event]) -> None:
+        """Hand events on, in order; from the thread of the event loop if iterators are used."""
+        for event in events:
+            for callback, kinds in tuple(self._callbacks):
+                if isinstance(event, kinds):
+                    callback(event)
+            for queue, kinds in self._queues:
+                if isinstance(event, kinds):
+                    self._put(queue, event)
+
+    def _put(self, queue: asyncio.Queue[Event | None], event: Event | None) -> None:
+        if queue.full():  # a reader that sleeps must not make the robot's memory grow
+            queue.get_nowait()
+            self.dropped += 1
+        queue.put_nowait(event)
+
+    def close(self) -> None:
+        """End all iterators once they have read what is left."""
+        for queue, _ in self._queues:
+            self._put(queue, None)
+
+    def events(self, *kinds: type[Event]) -> AsyncIterator[Event]:
+        """Events of these kinds (none = all) from now on; ends with :meth:`close`."""
+        if self._backlog < 1:
+            raise InputError(f"a backlog of {self._backlog} events cannot be iterated; at least one is needed.")
+        queue: asyncio.Queue[Event | None] = asyncio.Queue(self._backlog)
+        entry = (queue, kinds or (Event,))
+        self._queues.append(entry)
+        return self._iterate(entry)
+
+    async def _iterate(
+        self, entry: tuple[asyncio.Queue[Event | None], tuple[type[Event], ...]]
+    ) -> AsyncIterator[Event]:
+        try:
+            while (event := await entry[0].get()) is not None:
+                yield event
+        finally:
+            self._queues.remove(entry)

@@ -1,0 +1,147 @@
+"""From recordings to heads: what a stream would have seen, picked so that every part of a sub-task counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.classify import Grid, select
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.evaluate import data_hash
+from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.model import Head, IntrospectionModel, Scope
+from rcbht_jax.introspect.observe import Sight, observe_all
+from rcbht_jax.tasks import OUTCOMES, Sentences, TaskSpec, sentences
+from rcbht_jax.thresholds import Thresholds, preset
+from rcbht_jax.types import Recordings
+
+# Words, their sizes, and where the signal is: without n-grams, whose 1254 columns cost time and help no task here.
+FAMILIES = ("histogram", "attributes", "offset", "course", "edges")
+RELATIVE = ("histogram", "attributes", "course")  # without duration and without absolute offset
+GRID = Grid(kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1)
+PICKED = 12  # looks per sentence and per spacing (even, geometric) for training
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Moments at which sentences are looked at."""
+
+    sentence: NDArray[np.int64]  # [look] item of the task
+    recording: NDArray[np.int64]  # [look]
+    begin: NDArray[np.int64]  # [look] first sample of the sentence
+    now: NDArray[np.int64]  # [look] samples received
+    whole: NDArray[np.bool_]  # [look] the sentence is complete
+
+    def __len__(self) -> int:
+        return len(self.now)
+
+    def take(self, rows: NDArray[Any]) -> Looks:
+        """The chosen looks."""
+        return Looks(*(getattr(self, name)[rows] for name in ("sentence", "recording", "begin", "now", "whole")))
+
+
+def streamed(items: Sentences, every: int) -> Looks:
+    """Looks every ``every`` samples since the sentence began, and one at its end."""
+    return _looks(items, lambda size: np.append(np.arange(every, size, every), size))
+
+
+def picked(items: Sentences, every: int, count: int = PICKED) -> Looks:
+    """At most ``2 * count`` of the streamed looks per sentence: evenly spaced ones, and more at its beginning.
+
+    Long sentences would otherwise outweigh short ones, and the first moments, when beliefs are hard, the rest.
+    """
+
+    def choose(size: int) -> NDArray[np.int64]:
+        steps = np.append(np.arange(every, size, every), size)
+        even = np.linspace(1, len(steps), count)
+        early = np.geomspace(1, len(steps), count)
+        return steps[np.unique(np.rint(np.concatenate([even, early])).astype(np.int64)) - 1]
+
+    return _looks(items, choose)
+
+
+def _looks(items: Sentences, choose: Callable[[int], NDArray[np.int64]]) -> Looks:
+    where = items.intervals[0]
+    steps = [choose(int(size)) for size in where.end - where.start]
+    sentence = np.repeat(np.arange(len(steps)), [len(s) for s in steps])
+    begin, end = where.start[sentence].astype(np.int64), where.end[sentence]
+    now = begin + np.concatenate(steps)
+    return Looks(sentence, where.recording[sentence].astype(np.int64), begin, now, now == end)
+
+
+def watch(
+    recordings: Recordings,
+    looks: Looks,
+    sight: Sight,
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    progress: Callable[[int], None] | None = None,
+) -> NDArray[np.float32]:
+    """Features ``[look, feature]`` as a stream would have had them."""
+    return observe_all(
+        config, thresholds, sight, recordings.wrench, looks.recording, looks.begin, looks.now, progress=progress
+    )
+
+
+@dataclass(frozen=True)
+class HeadSpec:
+    """What a head is to learn, and from which features."""
+
+    task: TaskSpec
+    families: tuple[str, ...] = FAMILIES
+    grid: Grid = GRID
+    rate: float = 10.0  # looks per second
+
+    @property
+    def scope(self) -> Scope:
+        """States are told from the sub-task's sentence, everything else from the trial's."""
+        return "subtask" if self.task.task == "states" else "trial"
+
+
+def train_head(
+    recordings: Recordings,
+    spec: HeadSpec,
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Head:
+    """Learn one head; kernel and cost are chosen by cross-validation grouped by trial.
+
+    ``progress`` is called with the number of looks done since the last call and the total.
+
+    Raises:
+        InputError: fewer than two classes, or a class with a single trial.
+    """
+    items = sentences(recordings, spec.task)
+    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))))
+    sight = Sight(FeatureSpec(families=spec.families))
+    total = len(looks)
+    x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
+    y, groups = items.y[looks.sentence], items.trial[looks.sentence]
+    chosen = select({"": x}, y, groups, spec.grid, seed)
+    machine = fit_probabilistic(x, y, groups, items.classes, chosen, seed)
+    alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
+    return Head(spec.task.task, spec.scope, sight, machine, alarm)
+
+
+def train_model(
+    recordings: Recordings,
+    specs: tuple[HeadSpec, ...],
+    config: EncoderConfig | None = None,
+    thresholds: Thresholds | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> IntrospectionModel:
+    """Learn a model with one head per specification; see :func:`train_head`."""
+    config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset()
+    heads = tuple(train_head(recordings, spec, config, thresholds, seed, progress) for spec in specs)
+    extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
+    return IntrospectionModel(
+        config, np.asarray(thresholds.limits, np.float64), heads, data_hash(recordings), extra=extra
+    )
