@@ -111,6 +111,26 @@ def _credit(probability: Floats, truth: Ints) -> NDArray[np.float64]:
     return np.where(probability.argmax(1) == truth, probability.max(1), 0.0)
 
 
+def reliability(probability: Floats, truth: Ints, bins: int = 10) -> NDArray[np.float64]:
+    """Reliability diagram of the said class: ``[bin, 3]`` share of steps, mean probability, share correct.
+
+    Bins are equal parts of [0, 1]; empty ones hold 0, NaN, NaN.
+    """
+    _check(probability, truth)
+    top = probability.max(1)
+    index = np.minimum((top * bins).astype(np.int64), bins - 1)
+    count = np.bincount(index, minlength=bins)
+    sums = np.stack([np.bincount(index, w, bins) for w in (top, probability.argmax(1) == truth)], 1)
+    mean = np.divide(sums, count[:, None], out=np.full((bins, 2), np.nan), where=count[:, None] > 0)
+    return np.concatenate([(count / len(truth))[:, None], mean], 1)
+
+
+def calibration_error(probability: Floats, truth: Ints, bins: int = 10) -> float:
+    """Expected calibration error of the said class: mean distance of probability and accuracy, by step."""
+    share, said, right = reliability(probability, truth, bins).T
+    return float(np.nansum(share * np.abs(said - right)))
+
+
 def certainty(probability: Floats, k: float) -> NDArray[np.int8]:
     """Per step 0 inadmissible (largest probability < 0.5), 1 uncertain (up to k), 2 certain (above k)."""
     top = probability.max(1)

@@ -122,3 +122,22 @@ def test_bad_input_is_refused():
         metrics.overall_pr(np.ones((3, 2)) / 2, np.array([0]))
     with pytest.raises(InputError, match="compared"):
         metrics.certainties([], [])
+
+
+def test_calibration_error_by_hand():
+    probability = np.array([[0.9, 0.1], [0.9, 0.1], [0.4, 0.6], [0.45, 0.55], [0.35, 0.65]])
+    truth = np.array([0, 1, 1, 0, 1])
+    table = metrics.reliability(probability, truth)
+    np.testing.assert_allclose(table[9], [0.4, 0.9, 0.5])
+    np.testing.assert_allclose(table[6], [0.4, 0.625, 1.0])
+    np.testing.assert_allclose(table[5], [0.2, 0.55, 0.0])
+    assert np.isnan(table[0, 1])
+    assert metrics.calibration_error(probability, truth) == pytest.approx(0.4 * 0.4 + 0.4 * 0.375 + 0.2 * 0.55)
+
+
+def test_true_probabilities_are_calibrated():
+    rng = np.random.default_rng(0)
+    first = rng.uniform(size=40_000)
+    truth = (rng.uniform(size=40_000) > first).astype(np.int64)
+    assert metrics.calibration_error(np.stack([first, 1 - first], 1), truth) < 0.01
+    assert metrics.calibration_error(np.stack([first**3, 1 - first**3], 1), truth) > 0.05
