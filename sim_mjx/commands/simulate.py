@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
+from rcbht_jax import compile_cache
 from rcbht_jax.commands import Command
 from sim_mjx import physical
 from sim_mjx.randomize import Randomisation
@@ -47,6 +48,8 @@ class Simulate(Command):
     """Also label the trials, with so many samples per straight-line fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json")] = None
     """Physical parameters in place of the preset's, from "rcbht fidelity fit"."""
+    compile_cache: Path | None = None
+    """Folder that keeps compiled programs of mjx and warp; default rcbht-jax in your cache folder."""
     overwrite: bool = False
     """Replace an existing store, once the new one is complete."""
 
@@ -55,6 +58,8 @@ class Simulate(Command):
         spec = Randomisation(nominal_share=self.nominal_share, longest=self.longest, physical=values)
         shard = SHARD[self.engine] if self.shard is None else self.shard
         job = Synthesis(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
+        if self.engine != "native":  # whose controllers compile in seconds
+            compile_cache.use(self.compile_cache)
         start = time.perf_counter()
         with tqdm(total=self.trials, desc="simulate", unit=" trials", file=sys.stderr, disable=None) as bar:
             report = synthesise(self.out, job, overwrite=self.overwrite, progress=lambda now: _show(bar, now))
