@@ -2,7 +2,6 @@
 PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
-DATA ?= ../shared/data/hiro
 OUT ?= demo-out
 
 BIN := $(VENV)/bin
@@ -35,8 +34,8 @@ format: $(INSTALLED) ## put the style right
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-demo: $(INSTALLED) ## from the recorded trials to a report: DATA=folder OUT=folder
-	$(BIN)/rcbht demo $(DATA) --out $(OUT)
+demo: $(INSTALLED) ## simulate, label, train, evaluate, draw: OUT=folder; on recorded trials: DATA=folder
+	$(BIN)/rcbht demo $(if $(DATA),--data $(DATA)) --out $(OUT)
 
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench

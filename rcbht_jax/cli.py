@@ -22,7 +22,7 @@ from rcbht_jax.errors import InputError
 COMMANDS: dict[str, tuple[str, str]] = {
     "import hiro": ("rcbht_jax.commands.import_hiro:ImportHiro", "read the authors' trials into a store"),
     "bench": ("rcbht_jax.commands.bench:Bench", "measure the encoders on this machine"),
-    "demo": ("rcbht_jax.commands.demo:Demo", "the whole chain on the authors' real trials"),
+    "demo": ("sim_mjx.commands.demo:Demo", "the whole chain on simulated or recorded trials"),
     "encode": ("rcbht_jax.commands.encode:Encode", "label every recording of a store"),
     "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),

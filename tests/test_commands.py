@@ -91,7 +91,7 @@ def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, capsys: py
         ("evaluate", "STORE", "--train-on", "A"), ("evaluate", "STORE", "--folds", "1"),
         ("evaluate", "STORE", "--task", "failure-type"), ("evaluate", "STORE", "--costs", "-1"),
         ("evaluate", "STORE", "--repeats", "0"), ("train", "STORE", "--out", "/nowhere/at/all/x.model"),
-        ("demo", "nowhere"), ("bench", "--trials", "0"), ("bench", "--samples", "1"), ("fly",),
+        ("demo", "--data", "nowhere"), ("bench", "--trials", "0"), ("bench", "--samples", "1"), ("fly",),
     ],
 )  # fmt: skip
 def test_wrong_input_ends_with_one_sentence(

@@ -1,4 +1,4 @@
-"""``rcbht demo``."""
+"""``rcbht demo`` on recorded trials."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ WINDOW = 5
 
 
 @dataclass(frozen=True)
-class Demo(Command):
+class DemoRecorded(Command):
     """The whole chain on the authors' real trials: import, encode, evaluate, pictures, summary.
 
-    Example: rcbht demo ../shared/data/hiro --out demo-out
+    Example: rcbht demo --data ../shared/data/hiro --out demo-out
     """
 
-    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")] = Path("../shared/data/hiro")
+    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of the authors' data sets."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path("demo-out")
     """Folder for the store, the pictures and the summary; what an earlier demo left there is replaced."""
 
     def run(self) -> dict[str, Any]:
         if not self.data.is_dir():
-            raise InputError(f"{self.data} is no folder; give the folder of the authors' data sets, as in DATA=DIR.")
+            raise InputError(f"{self.data} is no folder; give the folder of the authors' data sets: --data DIR.")
         start = time.perf_counter()
         self.out.mkdir(parents=True, exist_ok=True)
         store = self.out / "hiro.zarr"
