@@ -17,16 +17,17 @@ from rcbht_jax.batch import encode_recordings
 from rcbht_jax.commands import Command
 from rcbht_jax.commands.plot import find_recording
 from rcbht_jax.data.store import read_attrs, read_recordings
+from rcbht_jax.data.tracks import choose_tracks, list_tracks
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.plots import save
 from rcbht_jax.thresholds import preset
-from rcbht_jax.types import Recordings
+from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.plots import film
 from sim_mjx.plots.story import story
 from sim_mjx.replay import Replay, moments, recorded, simulated
 
-WINDOW = 5  # samples, of the encoder whose labels are drawn
+WINDOW = 5  # samples, of the encoder that labels a store without labels
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class View(Command):
     """Whose wrench to draw, where a trial has two arms."""
     source: str = ""
     """Data set, where several hold a trial of this name: the beginning of its name is enough."""
+    tracks: str = ""
+    """Label tracks to draw, where the store has several; a store without any is labelled for the picture."""
     speed: float = 1.0
     """Seconds of the trial per second in viewer and film."""
 
@@ -70,16 +73,21 @@ class View(Command):
             with tqdm(desc="film", unit=" pictures", file=sys.stderr, disable=None) as bar:
                 film.film(out, replay, recordings, row, speed=self.speed, progress=lambda n, of: _show(bar, n, of))
         else:
-            alone = _only(recordings, row)
-            config = EncoderConfig(WINDOW, recordings.dt)
-            tracks = encode_recordings(config, preset("hiro"), alone.wrench, alone.length)
-            save(story(replay, alone, tracks, 0, found), out)
+            save(story(replay, *self._labelled(recordings, row), found), out)
         return {**result, "moments": found}
 
     def text(self, result: dict[str, Any]) -> str:
         lines = [f"{result['trial']}: {result['how']}"]
         lines += [f"  {seconds:7.2f} s  {name}" for name, seconds in result["moments"].items()]
         return "\n".join([*lines, *([result["picture"]] if result["picture"] else [])])
+
+    def _labelled(self, recordings: Recordings, row: int) -> tuple[Recordings, LabelTracks, int]:
+        """The store's labels; of a store without any, this trial's own."""
+        if self.tracks or list_tracks(self.store):
+            return recordings, choose_tracks(self.store, self.tracks)[1], row
+        alone = _only(recordings, row)
+        config = EncoderConfig(WINDOW, recordings.dt)
+        return alone, encode_recordings(config, preset("hiro"), alone.wrench, alone.length), 0
 
     def _check(self, out: Path | None) -> None:
         if not 0.01 <= self.speed <= 100.0:
