@@ -24,8 +24,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("rcbht_jax.commands.bench:Bench", "measure the encoders on this machine"),
     "demo": ("sim_mjx.commands.demo:Demo", "the whole chain on simulated or recorded trials"),
     "encode": ("rcbht_jax.commands.encode:Encode", "label every recording of a store"),
+    "calibrate": ("rcbht_jax.commands.calibrate:Calibrate", "find thresholds: by context, search or gradients"),
     "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
+    "train-online": ("rcbht_jax.commands.online:TrainOnline", "train the beliefs of a stream"),
+    "stream": ("rcbht_jax.commands.online:Stream", "beliefs and events from a stream, as JSON lines"),
     "simulate": ("sim_mjx.commands.simulate:Simulate", "simulate randomised trials into a store"),
     "fidelity": ("sim_mjx.commands.fidelity:Fidelity", "hold the simulation against solver, engines and recordings"),
     "fidelity fit": ("sim_mjx.commands.fit:FidelityFit", "fit physical parameters to a recorded session"),
@@ -94,7 +97,9 @@ def _run(name: str, words: list[str]) -> int:
     if command is None:
         return 0
     result = command.run()
-    print(json.dumps(result, allow_nan=False) if as_json else command.text(result), flush=True)
+    said = json.dumps(result, allow_nan=False) if as_json else command.text(result)
+    if said:  # a command whose standard output is a stream of its own says nothing here
+        print(said, flush=True)
     return 0
 
 

@@ -161,5 +161,7 @@ def _step(
         return value + options.decay * jnp.sum(jnp.square(parameters.weights)), value
 
     gradients, value = jax.grad(total, has_aux=True)(parameters)
-    updates, state = optimizer.update(gradients, state, parameters)
-    return Parameters(*optax.apply_updates(parameters, updates)), state, value
+    with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
+        updates, state = optimizer.update(gradients, state, parameters)
+        parameters = Parameters(*optax.apply_updates(parameters, updates))
+    return parameters, state, value

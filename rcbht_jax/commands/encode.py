@@ -21,7 +21,8 @@ from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.offline.dataset import encode_dataset
-from rcbht_jax.thresholds import preset
+from rcbht_jax.threshold_file import read_thresholds
+from rcbht_jax.thresholds import Thresholds, preset
 from rcbht_jax.types import LabelTracks, Recordings
 
 
@@ -42,6 +43,8 @@ class Encode(Command):
     """Samples per straight-line fit (online)."""
     robot: Literal["hiro", "baxter", "pa10"] = "hiro"
     """Whose gradient thresholds to use."""
+    thresholds: Path | None = None
+    """Calibrated thresholds to use instead, a file of "rcbht calibrate" (online)."""
     gate: bool = True
     """Pair only primitives of similar size (online)."""
     adj_exempt: bool = True
@@ -63,6 +66,8 @@ class Encode(Command):
 
     def run(self) -> dict[str, Any]:
         name = self.name or self._default_name()
+        if self.thresholds is not None and self.mode == "offline":
+            raise InputError("--thresholds are for the online encoder; leave them out, or choose --mode online.")
         if name in list_tracks(self.store):
             raise InputError(f"{self.store} has label tracks {name} already; choose another --name.")
         recordings = read_recordings(self.store)
@@ -89,6 +94,7 @@ class Encode(Command):
         words += [word for word in (self.pipe, self.rule) if word not in ("two-slot", "paper")]
         words += [] if self.latency_cap is None else [f"cap{self.latency_cap:g}"]
         words += [] if self.robot == "hiro" else [self.robot]
+        words += [] if self.thresholds is None else [self.thresholds.stem]
         return "-".join([f"online-W{self.window}", *words])
 
     def _online(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
@@ -96,14 +102,19 @@ class Encode(Command):
             self.window, recordings.dt, self.gate, self.adj_exempt, self.contact_first, self.pipe, self.rule,
             self.latency_cap,
         )  # fmt: skip
-        thresholds = preset(self.robot)
+        thresholds, source = self._thresholds()
         total = int(recordings.length.sum())
         with tqdm(total=total, desc="encode", unit=" samples", unit_scale=True, file=sys.stderr, disable=None) as bar:
             tracks = encode_recordings(
                 config, thresholds, recordings.wrench, recordings.length, progress=lambda n: bar.update(n)
             )
         how = {"semantics": "online", "window": self.window, "config": asdict(config)}
-        return tracks, {**how, "thresholds": thresholds.limits.tolist()}
+        return tracks, {**how, "thresholds": thresholds.limits.tolist(), "thresholds_from": source}
+
+    def _thresholds(self) -> tuple[Thresholds, dict[str, Any]]:
+        if self.thresholds is None:
+            return preset(self.robot), {"method": "preset", "robot": self.robot}
+        return read_thresholds(self.thresholds)
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         def bar(indices: Iterable[int]) -> Iterable[int]:

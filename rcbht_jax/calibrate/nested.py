@@ -1,0 +1,112 @@
+"""Calibration inside cross-validation: learners that choose thresholds on their training rows only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.batch import encode_recordings
+from rcbht_jax.calibrate.corpus import Corpus
+from rcbht_jax.calibrate.label_times import label_times
+from rcbht_jax.calibrate.objective import Objective, scores
+from rcbht_jax.classify import Grid
+from rcbht_jax.crossval import Answer, Learner, nested_svm
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.tasks import Sentences, describe
+from rcbht_jax.thresholds import Thresholds
+from rcbht_jax.types import Array, Recordings
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+# (training recordings as rows of the corpus, seed) -> threshold sets [n, 6, 4], of which inner folds choose one
+Choose = Callable[[Rows, int], Floats]
+
+
+@dataclass(frozen=True)
+class Library:
+    """Candidates and their times per label, trial by trial: what a candidate says of a trial depends on nothing else.
+
+    So one encoding of all trials serves every fold; a fold scores the candidates on its own training trials.
+    """
+
+    limits: Floats  # [candidate, 6, 4]
+    times: Array  # int32 [candidate, recording, sentence, 6, 25]
+    y: NDArray[np.int32]  # [recording, sentence]
+    classes: int
+
+    @staticmethod
+    def make(corpus: Corpus, config: EncoderConfig, limits: Floats, chunk: int = 256) -> Library:
+        """Encode all trials with all candidates."""
+        parts = []
+        for start in range(0, len(limits), chunk):
+            some = jnp.asarray(limits[start : start + chunk], corpus.windows.slope.dtype)
+            parts.append(np.asarray(label_times(config, some, corpus.windows, jnp.asarray(corpus.edges))))
+        return Library(limits, np.concatenate(parts), corpus.y, len(corpus.classes))
+
+    def rank(self, rows: Rows, objective: Objective) -> Rows:
+        """Candidates from the best to the worst on the recordings ``rows``; ties to the lowest index."""
+        made = scores(self.times[:, rows], self.y[rows], self.classes)
+        value = (made.astype(np.float64) @ objective.weights()).round(6)
+        return np.argsort(-value, kind="stable").astype(np.int64)
+
+    def chooser(self, objective: Objective, top: int) -> Choose:
+        """The ``top`` best candidates."""
+        return lambda rows, seed: self.limits[self.rank(rows, objective)[:top]]
+
+
+@dataclass
+class CalibratedSvm:
+    """Learner: chooses thresholds on its training trials, encodes all trials with them, trains and selects an SVM.
+
+    Attributes:
+        recordings: the data set.
+        items: sentences of one arm.
+        config: static configuration of the encoder.
+        choose: see :data:`Choose`.
+        grid: what the SVM's selection may choose from; it chooses among the threshold sets too.
+        spec: features of the labels.
+    """
+
+    recordings: Recordings
+    items: Sentences
+    config: EncoderConfig
+    choose: Choose
+    grid: Grid
+    spec: FeatureSpec
+    _known: dict[bytes, NDArray[np.float32]] = field(default_factory=dict, init=False, repr=False)
+
+    def learner(self) -> Learner:
+        """For :func:`rcbht_jax.crossval.cross_validate`."""
+        return self._learn
+
+    def _learn(self, train: Rows, test: Rows, seed: int) -> Answer:
+        (spans,) = self.items.intervals
+        order = list(dict.fromkeys(spans.recording.tolist()))
+        rows = np.array(sorted({order.index(r) for r in spans.recording[train].tolist()}), np.int64)
+        sets = self.choose(rows, seed)
+        candidates = {str(k): self._features(limits) for k, limits in enumerate(sets)}
+        said, chosen = nested_svm(candidates, self.items.y, self.items.trial, self.grid)(train, test, seed)
+        return said, {**chosen, "limits": sets[int(chosen["features"])].tolist()}
+
+    def _features(self, limits: Floats) -> NDArray[np.float32]:
+        key = limits.tobytes()
+        if key not in self._known:
+            (spans,) = self.items.intervals
+            rows, place = np.unique(spans.recording, return_inverse=True)
+            wrench, length = self.recordings.wrench[rows], self.recordings.length[rows]
+            tracks = encode_recordings(self.config, Thresholds(limits), wrench, length)
+            local = replace(self.items, intervals=(replace(spans, recording=place),))
+            self._known[key] = describe(tracks, local, self.spec).values
+        return self._known[key]
+
+
+def fixed(limits: Any) -> Choose:
+    """No calibration: the same threshold sets ``[6, 4]`` or ``[n, 6, 4]`` in every fold."""
+    sets = np.asarray(limits, np.float64).reshape(-1, 6, 4)
+    return lambda rows, seed: sets

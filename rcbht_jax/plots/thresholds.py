@@ -1,0 +1,72 @@
+"""Thresholds over the gradients that they cut: a panel per axis and state."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rcbht_jax.calibrate.corpus import Corpus
+from rcbht_jax.labels import AXES
+from rcbht_jax.plots.canvas import new_figure
+from rcbht_jax.thresholds import Thresholds
+
+_NAMES = ("impulse", "big", "medium", "small")
+_COLORS = ("#67000d", "#d94801", "#fd8d3c", "#bdbdbd")
+
+
+def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | None = None) -> Figure:
+    """Histograms of the windows' absolute slopes on a logarithmic scale, with the limits as lines.
+
+    Args:
+        data: the trials whose windows are shown.
+        thresholds: limits ``[6, 4]``, solid lines.
+        base: limits to compare with, dotted lines.
+
+    Returns:
+        a figure with a row per axis and a column per class of sentences.
+    """
+    figure = new_figure((3.2 * len(data.classes), 9.5), 110)
+    panels = figure.subplots(len(AXES), len(data.classes), squeeze=False, sharex="row")
+    for row, axis in enumerate(AXES):
+        limits = np.asarray(thresholds.limits)[row]
+        slopes = np.abs(data.windows.slope[..., row])
+        counted = slopes[slopes > 0]
+        # A thousandth of the small limit and everything below share the first bin.
+        low, high = limits[3] * 1e-3, max(counted.max(initial=0.0), limits[0]) * 1.5
+        bins = np.geomspace(low, high, 50)
+        for column, name in enumerate(data.classes):
+            panel = panels[row, column]
+            panel.hist(np.maximum(_inside(data, column, slopes), low), bins=bins, color="0.75")
+            for k, limit in enumerate(limits):
+                label = _NAMES[k] if (row, column) == (0, 0) else None
+                panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
+                if base is not None:
+                    panel.axvline(np.asarray(base.limits)[row, k], color=_COLORS[k], linewidth=1.0, linestyle=":")
+            panel.set_xscale("log")
+            panel.set_yscale("symlog", linthresh=10)
+            panel.tick_params(labelsize=7)
+            if row == 0:
+                panel.set_title(name, fontsize=10)
+            if column == 0:
+                panel.set_ylabel(f"{axis}\nwindows", fontsize=9)
+        unit = "N/s" if row < 3 else "Nm/s"
+        panels[row, -1].annotate(unit, (1.01, 0), xycoords="axes fraction", fontsize=8)
+    figure.legend(loc="upper left", ncols=4, fontsize=8, frameon=False)
+    figure.supxlabel("absolute slope of a window (solid: these thresholds, dotted: to compare)", fontsize=9)
+    figure.tight_layout(rect=(0, 0, 1, 0.97))
+    return figure
+
+
+def _inside(data: Corpus, label: int, slopes: np.ndarray[tuple[int, int], np.dtype[np.floating]]) -> np.ndarray:
+    """Slopes of all windows that begin in a sentence of the class, over the recordings."""
+    found = []
+    window = _window(data)
+    for recording, said in enumerate(data.y):
+        for sentence in np.flatnonzero(said == label):
+            first, last = data.edges[recording, sentence : sentence + 2]
+            found.append(slopes[recording, -(-first // window) : -(-last // window)])
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def _window(data: Corpus) -> int:
+    return -(-data.wrench.shape[1] // data.windows.slope.shape[1])
