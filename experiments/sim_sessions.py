@@ -1,67 +1,32 @@
-"""The simulated sessions beside the recorded ones: onsets, outcomes, signature, seating rate.
+"""The simulated sessions beside the recorded ones: onsets, ring, outcomes, signature, seating rate.
 
 Run: python -m experiments.sim_sessions
-Reads the recorded signatures (RCBHT_GOLDEN). Simulates session B's grid of offsets, session A's repeats and mildly
-randomised trials of every preset with the native engine.
+Reads the recorded signatures (RCBHT_GOLDEN). Simulates session B's grid of offsets, session A's repeats, the others
+mildly randomised, and 64 mildly randomised trials of every preset with the native engine.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from experiments.record import write_result
-from sim_mjx import kinematics, presets, randomize, signature
+from sim_mjx import presets, randomize, sessions, signature
 from sim_mjx.engines import native
-from sim_mjx.rollout import Rollouts, stack
+from sim_mjx.rollout import Rollouts
 from sim_mjx.scene import one_arm
 
 SEED = 0
-GRID = [(dx, dy) for dx in (0, 1, 2, -1, -2) for dy in (0, 1, 2, -1, -2)]  # mm
-RECORDED_OFF = {(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}
 MILD = 64
-REPEATS = 16
-# Session A repeated one nominal trial: only noise, a small drift of the bias and 0.1 mm of placement differ.
-SAME = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")
-REPEATED = dict.fromkeys(SAME, (1.0, 1.0)) | {
-    "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3), "lag": (4, 4),
-    "force_bias": (-0.08, 0.08), "moment_bias": (-0.004, 0.004),
-}  # fmt: skip
-VERTICAL = 1.96  # degrees, harmonised end of rotation
-
-
-def profile(run: Rollouts, row: int) -> np.ndarray | None:
-    """Wrench [4 states, 100 points, 6 axes] of one trial, or None if it never mated for a second."""
-    marks = run.onset[row].copy()
-    times = np.arange(run.length[row]) * presets.CONTROL_PERIOD
-    if np.isnan(marks).any() or marks[3] + 1 > times[-1]:
-        return None
-    if marks[2] - marks[1] < 2 * presets.CONTROL_PERIOD:
-        inside = (times >= marks[1]) & (times < marks[3])
-        _, rotation, _ = kinematics.fk(run.joints[row, : run.length[row]][inside].astype(np.float64))
-        upright = np.flatnonzero(np.degrees(kinematics.tilt(rotation)) < VERTICAL)
-        marks[2] = times[inside][upright[0]] if upright.size else marks[1] + 0.9 * (marks[3] - marks[1])
-    edges = [0.0, *marks[1:], marks[3] + 1.0]
-    wrench = run.wrench[row, : run.length[row]]
-    return np.stack(
-        [
-            np.stack([np.interp(np.linspace(a, b, 100), times, wrench[:, axis]) for axis in range(6)], 1)
-            for a, b in pairwise(edges)
-        ]
-    )
+REFERENCES = {"A": "real_A__harm__all", "B": "real_B__harm__all"}  # keys of the recorded signatures
 
 
 def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
-    found = [profile(run, row) for row in range(len(run.length))]
-    kept = np.array([one for one in found if one is not None])
-    if not len(kept):
-        return {"trials": 0}
+    kept = sessions.profiles(run)
     said = signature.compare(reference, kept)
     return {
         "trials": len(kept),
@@ -78,33 +43,25 @@ def mild(preset: str, count: int, **options: Any) -> tuple[Rollouts, float]:
     return run, time.perf_counter() - start
 
 
-def grid() -> Rollouts:
-    still = {"shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.2, 0.2), "moment_bias": (-0.005, 0.005)}
-    spec = randomize.Randomisation(nominal_share=1.0, **still)
-    drawn = [randomize.draw("B", SEED, index, spec)[0] for index in range(len(GRID))]
-    moved = [
-        replace(one, task=replace(one.task, way_position=one.task.way_position + np.array([dx, dy, 0.0]) * 1e-3))
-        for one, (dx, dy) in zip(drawn, GRID, strict=True)
-    ]
-    return native.simulate(one_arm(), stack(moved))
+def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
+    run = native.simulate(one_arm(), sessions.trials_of(session, seed=SEED))
+    out: dict[str, Any] = {"signature": similarity(reference, run)}
+    out["median onsets, s"] = np.round(np.median(sessions.harmonised(run), axis=0), 3).tolist()
+    ring = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
+    out["ring of Fz in mating"] = ring and {name: round(value, 2) for name, value in ring.items()}
+    if session == "B":
+        out["outcomes that agree with the 25 recorded"] = sessions.agreement(run)
+        out["seated"] = [
+            f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(sessions.GRID, run.seated.all(1), strict=True) if seat
+        ]
+    return out
 
 
 def main() -> None:
     golden = dict(np.load(Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden")) / "signatures/signatures.npz"))
-    result: dict[str, Any] = {}
-    cells = grid()
-    seats = cells.seated.all(1)
-    agree = sum(bool(seat) == (cell not in RECORDED_OFF) for seat, cell in zip(seats, GRID, strict=True))
-    result["B, 5 x 5 offsets"] = {
-        "signature": similarity(golden["real_B__harm__all"].astype(float), cells),
-        "outcomes that agree with the 25 recorded": int(agree),
-        "seated": [f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(GRID, seats, strict=True) if seat],
-    }
-    repeats, _ = mild("A", REPEATS, **REPEATED)
-    result[f"A, {REPEATS} repeats"] = {
-        "signature": similarity(golden["real_A__harm__all"].astype(float), repeats),
-        "median onsets, s": np.round(np.median(repeats.onset, axis=0), 3).tolist(),
-        "largest Fz after mating begins, median, N": round(float(np.median(repeats.wrench[..., 2].max(axis=1))), 1),
+    result: dict[str, Any] = {
+        f"{session}, as recorded": as_recorded(session, golden[key].astype(float))
+        for session, key in REFERENCES.items()
     }
     for preset in presets.PRESETS:
         run, seconds = mild(preset, MILD)

@@ -48,12 +48,12 @@ class Randomisation:
     turn: Range = (-0.005, 0.005)  # rad, hand about the vertical without a fault; chosen
     stiffness: Range = (0.85, 1.15)  # factor per tab: release force 11-18 N about its mean; audit
     overlap: Range = (0.93, 1.07)  # factor on each tab's hook overlap: 0.06 mm of moulding; chosen
-    friction: Range = (0.8, 1.2)  # factor: 0.36-0.54 about OpenHRP's 0.5; controller, point 5
+    friction: Range = (0.8, 1.2)  # factor: of the fitted value; chosen
     mount: Range = (0.85, 1.15)  # factor: contact stiffness 5-8 N/mm; signature metric
     gain: Range = (0.95, 1.05)  # factor, force and moment law each; chosen
     goal: Range = (0.97, 1.03)  # factor, force and moment set-points each; regression, controller 2
     speed: Range = (0.97, 1.03)  # factor of the approach; chosen, below B's against C's (7-15 mm/s)
-    lag: tuple[int, int] = (4, 5)  # control periods from command to servo, both included: 20-25 ms; servo
+    lag: tuple[int, int] = (5, 5)  # control periods from command to servo, both included: 25 of 20-25 ms; servo
     noise: Range = (0.8, 1.25)  # factor on the sensor's noise; audit gives one value per session
     force_bias: Range = (-0.3, 0.3)  # N, drift since the tare, each axis: <= .4 N; audit
     moment_bias: Range = (-0.02, 0.02)  # Nm, likewise; C's free space My is -.045; audit
@@ -151,7 +151,7 @@ def setup(preset: str) -> Setup:
     simulated = preset == SIMULATED
     return Setup(
         task=presets.preset(preset),
-        sensor=sensor.simulated_sensor() if simulated else sensor.real_sensor(),
+        sensor=sensor.simulated_sensor() if simulated else sensor.real_sensor(preset),
         parts=parts.nominal(preset),
         mating_begins=MATING_BEGINS[preset],
         lag=1 if simulated else None,

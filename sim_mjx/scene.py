@@ -49,8 +49,6 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     parts.add_female(spec, "R")
     set_solver(spec, substeps, iterations, ls_iterations)
     model = spec.compile()
-    for name, value in parts.model_fields(model, parts.nominal()).items():
-        getattr(model, name)[:] = value
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
     forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
     tips, lips = (

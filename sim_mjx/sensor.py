@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rcbht_jax.errors import InputError
+
 Array = Any
 # m, wrist frame; M = r x F during session A's early rotation (R^2 of My .998) with r from the kinematic pivot
 REFERENCE = (-0.0484, -0.0003, -0.001)
@@ -49,13 +51,30 @@ class SensorState:
     tare: Array  # [6] first reading
 
 
-def real_sensor() -> SensorParams:
-    """The JR3 chain of sessions A, B and C, delays as the ringing after mating shows."""
+# Per session: control periods of delay, m that moments refer to, N and Nm read in free space since the tare.
+# Delays as the ringing after mating shows, points from the search that fitted the parts.
+REAL: dict[str, tuple[int, tuple[float, float, float], tuple[float, ...]]] = {
+    "A": (11, (-0.0463, 0.0014, -0.0019), (-0.023, -0.003, -0.023, -0.0006, 0.0008, -0.0001)),
+    "B": (9, (-0.0493, 0.0004, -0.0018), (-0.158, -0.280, -0.140, -0.0134, -0.0003, -0.0006)),
+    "C": (9, (-0.0493, 0.0004, -0.0018), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+}
+
+
+def real_sensor(session: str = "A") -> SensorParams:
+    """The JR3 chain of sessions A, B and C.
+
+    Raises:
+        InputError: unknown session.
+    """
+    if session not in REAL:
+        raise InputError(f"There is no sensor of session {session!r}; expected one of {', '.join(REAL)}.")
+    delay, reference, bias = REAL[session]
     return SensorParams(
-        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064), delay=np.array(7, np.int32),
+        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064),
+        delay=np.array(delay, np.int32),
         noise=np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038]),
         step=np.array([0.024, 0.008, 0.008, 0.0008, 0.0008, 0.0008]),
-        bias=np.zeros(6), tared=np.array(1.0), reference=np.array(REFERENCE),
+        bias=np.array(bias), tared=np.array(1.0), reference=np.array(reference),
     )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ RECORDED_OFF = {(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}
 # Session A repeated one nominal trial: only noise, a small drift of the bias and 0.1 mm of placement differ.
 SAME = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")
 REPEATED: dict[str, Any] = dict.fromkeys(SAME, (1.0, 1.0)) | {
-    "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3), "lag": (4, 4),
+    "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3),
     "force_bias": (-0.08, 0.08), "moment_bias": (-0.004, 0.004),
 }  # fmt: skip
 IN_PLACE: dict[str, Any] = {

@@ -130,7 +130,7 @@ def _number(text: str) -> float:
 
 def _present(session: str, name: str, bound: Bound) -> float:
     """The value that a parameter has now, moved into its range; the mean where it has several elements."""
-    touch = sensor.simulated_sensor() if session == "openhrp" else sensor.real_sensor()
+    touch = sensor.simulated_sensor() if session == "openhrp" else sensor.real_sensor(session)
     return min(max(physical.value(parts.nominal(session), touch, name), bound.low), bound.high)
 
 

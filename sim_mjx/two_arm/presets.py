@@ -39,7 +39,7 @@ def task() -> TaskParams:
         way_time=np.array([2.0, 5.0]),
         way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
         way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
-        contact_force=np.array(0.7),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
+        contact_force=np.array(0.55),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
         contact_after=np.array(4.0),
         frame=np.array(WRIST),
         force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
@@ -50,7 +50,7 @@ def task() -> TaskParams:
         leave_wrist=np.array([-0.03327, -0.1672, -0.23213, NEVER]),
         leave_pitch=np.full(4, NEVER),
         leave_moment=np.full(4, NEVER),
-        mating_time=np.array(0.55),
+        mating_time=np.array(0.57),
         timeout=np.array(20.0),
     )
 
@@ -78,30 +78,31 @@ def hold(name: str) -> HoldParams:
 
 
 def right_sensor() -> SensorParams:
-    """OpenHRP's chain; moments refer to where the recorded lever arms begin."""
-    return replace(sensor.simulated_sensor(), tared=np.array(1.0), reference=np.array([-0.099, 0.0, -0.040]))
+    """OpenHRP's chain; the point that moments refer to was found with the parts."""
+    return replace(sensor.simulated_sensor(), tared=np.array(1.0), reference=np.array([-0.030, 0.0, -0.0177]))
 
 
 def left_sensor() -> SensorParams:
     """The same of the left wrist."""
-    return replace(right_sensor(), reference=np.array([-0.085, 0.0, -0.114]))
+    return replace(right_sensor(), reference=np.array([-0.109, 0.0, -0.0748]))
 
 
 def nominal() -> PartParams:
     """Parts of the two-arm trials; values found by black-box search on both arms' recorded signatures."""
     return replace(
         parts.nominal(),
-        tab_stiffness=np.array([3100.0, 3100.0, 3150.0, 3150.0]),
-        hook_overlap=np.array([0.56e-3, 0.56e-3, 0.63e-3, 0.63e-3]),
+        tab_stiffness=np.array([2330.0, 2330.0, 3030.0, 3030.0]),
         tab_damping=np.full(4, 80.0),
-        slot_play=np.array(2.03e-3),
-        seat_depth=np.array(4.71e-3),
-        foot_spread=np.array(27.9e-3),
+        hook_overlap=np.array([0.296e-3, 0.296e-3, 0.364e-3, 0.364e-3]),
+        slot_play=np.array(1.706e-3),
+        seat_depth=np.array(7.515e-3),
+        foot_spread=np.array(11.3e-3),
         foot_offset=np.zeros(2),
-        rear_rise=np.array([0.49e-3, 1.45e-3]),
-        friction=np.array(0.319),
-        mount_stiffness=np.array([1420.0, 1690.0, 2790.0]),
+        rear_rise=np.array([2.84e-3, 1.2e-3]),
+        foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
+        friction=np.array(0.263),
+        mount_stiffness=np.array([873.0, 2300.0, 802.0]),  # the grip of the left hand, softer than a stand
         mount_damping=np.array([120.0, 120.0, 98.5]),
-        position=np.array([0.54e-3, 0.43e-3, -2.25e-3]),
-        roll=np.array(0.0123),
+        position=np.array([-0.1e-3, 0.0, 1.77e-3]),
+        roll=np.array(0.0102),
     )
