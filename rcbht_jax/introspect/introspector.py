@@ -128,9 +128,8 @@ class Introspector:
         self._alarms = {h.name: Alarm(k, hold) for h in model.heads if h.alarm}
         self._failure = ""
         self.latest: dict[str, Belief] = {}
-        self.labels: NDArray[np.int32] = np.zeros(
-            (9, 6), np.int32
-        )  # of the last complete window: label, t0, t1 by layer
+        # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, 6), np.int32)
         self._fresh()
 
     def _fresh(self) -> None:
@@ -140,6 +139,7 @@ class Introspector:
         self._complete = 0  # samples in complete windows
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None
+        self.labels = np.zeros_like(self.labels)
 
     @property
     def received(self) -> int:
@@ -219,7 +219,8 @@ class Introspector:
         if complete:
             self._progress = progress
             self._complete, self._count = self._complete + self._config.window, 0
-            self.labels = np.asarray(published.ints)
+            new = np.asarray(published.ints).reshape(3, 3, 6)
+            self.labels = np.where(new[:, :1] > 0, new, self.labels)
         return events
 
     def _answer(self, probabilities: list[NDArray[np.float32]]) -> list[Event]:

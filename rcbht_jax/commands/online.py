@@ -1,0 +1,183 @@
+"""``rcbht train-online`` and ``rcbht stream``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from tqdm import tqdm  # type: ignore[import-untyped]
+
+from rcbht_jax.commands import Command
+from rcbht_jax.data.store import read_recordings
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspect.events import Belief, Event
+from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.introspect.model import load, save
+from rcbht_jax.introspect.train import FAMILIES, RELATIVE, HeadSpec, train_model
+from rcbht_jax.streams.bags import McapWriter, is_bag, read_bag
+from rcbht_jax.streams.live import read_live
+from rcbht_jax.streams.messages import Message, Sample
+from rcbht_jax.streams.recordings import read_folder, read_store
+from rcbht_jax.streams.session import Session, paced
+from rcbht_jax.tasks import CONFOUNDS, TaskSpec
+from rcbht_jax.thresholds import preset
+
+
+@dataclass(frozen=True)
+class TrainOnline(Command):
+    """Train the beliefs of a stream: one head per task, calibrated on trials that its machine did not see.
+
+    Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
+    """
+
+    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    """Store of recordings; no label tracks are needed."""
+    tasks: tuple[Literal["states", "outcome", "failure-type"], ...] = ("states",)
+    """Heads to train."""
+    source: tuple[str, ...] = ()
+    """Data sets; default all."""
+    session: tuple[str, ...] = ()
+    """Recording sessions; default all."""
+    features: Literal["all", "relative"] = "all"
+    """relative leaves out what absolute values give away, such as the bias of the sensor."""
+    window: int = 5
+    """Samples per straight-line fit."""
+    robot: Literal["hiro", "baxter", "pa10"] = "hiro"
+    """Whose gradient thresholds to use."""
+    seed: int = 0
+    """Of the folds."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")] = Path("online.model")
+    """Model file to write: arrays and JSON, no code."""
+
+    def run(self) -> dict[str, Any]:
+        recordings = read_recordings(self.store)
+        families = FAMILIES if self.features == "all" else RELATIVE
+        specs = tuple(
+            HeadSpec(TaskSpec(task, sources=self.source, sessions=self.session), families) for task in self.tasks
+        )
+        config = EncoderConfig(window=self.window, dt=recordings.dt)
+        with tqdm(desc="watch", unit=" looks", file=sys.stderr, disable=None) as bar:
+
+            def progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done)
+
+            model = train_model(recordings, specs, config, preset(self.robot), self.seed, progress)
+        save(self.out, model)
+        heads = {
+            head.name: {
+                "classes": list(head.classes),
+                "kernel": head.machine.svm.spec.kernel,
+                "cost": head.machine.svm.spec.cost,
+                "features": int(head.machine.svm.center.size),
+                "confounds": CONFOUNDS[head.name],
+            }
+            for head in model.heads
+        }
+        return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
+
+    def text(self, result: dict[str, Any]) -> str:
+        lines = [f"{result['model']}: {len(result['heads'])} head(s)"]
+        for name, head in result["heads"].items():
+            classes = ", ".join(head["classes"])
+            how = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"
+            lines.append(f"{name}: {classes}; {how}")
+            lines.append(f"  read with care: {head['confounds']}")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Stream(Command):
+    """Beliefs and events from a stream of wrenches, as JSON lines.
+
+    SOURCE is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
+    input, such as {"time": 0.005, "wrench": [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins.
+    What is odd about the stream (gaps, repeated or late readings, NaN, jitter, silence) is told as events, too.
+
+    Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
+    """
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+    """Where the wrenches come from."""
+    model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL")] = Path("online.model")
+    """Model file made by "rcbht train-online"."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
+    """File for the events; default standard output."""
+    mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
+    """Also write wrench, labels, beliefs and events as MCAP for Foxglove and PlotJuggler."""
+    trial: tuple[str, ...] = ()
+    """Trials of a store; default all, one after the other."""
+    arm: Literal["R", "L"] = "R"
+    """Arm of a recorded trial."""
+    starts: Literal["harmonised", "recorded", "none"] = "harmonised"
+    """Where the sub-tasks of a recorded trial begin."""
+    topic: str = ""
+    """Topic of a bag, where several carry wrenches."""
+    rate: float = 10.0
+    """Beliefs per second; 0 = one per window."""
+    k: float = 0.70
+    """Probability above which a belief is certain."""
+    speed: float = 0.0
+    """Pace of a recording: 1 = as recorded, 0 = as fast as possible."""
+    bridge: float = 0.05
+    """Gaps up to this many seconds are bridged; after longer ones everything starts anew."""
+    silent: float = 1.0
+    """Report a live source that says nothing for so many seconds."""
+
+    def run(self) -> dict[str, Any]:
+        if not 0 <= self.speed < float("inf"):
+            raise InputError(f"A stream cannot be replayed at {self.speed} times its pace; give zero or more.")
+        introspector = Introspector(load(self.model), self.rate or None, self.k)
+        introspector.warm_up()
+        session = Session(introspector, self.bridge)
+        told: Counter[str] = Counter()
+        with ExitStack() as stack:
+            out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
+            mcap = stack.enter_context(McapWriter(self.mcap)) if self.mcap else None
+            for message in paced(self._messages(), self.speed):
+                events = session.feed(message)
+                for event in events:
+                    told[type(event).__name__] += 1
+                    out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
+                if events and self.out is None:
+                    out.flush()
+                if mcap is not None:
+                    _record(mcap, session, message, events)
+        return {"source": self.source, "messages": dict(session.counts), "events": dict(told)}
+
+    def text(self, result: dict[str, Any]) -> str:
+        # Standard output belongs to the events.
+        words = ", ".join(f"{count} {name}" for name, count in (result["messages"] | result["events"]).items())
+        print(f"{result['source']}: {words or 'nothing'}", file=sys.stderr)
+        return ""
+
+    def _messages(self) -> Iterator[Message]:
+        if self.source == "-":
+            return read_live(sys.stdin.buffer, self.silent)
+        path = Path(self.source)
+        if is_bag(path):
+            return read_bag(path, self.topic)
+        if (path / "zarr.json").is_file():
+            return read_store(path, self.trial, self.arm, self.starts)
+        if path.is_dir():
+            return read_folder(path, self.arm, self.starts)
+        raise InputError(f"{path} is no store, trial, bag or MCAP file; give - to read JSON lines on standard input.")
+
+
+def _record(mcap: McapWriter, session: Session, message: Message, events: list[Event]) -> None:
+    """Write one message's part of the MCAP."""
+    if isinstance(message, Sample) and np.isfinite(message.wrench).all():
+        mcap.wrench(session.time, message.wrench)
+    for event in events:
+        mcap.event(event)
+    if any(isinstance(event, Belief) for event in events):
+        mcap.labels(session.time, session.introspector.labels[:, 0])

@@ -1,0 +1,117 @@
+"""What a source of wrenches may say, and JSON lines that say it.
+
+A line is one JSON object. ``{"wrench": [Fx, Fy, Fz, Mx, My, Mz], "time": 1.005}`` is a sample in N and Nm; ``time``
+(s) may be missing. A ROS ``Wrench`` or ``WrenchStamped`` as JSON (``{"force": {"x": ...}, "torque": ...}``, alone,
+under ``wrench``, with ``header.stamp``) is one as well. ``{"begin": true}`` says that a sub-task begins with the
+next sample, ``{"reset": true}`` that a trial does.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+MAX_LINE = 65_536  # bytes; a longer line is no wrench
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One reading; values and time may be anything a float can be."""
+
+    wrench: tuple[float, ...]  # 6 values, N and Nm
+    time: float | None = None  # s
+
+
+@dataclass(frozen=True)
+class Begin:
+    """A sub-task begins with the next sample."""
+
+
+@dataclass(frozen=True)
+class Reset:
+    """A trial begins with the next sample."""
+
+
+@dataclass(frozen=True)
+class Malformed:
+    """Something that is no message."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Silence:
+    """A live source has said nothing for so many seconds."""
+
+    seconds: float
+
+
+Message = Sample | Begin | Reset | Malformed | Silence
+
+
+@runtime_checkable
+class Lines(Protocol):
+    """The part of a binary file that is needed to read lines."""
+
+    def readline(self, size: int, /) -> bytes:
+        """At most ``size`` bytes, up to and with the next line feed."""
+
+
+def read_lines(source: Lines) -> Iterator[Message]:
+    """Messages from a binary file of JSON lines, in constant memory whatever it holds; empty lines are skipped."""
+    while raw := source.readline(MAX_LINE):
+        if len(raw) == MAX_LINE and not raw.endswith(b"\n"):
+            while raw and not raw.endswith(b"\n"):
+                raw = source.readline(MAX_LINE)
+            yield Malformed(f"a line is longer than {MAX_LINE} bytes")
+        elif raw.strip():
+            yield parse(raw)
+
+
+def parse(line: bytes | str) -> Message:
+    """The message of one line; :class:`Malformed` if there is none. Never raises."""
+    try:
+        return _message(json.loads(line))
+    except (ValueError, RecursionError, OverflowError, TypeError, KeyError) as error:
+        return Malformed(f"a line is no message ({type(error).__name__}: {str(error)[:80]})")
+
+
+def _message(value: Any) -> Message:
+    if not isinstance(value, dict):
+        raise TypeError("expected an object")
+    for word, kind in (("begin", Begin), ("reset", Reset)):
+        if value.get(word) is True:
+            return kind()
+    wrench = value.get("wrench", value)
+    time = value.get("time", _stamp(value.get("header")))
+    return Sample(_six(wrench), None if time is None else _number(time))
+
+
+def _six(wrench: Any) -> tuple[float, ...]:
+    if isinstance(wrench, Mapping):
+        wrench = [wrench[part][axis] for part in ("force", "torque") for axis in _AXES]
+    if not isinstance(wrench, list) or len(wrench) != 6:
+        raise ValueError("expected six numbers")
+    # JSON has no NaN; null is how many sources say it.
+    return tuple(math.nan if value is None else _number(value) for value in wrench)
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("expected a number")
+    return float(value)
+
+
+def _stamp(header: Any) -> float | None:
+    """Seconds of a ROS header: ``sec`` and ``nanosec`` (ROS 2) or ``secs`` and ``nsecs`` (ROS 1)."""
+    stamp = header.get("stamp") if isinstance(header, Mapping) else None
+    if not isinstance(stamp, Mapping):
+        return None
+    for seconds, nanoseconds in (("sec", "nanosec"), ("secs", "nsecs")):
+        if seconds in stamp:
+            return _number(stamp[seconds]) + 1e-9 * _number(stamp.get(nanoseconds, 0))
+    return None
