@@ -70,9 +70,9 @@ def _session_a() -> PartParams:
         rear_rise=np.array([-0.5e-3, -1.207e-3]),
         foot_contact=np.array([0.01884, 0.696, 0.96, 2.2e-3]),
         friction=np.array(0.05),
-        mount_stiffness=np.array([6.614e3, 10.08e3, 6.713e3]),
+        mount_stiffness=np.array([6.4e3, 10.08e3, 6.713e3]),
         mount_damping=np.array([10.0, 120.0, 52.1]),
-        position=np.array([-2.169e-3, 1.937e-3, 0.911e-3]),
+        position=np.array([-1.95e-3, 1.937e-3, 1.1e-3]),
         roll=np.array(0.01017),
     )
 
