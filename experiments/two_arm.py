@@ -1,4 +1,4 @@
-"""The two-arm task: kinematics, signature per arm, the left hand's way under push, seating, convergence, states.
+"""The two-arm task: kinematics, signature per arm, the left hand's way under push, seating, convergence.
 
 Run: python -m experiments.two_arm
 Reads the authors' two-arm trials (RCBHT_DATA); simulates with the native engine; about 10 minutes on 2 cores. Writes
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict, fields
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,8 @@ import mujoco
 import numpy as np
 
 from experiments.record import write_result
-from rcbht_jax.batch import encode_recordings
-from rcbht_jax.classify import Grid
 from rcbht_jax.data import dat
 from rcbht_jax.data.hiro import read_hiro
-from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.evaluate import Protocol, evaluate
-from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.tasks import TaskSpec
-from rcbht_jax.thresholds import preset as thresholds
 from rcbht_jax.types import Recordings
 from sim_mjx import kinematics, signature
 from sim_mjx.certificate import certify
@@ -41,7 +34,8 @@ from sim_mjx.waypoints import approach
 
 SOURCE = "SIM_HIRO_TWO_SA_SUCCESS"
 SEED = 0
-LIKE_RECORDED, MILD, CERTIFIED, FAULTY = 16, 128, 64, 128  # trials
+LIKE_RECORDED, MILD, CERTIFIED, FAULTY = 16, 64, 64, 64  # trials
+SHARES = (0.0, 0.1, 0.2, 0.5, 1.0)  # of the right arm's gains
 IMAGES = Path("docs/images")
 NAMES = {"R": "right", "L": "left"}
 
@@ -174,6 +168,20 @@ def way_of_left_hand(run: Rollouts) -> dict[str, Any]:
     }
 
 
+def by_gain() -> dict[str, Any]:
+    """Way of the left hand and seating in trials like the recorded ones, by the left arm's share of the gains."""
+    out: dict[str, Any] = {}
+    params, _ = TWO_ARM.draw_batch("two", SEED, range(LIKE_RECORDED), REPEATED)
+    for share in SHARES:
+        factor = share / presets.HOLD_SHARE
+        held = replace(
+            params.hold, force_gain=params.hold.force_gain * factor, moment_gain=params.hold.moment_gain * factor
+        )
+        run = native.simulate(two_arm(), replace(params, hold=held))
+        out[f"{share:g}"] = way_of_left_hand(run) | {"seated": round(float(run.seated.all(1).mean()), 3)}
+    return out
+
+
 def seating(run: Rollouts, faults: list[str], seconds: float) -> dict[str, Any]:
     seated = np.atleast_1d(run.seated.all(1))
     by_fault = {kind: seated[np.array(faults) == kind] for kind in sorted({*faults})}
@@ -187,67 +195,24 @@ def seating(run: Rollouts, faults: list[str], seconds: float) -> dict[str, Any]:
     }
 
 
-def joined(first: Recordings, second: Recordings) -> Recordings:
-    longest = max(first.wrench.shape[1], second.wrench.shape[1])
-
-    def padded(wrench: np.ndarray) -> np.ndarray:
-        return np.pad(wrench, ((0, 0), (0, longest - wrench.shape[1]), (0, 0)))
-
-    rows = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(Recordings) if
-            f.name not in ("dt", "wrench")}  # fmt: skip
-    return Recordings(wrench=np.concatenate([padded(first.wrench), padded(second.wrench)]), dt=first.dt, **rows)
-
-
-def states(recorded: Recordings, runs: dict[str, Rollouts]) -> dict[str, Any]:
-    """Accuracy on four states from both arms' grammars; recorded boundaries, SVM, window 5."""
-    words = ("histogram", "ngram", "attributes")
-    families = {"words": words, "words and duration": (*words, "duration")}
-    config = EncoderConfig(window=5, dt=CONTROL_PERIOD)
-    out: dict[str, Any] = {}
-    for name, run in runs.items():
-        both = joined(recorded, as_recordings(run, name))
-        tracks = encode_recordings(config, thresholds(), both.wrench, both.length)
-        forth = {"train_on": (name,), "test_on": ("SIM2",)}
-        back = {"train_on": ("SIM2",), "test_on": (name,)}
-        ways: dict[str, tuple[TaskSpec, dict[str, Any]]] = {
-            "recorded, cross-validated": (TaskSpec(arms="both", sessions=("SIM2",)), {}),
-            f"{name}, cross-validated": (TaskSpec(arms="both", sessions=(name,)), {}),
-            f"trained on {name}, tested on recorded": (TaskSpec(arms="both"), forth),
-            f"trained on recorded, tested on {name}": (TaskSpec(arms="both"), back),
-        }
-        for title, (task, split) in ways.items():
-            if title in out:
-                continue
-            protocol = Protocol(folds=5, repeats=3, seed=SEED, grid=Grid(kernels=("linear", "rbf")), **split)
-            found = {
-                label: evaluate(both, tracks, task, FeatureSpec(families=chosen), protocol)
-                for label, chosen in families.items()
-            }
-            row = {label: round(float(result.score["accuracy"]["mean"]), 4) for label, result in found.items()}
-            row["duration alone"] = round(float(found["words"].duration_baseline["accuracy"]["mean"]), 4)
-            out[title] = row | {"trials": found["words"].trials}
-    return out
-
-
 def main() -> None:
     root = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE
     recorded, _ = read_hiro(root)
     result: dict[str, Any] = {"recorded trials": len(recorded) // 2, "forward kinematics": forward_kinematics(root)}
     mild = Randomisation(nominal_share=1.0)
-    runs = {}
     for name in presets.PRESETS:
         run, _, _ = simulated(name, LIKE_RECORDED, REPEATED)
-        runs[name], faults, seconds = simulated(name, MILD, mild)
+        varied, faults, seconds = simulated(name, MILD, mild)
         result[name] = {
             "signature of trials like the recorded ones": signatures(recorded, run, picture=name == "two-fixed"),
-            "way of the left hand": way_of_left_hand(runs[name]),
-            "mildly randomised": seating(runs[name], faults, seconds),
+            "way of the left hand": way_of_left_hand(varied),
+            "mildly randomised": seating(varied, faults, seconds),
             "faulty": seating(*simulated(name, FAULTY, Randomisation(nominal_share=0.0))),
         }
+    result["way of the left hand by share of the right arm's gains"] = by_gain()
     params, _ = TWO_ARM.draw_batch("two", SEED, range(CERTIFIED), mild)
     certificate = certify(params, two_arm)
     result["certificate of the solver"] = asdict(certificate) | {"converged": certificate.converged}
-    result["states from both arms' grammars"] = states(recorded, runs)
     write_result("two_arm", "python -m experiments.two_arm", result, seed=SEED)
 
 

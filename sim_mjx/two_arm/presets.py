@@ -30,6 +30,7 @@ YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
 OFFSET = np.array(
     [0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107, 0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]
 )  # fmt: skip
+CHATTER = 1.1  # recorded wrenches taken back through the filter: sd / mean of Fx within 0.2 s, 1.0-1.5 while they press
 
 
 def task() -> TaskParams:

@@ -48,6 +48,7 @@ class TwoArmParams:
     sensor: SensorParams  # of the right wrist
     left_sensor: SensorParams
     offset: Array  # [12] N and Nm, what right and left wrist log in free space
+    chatter: Array  # standard deviation of the force between the parts from tick to tick, as a share of itself
     parts: PartParams
     command_delay: Array  # int32, control periods between reference and servo, both arms
     seed: Array  # uint32 [2], key of the sensors' noise
@@ -61,6 +62,7 @@ class TwoArmLoop:
     task: TaskState
     sensor: SensorState
     left_sensor: SensorState
+    rest: Array  # [12] first readings
     commands: Array  # [LONGEST_DELAY, 12] rad, joint references right and left, newest first
 
 
@@ -68,7 +70,7 @@ def begin(params: TwoArmParams, raw: Array) -> TwoArmLoop:
     """Loop state before the first period; ``raw`` [12] are the first readings, right and left wrist frame."""
     commands = jnp.broadcast_to(_home(params), (LONGEST_DELAY, 12))
     right, left = sensor.begin(params.sensor, raw[:6]), sensor.begin(params.left_sensor, raw[6:])
-    return TwoArmLoop(task.start(params.task), right, left, commands)
+    return TwoArmLoop(task.start(params.task), right, left, raw, commands)
 
 
 def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -> tuple[TwoArmLoop, Array, Reading]:
@@ -84,12 +86,14 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
         the loop after it, the servo references [2, 12] that the coming physics steps go between, and what is
         logged: wrenches in the wrists' frames.
     """
-    noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (12,), raw.dtype)
+    noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
     itself = jnp.eye(3, dtype=raw.dtype)
-    felt = _felt(params.sensor, raw[:6], params.offset[:6])
-    left_felt = _felt(params.left_sensor, raw[6:], params.offset[6:])
+    # the recorded rigid contact chatters, on both wrists at once; ours is elastic and does not
+    rough = loop.rest + (raw - loop.rest) * (1.0 + params.chatter * noise[12])
+    felt = _felt(params.sensor, rough[:6], params.offset[:6])
+    left_felt = _felt(params.left_sensor, rough[6:], params.offset[6:])
     read, right = sensor.read(params.sensor, loop.sensor, felt, noise[:6], itself)
-    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_felt, noise[6:], itself)
+    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_felt, noise[6:12], itself)
     state = task.advance(params.task, loop.task, joints[:6], _in_world(right, joints[:6], "R"))
     # recorded: once mating begins the right arm keeps still
     state = replace(state, command=jnp.where(state.phase == task.MATING, loop.task.command, state.command))
@@ -97,7 +101,7 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
     commands = jnp.concatenate([jnp.concatenate([state.command, held])[None], loop.commands[:-1]])
     between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
     log = Reading(jnp.concatenate([right, left]), joints, loop.task.phase)
-    return TwoArmLoop(state, read, left_read, commands), between, log
+    return TwoArmLoop(state, read, left_read, loop.rest, commands), between, log
 
 
 def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase: Array) -> Array:

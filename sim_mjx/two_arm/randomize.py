@@ -14,6 +14,7 @@ from sim_mjx.two_arm.scene import ARMS
 
 MATING_BEGINS = 15.67  # s, median of the recordings
 MATING_TIME: Range = (0.15, 0.96)  # s, recorded after mating begins: lowest and highest of 13 trials
+CHATTER: Range = (0.8, 1.2)  # factor on the contact's chatter; chosen
 # The recorded trials repeat one pose with the same gains: what is left is chosen small.
 REPEATED = Randomisation(
     nominal_share=1.0, shift=(-1e-4, 1e-4), turn=(-1e-3, 1e-3), stiffness=(1.0, 1.0), overlap=(1.0, 1.0),
@@ -72,6 +73,7 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoAr
         sensor=right.sensor,
         left_sensor=presets.left_sensor(),
         offset=presets.OFFSET + np.concatenate(drift),
+        chatter=np.array(presets.CHATTER * rng.uniform(*CHATTER)),
         parts=right.parts,
         command_delay=right.command_delay,
         seed=right.seed,

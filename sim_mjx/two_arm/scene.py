@@ -19,7 +19,7 @@ ARMS = ("R", "L")
 # m, right wrist frame: the tips are 87 mm from the wrist and around the tool centre point; the point of the hand
 # that stays within 0.6 mm from first touch to mating lies there, and the wrench's lever arm ends there
 GRIP = (0.030, 0.0, -0.0225)
-# m, left wrist frame: 1 mm out from where the rear tips are when mating begins, so that they have just passed
+# m, left wrist frame: 1 mm out from where the recorded rear tips are when mating begins; the parts' position adds to it
 FIRST_TOUCH = np.array([-0.0855, 0.002, -0.0440])
 # mount's axes in the left wrist's frame: x forward, y up, z towards the right hand
 TURN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
