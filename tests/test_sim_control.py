@@ -126,7 +126,7 @@ def settle(params: sensor.SensorParams, raw: np.ndarray, first: np.ndarray, tick
 
 def test_recorded_filter_has_its_gain_error_and_the_right_one_none() -> None:
     raw = np.array([3.0, -2.0, 10.0, 0.0, 0.0, 0.0])
-    params = replace(sensor.real_sensor(), reference=np.zeros(3))
+    params = replace(sensor.real_sensor(), reference=np.zeros(3), bias=np.zeros(6))
     logged = settle(params, raw, np.zeros(6))
     np.testing.assert_allclose(logged[:3], 1.1338 * raw[:3], atol=0.03)
     exact = settle(replace(params, d=np.array(0.0730)), raw, np.zeros(6))
@@ -135,7 +135,7 @@ def test_recorded_filter_has_its_gain_error_and_the_right_one_none() -> None:
 
 def test_tare_removes_what_was_there_at_first_and_moments_refer_to_the_sensor() -> None:
     weight = np.array([-4.0, 0.0, 0.0, 0.0, 0.1, 0.0])
-    params = sensor.real_sensor()
+    params = replace(sensor.real_sensor(), bias=np.zeros(6))
     np.testing.assert_allclose(settle(params, weight, weight), 0.0, atol=1e-6)
     push = np.array([0.0, 0.0, 5.0])
     about_wrist = np.cross(params.reference, push)  # a force through the reference point has no moment there

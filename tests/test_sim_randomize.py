@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 
 from rcbht_jax.errors import InputError
-from sim_mjx import parts, presets
+from sim_mjx import parts, presets, sensor
 from sim_mjx.randomize import FAULTS, LIMITS, MATING_BEGINS, Fault, Randomisation, draw, draw_batch
 from sim_mjx.rollout import TrialParams
 
@@ -66,13 +66,13 @@ def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[floa
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(params)]
     finite = np.concatenate([np.ravel(leaf) for leaf in leaves])
     assert not np.isnan(finite).any()
-    nominal = parts.nominal()
+    nominal, at_rest = parts.nominal(), sensor.real_sensor()
     ratios = {
         "stiffness": params.parts.tab_stiffness / nominal.tab_stiffness,
         "mount": params.parts.mount_stiffness / nominal.mount_stiffness,
         "overlap": np.abs(params.parts.hook_overlap) / nominal.hook_overlap,
-        "force_bias": params.sensor.bias[:3],
-        "moment_bias": params.sensor.bias[3:],
+        "force_bias": params.sensor.bias[:3] - at_rest.bias[:3],
+        "moment_bias": params.sensor.bias[3:] - at_rest.bias[3:],
         "tare": params.sensor.tared,
         "speed": presets.preset("A").way_time / params.task.way_time,
     }
@@ -165,7 +165,7 @@ def test_other_faults_do_what_they_are_called() -> None:
         assert fault.failure_type == ""
     for params, fault in drawn("moved-part"):
         axis = "xy".index(fault.failure_type[1])
-        assert 0.021 <= abs(params.parts.position[axis]) <= 0.040
+        assert 0.021 <= abs(params.parts.position[axis] - nominal.position[axis]) <= 0.040 + 1e-12
         assert np.sign(fault.deviation[axis]) == -np.sign(params.parts.position[axis])
         assert (fault.deviation[axis] > 0) == (fault.failure_type[0] == "+")
 

@@ -21,7 +21,7 @@ def trial(shift: tuple[float, float] = (0.0, 0.0), **changes: np.ndarray) -> Tri
     moved = task.way_position + np.array([*shift, 0.0])
     task = replace(task, way_position=moved, mating_time=np.array(4.0), timeout=np.array(22.0))
     part = replace(parts.nominal("A"), **changes)
-    return TrialParams(task, sensor.real_sensor(), part, np.array(4, np.int32), np.array([0, 1], np.uint32))
+    return TrialParams(task, sensor.real_sensor(), part, np.array(5, np.int32), np.array([0, 1], np.uint32))
 
 
 @pytest.fixture(scope="module")
