@@ -15,7 +15,7 @@ from sim_mjx.two_arm import presets as two_presets
 from sim_mjx.two_arm import randomize as two_randomize
 from sim_mjx.two_arm.scene import ARMS, two_arm
 
-# Group of a trial's parameters and its field.
+# Group of a trial's parameters, "" = none, and its field.
 PARAMETERS = (
     ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
     ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"),
@@ -24,7 +24,7 @@ PARAMETERS = (
     ("parts", "position"), ("parts", "roll"),
 )  # fmt: skip
 TWO_ARM_PARAMETERS = (
-    *PARAMETERS, ("task", "mating_time"), ("left_sensor", "bias"), ("hold", "force"), ("hold", "moment"),
+    *PARAMETERS, ("task", "mating_time"), ("", "offset"), ("", "chatter"), ("hold", "force"), ("hold", "moment"),
     ("hold", "force_gain"), ("hold", "moment_gain"),
 )  # fmt: skip
 NAMES = (*presets.PRESETS, *two_presets.PRESETS)

@@ -384,7 +384,7 @@ def _simulation(
     last = np.array(STATES)[np.isfinite(rows["onset"]).sum(1) - 1]
     of_kind = kind(job.preset)
     drawn = {
-        name if group in ("task", "sensor", "parts") else f"{group}_{name}": getattr(getattr(params, group), name)
+        f"{group}_{name}" if group == "hold" else name: getattr(getattr(params, group) if group else params, name)
         for group, name in of_kind.parameters
     }
     trials = {

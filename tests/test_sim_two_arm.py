@@ -244,6 +244,7 @@ def test_store_is_like_the_imported_one(tmp_path: Path) -> None:
     assert read_attrs(target)["simulated"]["job"]["preset"] == "two"
     np.testing.assert_array_equal(known["index"], np.repeat(np.arange(5), 2))
     assert known["hold_force"].shape == (10, 4, 3)
+    assert known["offset"].shape == (10, 12)
     params, _ = TWO_ARM.draw_batch("two", 0, range(5), Randomisation(longest=0.4))
     run = native.simulate(SCENE, params)
     longest = found.wrench.shape[1]
