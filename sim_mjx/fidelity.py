@@ -28,6 +28,7 @@ from sim_mjx.certificate import FORCE_LIMIT, MOMENT_LIMIT, certify
 from sim_mjx.engines import native
 from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.randomize import Randomisation
+from sim_mjx.replay import Recorder, seated_snaps
 from sim_mjx.rollout import Rollouts, TrialParams
 from sim_mjx.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.sessions import Target
@@ -210,7 +211,9 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
         the result and the figure of the bands; no figure where no simulated trial mated for a second.
     """
     name = target.session
-    run = native.simulate(one_arm(), sessions.trials_of(name, count, seed=seed))
+    params = sessions.trials_of(name, count, seed=seed)
+    recorder = Recorder(one_arm(), len(params.command_delay))
+    run = native.simulate(one_arm(), params, watch=recorder.watch)
     seated = run.seated.all(1)
     onset = np.nanmedian(sessions.harmonised(run)[:, 1:], axis=0) if np.isfinite(run.onset[:, 3]).any() else None
     result: dict[str, Any] = {
@@ -224,6 +227,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
         result["outcomes_as_recorded"] = [sessions.agreement(run), len(run.length)]
     rings = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
     result |= {"ring": rings, "recorded_ring": target.ring}
+    result |= {"snaps": seated_snaps(run, recorder), "recorded_snaps": target.snaps}
     found = sessions.profiles(run)
     if len(found) == 0:
         return {**result, "mated": 0, "limits": None, "holds": False if name in HELD else None}, None

@@ -19,7 +19,7 @@ from rcbht_jax.data import dat, hiro_kinematics, store
 from rcbht_jax.data.hiro_trial import data_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
-from sim_mjx import kinematics, parts, presets
+from sim_mjx import kinematics, parts, presets, snaps
 from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
 from sim_mjx.kinds import kind
@@ -76,6 +76,12 @@ def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Floats:
     force = recorder.raw(trial)[:, :3]
     _, rotation, _ = kinematics.fk(run.joints[trial, : len(force), :6].astype(np.float64))
     return ((force - force[0])[:, None, :] * rotation).sum(-1)
+
+
+def seated_snaps(run: Rollouts, recorder: Recorder) -> dict[str, Any]:
+    """Snaps in the force, before the sensor's chain, of the trials that seated; see ``snaps.summary``."""
+    rows = np.flatnonzero(run.seated.all(1) & np.isfinite(run.onset[:, 3])).tolist()
+    return snaps.summary([snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in rows])
 
 
 def simulated(path: Path, recordings: Recordings, row: int) -> Replay:

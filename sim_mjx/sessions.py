@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rcbht_jax.data import hiro_kinematics, hiro_onsets
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
-from sim_mjx import presets, randomize, signature
+from sim_mjx import presets, randomize, sensor, signature, snaps
 from sim_mjx.engines import native
 from sim_mjx.fit import Values
 from sim_mjx.physical import Physical
@@ -31,11 +31,10 @@ Floats = NDArray[np.float64]
 COARSE = [(dx, dy) for dx in (0, 2, -2) for dy in (0, 2, -2)]
 GRID = COARSE + [(dx, dy) for dx in (0, 1, 2, -1, -2) for dy in (0, 1, 2, -1, -2) if (dx, dy) not in COARSE]
 RECORDED_OFF = {(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}  # cells that ended off-seat
-# Session A repeated one nominal trial: only noise, a small drift of the bias and 0.1 mm of placement differ.
+# Session A repeated one nominal trial: only noise, a small drift of the bias and .04 mm (sd) of placement differ.
 SAME = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")
 REPEATED: dict[str, Any] = dict.fromkeys(SAME, (1.0, 1.0)) | {
-    "shift": (-1e-4, 1e-4), "turn": (-1e-3, 1e-3),
-    "force_bias": (-0.08, 0.08), "moment_bias": (-0.004, 0.004),
+    "shift": (-7e-5, 7e-5), "turn": (-3e-4, 3e-4), "force_bias": (-0.06, 0.06), "moment_bias": (-0.003, 0.003),
 }  # fmt: skip
 IN_PLACE: dict[str, Any] = {
     "shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.2, 0.2), "moment_bias": (-0.005, 0.005),
@@ -129,6 +128,7 @@ class Target:
     profiles: Floats  # [n, 4, 100, 6] N and Nm
     onset: Floats  # [3] s, median start of rotation, insertion (harmonised) and mating
     ring: dict[str, float] | None  # of Fz in mating; see rings
+    snaps: dict[str, Any] | None  # in the force before the filter, of trials not off-seat; see snaps.summary
 
 
 def recorded(recordings: Recordings, session: str) -> Target:
@@ -152,7 +152,18 @@ def recorded(recordings: Recordings, session: str) -> Target:
         raise InputError(f"The store holds no trial of session {session} that reached every state.")
     onset = np.median(recordings.onset_harmonised[rows, 1:], axis=0)
     ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.onset[rows, 3])
-    return Target(session, signature.profiles(recordings, rows), onset, ring)
+    return Target(session, signature.profiles(recordings, rows), onset, ring, _snaps(recordings, rows, session))
+
+
+def _snaps(recordings: Recordings, rows: NDArray[np.integer], session: str) -> dict[str, Any] | None:
+    """Snaps of the recorded trials that seated; None of the OpenHRP simulation, whose parts have no tabs."""
+    if session == "openhrp":
+        return None
+    touch = sensor.real_sensor()
+    seated = rows[(np.char.find(recordings.note[rows], "off-seat") < 0) & (recordings.outcome[rows] == "success")]
+    forces = [snaps.unfiltered(recordings.wrench[row, : recordings.length[row], 2], touch) for row in seated]
+    starts = recordings.onset[seated, 1].tolist()
+    return snaps.summary([snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)])
 
 
 def rings(force: NDArray[np.floating], length: NDArray[np.integer], mating: Floats) -> dict[str, float] | None:

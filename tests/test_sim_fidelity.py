@@ -88,7 +88,7 @@ def test_profiles_leave_out_what_never_mated() -> None:
 
 def test_the_loss_is_least_for_the_session_itself() -> None:
     run = run_of(0)
-    own = sessions.Target("B", sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None)
+    own = sessions.Target("B", sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None, None)
     itself = sessions.loss(own, run, outcomes=False)
     assert itself == pytest.approx(0.0, abs=0.15)
     assert sessions.loss(own, run_of(1), outcomes=False) > itself + 0.2
@@ -205,6 +205,7 @@ def test_misses_are_said() -> None:
         },
         "session A": {
             "mated": 0, "trials": 4, "holds": False, "onsets": None, "ring": None, "recorded_ring": None, "seated": 0.0,
+            "snaps": None, "recorded_snaps": None,
         },
         "left_out": [],
     }  # fmt: skip

@@ -141,6 +141,14 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _snaps(found: dict[str, Any]) -> str:
+    counts = "none in {}, one in {}, two in {}, more in {}".format(*found["trials_with_0_1_2_more"])
+    if not found["drop_N_5_50_95_percent"]:
+        return counts
+    release, drop = found["release_N_5_50_95_percent"][1], found["drop_N_5_50_95_percent"][1]
+    return f"{counts}; median release {release} N, drop {drop} N"
+
+
 def _line(name: str, said: str, limit: str = "", holds: bool | None = None) -> str:
     verdict = "" if holds is None else ("ok" if holds else "MISSED")
     return f"{name:20}{said:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
@@ -177,6 +185,9 @@ def _session(name: str, row: dict[str, Any]) -> list[str]:
     if row["ring"] and row["recorded_ring"]:
         values = [row[which][key] for key in ("hertz", "peak") for which in ("ring", "recorded_ring")]
         lines.append(_line("", "ring (recorded): {:.2f} ({:.2f}) Hz, peak {:.1f} ({:.1f}) N".format(*values)))
+    for which, found in (("snaps", row["snaps"]), ("recorded snaps", row["recorded_snaps"])):
+        if found and found["trials"]:
+            lines.append(_line("", f"{which} of seated trials: {_snaps(found)}"))
     lines.append(_line("", f"all four tabs seated: {row['seated']:.1%}"))
     if "outcomes_as_recorded" in row:
         lines[-1] += "; outcomes as recorded: {} of {}".format(*row["outcomes_as_recorded"])
