@@ -24,7 +24,7 @@ from sim_mjx.engines import native
 from sim_mjx.kinds import TWO_ARM
 from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.randomize import FAULTS, Randomisation, draw
-from sim_mjx.rollout import Rollouts
+from sim_mjx.rollout import Rollouts, as_float32
 from sim_mjx.synth import Synthesis, synthesise
 from sim_mjx.two_arm import presets, program
 from sim_mjx.two_arm.randomize import REPEATED, setup
@@ -166,6 +166,28 @@ def test_force_control_moves_the_left_hand_with_the_push() -> None:
         assert ((after - before) @ rotation)[axis] > 0
     off = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.hold("two-fixed"))
     np.testing.assert_array_equal(hold(off, home, home, goal + 5.0, phase), home)
+
+
+def test_contact_chatters_on_both_wrists_at_once() -> None:
+    """The force between the parts varies by one factor per tick; nothing varies where nothing touches."""
+    drawn, _ = TWO_ARM.draw("two", 0, 0, REPEATED)
+    contact = np.array([4.0, 2.0, -1.0, 0.1, 0.2, 0.3, 3.0, -2.0, 1.0, 0.3, -0.2, 0.1], np.float32)
+    control = jax.jit(program.control)
+
+    def wrenches(chatter: float, felt: np.ndarray) -> np.ndarray:
+        params = as_float32(replace(drawn, chatter=np.array(chatter)))
+        joints = program.TWO_ARM.home(params)
+        loop, out = program.begin(params, jnp.zeros(12, jnp.float32)), []
+        for _ in range(20):
+            loop, _, log = control(params, loop, joints, jnp.asarray(felt))
+            out.append(np.asarray(log.wrench))
+        return np.array(out)
+
+    change = (wrenches(0.5, contact) - wrenches(0.0, contact))[5:]
+    forces = change[:, [0, 1, 2, 6, 7, 8]] / contact[[0, 1, 2, 6, 7, 8]]
+    assert forces.std() > 0.02
+    np.testing.assert_allclose(forces, np.broadcast_to(forces[:, :1], forces.shape), atol=1e-4)
+    np.testing.assert_array_equal(wrenches(0.5, 0 * contact), wrenches(0.0, 0 * contact))
 
 
 def test_free_space_offset_appears_as_recorded(recorded: list[Path], whole: dict[str, Rollouts]) -> None:
