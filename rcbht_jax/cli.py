@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
     "train-online": ("rcbht_jax.commands.online:TrainOnline", "train the beliefs of a stream"),
     "stream": ("rcbht_jax.commands.online:Stream", "beliefs and events from a stream, as JSON lines"),
+    "serve": ("rcbht_jax.commands.serve:Serve", "a live page of wrench, labels and beliefs"),
     "export-model": ("rcbht_jax.commands.export_model:ExportModel", "the chain of a model as StableHLO"),
     "simulate": ("sim_mjx.commands.simulate:Simulate", "simulate randomised trials into a store"),
     "fidelity": ("sim_mjx.commands.fidelity:Fidelity", "hold the simulation against solver, engines and recordings"),

@@ -96,24 +96,13 @@ class TrainOnline(Command):
 
 
 @dataclass(frozen=True)
-class Stream(Command):
-    """Beliefs and events from a stream of wrenches, as JSON lines.
-
-    SOURCE is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
-    input, such as {"time": 0.005, "wrench": [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins.
-    What is odd about the stream (gaps, repeated or late readings, NaN, jitter, silence) is told as events, too.
-
-    Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
-    """
+class Source(Command):
+    """Options of the commands that read a stream."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """Where the wrenches come from."""
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL")] = Path("online.model")
     """Model file made by "rcbht train-online"."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
-    """File for the events; default standard output."""
-    mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
-    """Also write wrench, labels, beliefs and events as MCAP for Foxglove and PlotJuggler."""
     trial: tuple[str, ...] = ()
     """Trials of a store; default all, one after the other."""
     arm: Literal["R", "L"] = "R"
@@ -133,32 +122,19 @@ class Stream(Command):
     silent: float = 1.0
     """Report a live source that says nothing for so many seconds."""
 
-    def run(self) -> dict[str, Any]:
+    def opened(self) -> tuple[Session, Iterator[Message]]:
+        """A session with its model compiled, and the messages for it.
+
+        Raises:
+            InputError: no such model, no such source, or options that make no sense.
+        """
         if not 0 <= self.speed < float("inf"):
             raise InputError(f"A stream cannot be replayed at {self.speed} times its pace; give zero or more.")
+        messages = self._messages()
         introspector = Introspector(load(self.model), self.rate or None, self.k)
-        introspector.warm_up()
         session = Session(introspector, self.bridge)
-        told: Counter[str] = Counter()
-        with ExitStack() as stack:
-            out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
-            mcap = stack.enter_context(McapWriter(self.mcap)) if self.mcap else None
-            for message in paced(self._messages(), self.speed):
-                events = session.feed(message)
-                for event in events:
-                    told[type(event).__name__] += 1
-                    out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
-                if events and self.out is None:
-                    out.flush()
-                if mcap is not None:
-                    _record(mcap, session, message, events)
-        return {"source": self.source, "messages": dict(session.counts), "events": dict(told)}
-
-    def text(self, result: dict[str, Any]) -> str:
-        # Standard output belongs to the events.
-        words = ", ".join(f"{count} {name}" for name, count in (result["messages"] | result["events"]).items())
-        print(f"{result['source']}: {words or 'nothing'}", file=sys.stderr)
-        return ""
+        introspector.warm_up()
+        return session, messages
 
     def _messages(self) -> Iterator[Message]:
         if self.source == "-":
@@ -171,6 +147,46 @@ class Stream(Command):
         if path.is_dir():
             return read_folder(path, self.arm, self.starts)
         raise InputError(f"{path} is no store, trial, bag or MCAP file; give - to read JSON lines on standard input.")
+
+
+@dataclass(frozen=True)
+class Stream(Source):
+    """Beliefs and events from a stream of wrenches, as JSON lines.
+
+    SOURCE is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
+    input, such as {"time": 0.005, "wrench": [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins.
+    What is odd about the stream (gaps, repeated or late readings, NaN, jitter, silence) is told as events, too.
+
+    Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
+    """
+
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
+    """File for the events; default standard output."""
+    mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
+    """Also write wrench, labels, beliefs and events as MCAP for Foxglove and PlotJuggler."""
+
+    def run(self) -> dict[str, Any]:
+        session, messages = self.opened()
+        told: Counter[str] = Counter()
+        with ExitStack() as stack:
+            out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
+            mcap = stack.enter_context(McapWriter(self.mcap)) if self.mcap else None
+            for message in paced(messages, self.speed):
+                events = session.feed(message)
+                for event in events:
+                    told[type(event).__name__] += 1
+                    out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
+                if events:
+                    out.flush()
+                if mcap is not None:
+                    _record(mcap, session, message, events)
+        return {"source": self.source, "messages": dict(session.counts), "events": dict(told)}
+
+    def text(self, result: dict[str, Any]) -> str:
+        # Standard output belongs to the events.
+        words = ", ".join(f"{count} {name}" for name, count in (result["messages"] | result["events"]).items())
+        print(f"{result['source']}: {words or 'nothing'}", file=sys.stderr)
+        return ""
 
 
 def _record(mcap: McapWriter, session: Session, message: Message, events: list[Event]) -> None:
