@@ -172,13 +172,15 @@ def by_gain() -> dict[str, Any]:
     """Way of the left hand and seating in trials like the recorded ones, by the left arm's share of the gains."""
     out: dict[str, Any] = {}
     params, _ = TWO_ARM.draw_batch("two", SEED, range(LIKE_RECORDED), REPEATED)
-    for share in SHARES:
-        factor = share / presets.HOLD_SHARE
+    for share, goal in [*((share, 1.0) for share in SHARES), (presets.HOLD_SHARE, 0.0)]:
+        factor, held = share / presets.HOLD_SHARE, params.hold
         held = replace(
-            params.hold, force_gain=params.hold.force_gain * factor, moment_gain=params.hold.moment_gain * factor
-        )
+            held, force_gain=held.force_gain * factor, moment_gain=held.moment_gain * factor, force=held.force * goal,
+            moment=held.moment * goal,
+        )  # fmt: skip
         run = native.simulate(two_arm(), replace(params, hold=held))
-        out[f"{share:g}"] = way_of_left_hand(run) | {"seated": round(float(run.seated.all(1).mean()), 3)}
+        name = f"{share:g}" if goal else f"{share:g}, all set-points zero"
+        out[name] = way_of_left_hand(run) | {"seated": round(float(run.seated.all(1).mean()), 3)}
     return out
 
 

@@ -46,7 +46,7 @@ def joined(first: Recordings, second: Recordings) -> Recordings:
 
 def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
     """Accuracy on four states from both arms' grammars; recorded boundaries, SVM, window 5."""
-    words = ("histogram", "ngram", "attributes")
+    words = ("sentence", "histogram", "ngram", "attributes")
     families = {"words": words, "words and duration": (*words, "duration")}
     config = EncoderConfig(window=5, dt=CONTROL_PERIOD)
     out: dict[str, Any] = {}
@@ -79,7 +79,10 @@ def main() -> None:
     recorded, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE)
     mild = Randomisation(nominal_share=1.0)
     made = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in presets.PRESETS}
-    note = "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms"
+    note = (
+        "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms; "
+        "words = sentence, histogram, ngram and attributes"
+    )
     result = {"measure": note, **states(recorded, made)}
     write_result("two_arm_states", "python -m experiments.two_arm_states", result, seed=SEED)
 

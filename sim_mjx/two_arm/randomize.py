@@ -20,10 +20,8 @@ REPEATED = Randomisation(
     nominal_share=1.0, shift=(-1e-4, 1e-4), turn=(-1e-3, 1e-3), stiffness=(1.0, 1.0), overlap=(1.0, 1.0),
     friction=(1.0, 1.0), mount=(1.0, 1.0), gain=(1.0, 1.0), goal=(1.0, 1.0), speed=(1.0, 1.0),
 )  # fmt: skip
-DRIFT: tuple[Range, Range] = (
-    (-0.05, 0.05),
-    (-0.003, 0.003),
-)  # N and Nm, either wrist: what the free-space offset moves
+FORCE_DRIFT: Range = (-0.05, 0.05)  # N, either wrist's free-space offset; chosen
+MOMENT_DRIFT: Range = (-0.003, 0.003)  # Nm, likewise
 
 
 def setup() -> Setup:
@@ -66,7 +64,7 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoAr
         force_gain=hold.force_gain * rng.uniform(*spec.gain),
         moment_gain=hold.moment_gain * rng.uniform(*spec.gain),
     )
-    drift = [rng.uniform(*span, 3) for _ in ARMS for span in DRIFT]
+    drift = [rng.uniform(*span, 3) for _ in ARMS for span in (FORCE_DRIFT, MOMENT_DRIFT)]
     params = TwoArmParams(
         task=replace(right.task, mating_time=np.array(rng.uniform(*MATING_TIME))),
         hold=hold,
