@@ -37,6 +37,7 @@ WORDS = FeatureSpec(families=("histogram", "ngram", "attributes"))  # no duratio
 FULL = FeatureSpec(families=("histogram", "ngram", "attributes", "duration", "offset"))
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
 TOP = 6
+SCALES = 2.0 ** (np.arange(-4, 5) / 2)
 SEED = 0
 
 
@@ -72,15 +73,30 @@ def methods(recordings: Recordings, items: Sentences, config: EncoderConfig, cou
     def by_gradient(rows: np.ndarray, seed: int) -> np.ndarray:
         return trained_limits(data.take(rows), config)[None]
 
-    return {
+    found = {
         "preset": fixed(preset().limits),
         "context": by_context,
         "search, best": library.chooser(Objective(), 1),
         f"search, inner folds choose among {TOP} and the preset": lambda rows, seed: np.concatenate(
             [np.asarray(preset().limits)[None], best(rows, seed)]
         ),
+        "preset scaled, inner folds choose the scale": fixed(np.asarray(preset().limits) * SCALES[:, None, None]),
         "gradient": by_gradient,
     }
+    return {name: remembered(choose) for name, choose in found.items()}
+
+
+def remembered(choose: Choose) -> Choose:
+    """The same, but a fold that comes again is not calibrated again."""
+    known: dict[bytes, np.ndarray] = {}
+
+    def once(rows: np.ndarray, seed: int) -> np.ndarray:
+        key = rows.tobytes()
+        if key not in known:
+            known[key] = choose(rows, seed)
+        return known[key]
+
+    return once
 
 
 def trained_limits(data: Corpus, config: EncoderConfig) -> np.ndarray:

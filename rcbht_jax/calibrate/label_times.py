@@ -28,11 +28,7 @@ _NEVER = 2**31 - 1  # samples
 _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
-# The default emitters of XLA for CPUs make these loops half as fast.
-_OPTIONS: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
-
-
-@partial(jax.jit, static_argnums=0, static_argnames="group", compiler_options=_OPTIONS)
+@partial(jax.jit, static_argnums=0, static_argnames="group")
 def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
     """Samples that each label fills in each sentence.
 

@@ -31,7 +31,7 @@ from rcbht_jax.thresholds import Thresholds, preset
 
 Floats = NDArray[np.float64]
 # Candidates and recordings encoded at once: as much as fits a core's cache, or fills a GPU.
-_LANES = {"cpu": (256, 1), "gpu": (1024, 32)}
+_LANES = {"cpu": (256, 1), "gpu": (4096, 8)}
 
 
 @dataclass(frozen=True)
