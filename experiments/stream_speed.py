@@ -1,0 +1,206 @@
+"""Latency, start-up, memory and robustness of the streaming chain, six axes, window to belief.
+
+* latency: wall time of single pushes of one window, each of which gives a belief, on real trials;
+* start: from the model file to the first belief in a fresh process, compilation included, with and without a warm
+  compilation cache;
+* length: memory and time per push over a long stream;
+* fuzz: hostile messages to the reader of JSON lines and to the regulator, and hostile requests to the page.
+
+Run on an otherwise idle machine: python -m experiments.stream_speed MODEL --pushes 100000 --samples 10000000
+MODEL is made by "rcbht train-online". Reads the recorded trials (RCBHT_DATA) for the signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import random
+import resource
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.record import write_result
+from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.introspect.model import load
+from rcbht_jax.streams.messages import Begin, Malformed, Message, Reset, Sample, read_lines
+from rcbht_jax.streams.page import PageServer
+from rcbht_jax.streams.recordings import read_folder
+from rcbht_jax.streams.session import Session
+
+TRIAL = "REAL_HIRO_ONE_SA_SUCCESS/20121127-HIROSA-S-13"
+START = """
+import sys, time
+start = time.perf_counter()
+import jax, numpy as np
+if sys.argv[2]:
+    jax.config.update("jax_compilation_cache_dir", sys.argv[2])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+from pathlib import Path
+from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.introspect.model import load
+introspector = Introspector(load(Path(sys.argv[1])), rate=None)
+assert introspector.push(np.zeros((introspector.model.encoder.window, 6)))
+print(time.perf_counter() - start)
+"""
+
+
+def signal(data: Path) -> NDArray[np.float32]:
+    return np.array([m.wrench for m in read_folder(data / TRIAL) if isinstance(m, Sample)], np.float32)
+
+
+def megabytes() -> float:
+    """Memory that this process holds now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def latency(model: Path, wrench: NDArray[np.float32], pushes: int) -> dict[str, float]:
+    introspector = Introspector(load(model), rate=None)
+    introspector.warm_up()
+    window = introspector.model.encoder.window
+    windows = wrench[: len(wrench) // window * window].reshape(-1, window, 6)
+    seconds = np.empty(pushes)
+    for k in range(pushes):
+        piece = windows[k % len(windows)]
+        start = time.perf_counter()
+        introspector.push(piece)
+        seconds[k] = time.perf_counter() - start
+    quantiles = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "largest": 1.0}
+    return {f"{name}, ms": round(float(np.quantile(seconds, q)) * 1e3, 3) for name, q in quantiles.items()}
+
+
+def start_up(model: Path) -> dict[str, float]:
+    def once(cache: str) -> float:
+        command = [sys.executable, "-c", START, str(model), cache]
+        return round(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout), 2)
+
+    with tempfile.TemporaryDirectory() as folder:
+        return {"cold, s": once(""), "filling the cache, s": once(folder), "warm cache, s": once(folder)}
+
+
+def long_stream(model: Path, wrench: NDArray[np.float32], samples: int) -> dict[str, Any]:
+    introspector = Introspector(load(model), rate=2.0)
+    introspector.push(wrench)
+    introspector.reset()
+    memory, seconds, tenth = [megabytes()], [], samples // 10
+    for _ in range(10):
+        start = time.perf_counter()
+        for _ in range(max(1, tenth // len(wrench))):
+            introspector.push(wrench)
+        seconds.append(round(time.perf_counter() - start, 1))
+        memory.append(megabytes())
+    probabilities = introspector.latest[introspector.model.heads[0].name].probabilities
+    return {
+        "samples": introspector.received,
+        "seconds per tenth": seconds,
+        "memory before and after each tenth, MB": [round(m, 1) for m in memory],
+        "beliefs finite at the end": bool(np.isfinite(probabilities).all()),
+    }
+
+
+def hostile_line(rng: random.Random) -> bytes:
+    """A line that a broken or malicious source might send."""
+    good = {"wrench": [rng.gauss(0, 10) for _ in range(6)], "time": rng.uniform(0, 100)}
+    kind = rng.randrange(8)
+    if kind == 0:
+        return rng.randbytes(rng.randrange(200)).replace(b"\n", b" ")
+    if kind == 1:
+        return b"[" * rng.randrange(1, 5000)
+    if kind == 2:
+        good["time"] = rng.choice([1e308, -1e308, 0.0, 1e-300, float(2**63), rng.uniform(-1e9, 1e9)])
+    elif kind == 3:
+        good["wrench"][rng.randrange(6)] = rng.choice([1e308, -1e38, None, "1", True, [], {}])  # type: ignore[call-overload]
+    elif kind == 4:
+        return json.dumps(good).encode()[: rng.randrange(60)]
+    elif kind == 5:
+        return rng.choice([b'{"begin": true}', b'{"reset": true}', b"NaN", b'{"wrench": 1}', b'{"time": 1}'])
+    return json.dumps(good).encode()
+
+
+def fuzz_stream(model: Path, count: int, seed: int) -> dict[str, Any]:
+    rng, session = random.Random(seed), Session(Introspector(load(model), rate=2.0))
+    session.introspector.warm_up()
+    memory, kinds, longest = [megabytes()], dict.fromkeys((Sample, Begin, Reset, Malformed), 0), 0.0
+    for _ in range(10):
+        for _ in range(max(1, count // 10_000)):
+            block = io.BytesIO(b"\n".join(hostile_line(rng) for _ in range(1000)) + b"\n")
+            for message in read_lines(block):
+                kinds[type(message)] = kinds.get(type(message), 0) + 1
+                longest = max(longest, _seconds(session, message))
+        memory.append(megabytes())
+    return {
+        "messages": sum(kinds.values()),
+        "by kind": {kind.__name__: number for kind, number in kinds.items()},
+        "longest message, ms": round(longest * 1e3, 1),
+        "memory before and after each tenth, MB": [round(m, 1) for m in memory],
+    }
+
+
+def _seconds(session: Session, message: Message) -> float:
+    start = time.perf_counter()
+    session.feed(message)
+    return time.perf_counter() - start
+
+
+def fuzz_page(model: Path, count: int, seed: int) -> dict[str, Any]:
+    rng, answers, memory = random.Random(seed), {}, [megabytes()]
+    with PageServer(Session(Introspector(load(model))), port=0) as server:
+        address = server.server_address[:2]
+        for number in range(count):
+            request = rng.choice(
+                [rng.randbytes(rng.randrange(300)), b"GET /" + rng.randbytes(20) + b" HTTP/1.1\r\n\r\n"]
+            )
+            request = rng.choice([request, b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n", b"GET / HTTP/1.1\r\n\r\n"])
+            with socket.create_connection(address, timeout=20) as client:  # type: ignore[arg-type]
+                client.sendall(request)
+                client.shutdown(socket.SHUT_WR)
+                try:
+                    said = client.recv(12)
+                except ConnectionResetError:
+                    said = b"reset"
+            code = said[9:12].decode("ascii", "replace") if said.startswith(b"HTTP/") else "other"
+            answers[code] = answers.get(code, 0) + 1
+            if number % max(1, count // 10) == 0:
+                memory.append(megabytes())
+    return {"requests": count, "answers": answers, "memory along the way, MB": [round(m, 1) for m in memory]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("--pushes", type=int, default=100_000)
+    parser.add_argument("--samples", type=int, default=10_000_000)
+    parser.add_argument("--messages", type=int, default=1_000_000)
+    parser.add_argument("--requests", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    wrench = signal(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    head = load(args.model).heads[0].machine.svm
+    load_before = os.getloadavg()[0]
+    result = {
+        "model": {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)},
+        "load of the machine before, processes": round(load_before, 1),
+        "start": start_up(args.model),
+        "latency": latency(args.model, wrench, args.pushes),
+        "long stream": long_stream(args.model, wrench, args.samples),
+        "fuzzed messages": fuzz_stream(args.model, args.messages, args.seed),
+        "fuzzed page": fuzz_page(args.model, args.requests, args.seed),
+    }
+    sizes = f"--pushes {args.pushes} --samples {args.samples} --messages {args.messages} --requests {args.requests}"
+    write_result(
+        "stream_speed", f"python -m experiments.stream_speed MODEL {sizes} --seed {args.seed}", result, args.seed
+    )
+
+
+if __name__ == "__main__":
+    main()
