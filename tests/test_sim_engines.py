@@ -14,7 +14,10 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx import engines
 from sim_mjx.certificate import certify
+from sim_mjx.engines import native as native_engine
 from sim_mjx.engines.common import past_lips
+from sim_mjx.engines.native import LANES
+from sim_mjx.parity import parity, reference
 from sim_mjx.presets import CONTROL_PERIOD
 from sim_mjx.randomize import Randomisation, draw_batch
 from sim_mjx.rollout import Rollouts, TrialParams
@@ -39,17 +42,59 @@ def native() -> Rollouts:
 
 
 def test_mjx_gives_the_wrench_of_native(native: Rollouts) -> None:
+    """C MuJoCo is the oracle; until the contact the wrench is equal, after it words and course are."""
+    params = short_trials(4, longest=6.0)
+    expected, contact = reference(SCENE, params)
+    samples = native.wrench.shape[1] - 1
+    np.testing.assert_array_equal(expected.wrench[:, :samples], native.wrench[:, :samples])  # watching changes nothing
+    assert (contact < expected.onset[:, 1] / CONTROL_PERIOD).all()
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
-        out = engines.simulate(SCENE, short_trials(4), "mjx")
-    assert np.isfinite(native.onset[:, 1]).all()  # there is a contact to compare
-    np.testing.assert_array_equal(out.length, native.length)
-    np.testing.assert_allclose(out.onset, native.onset, atol=1.5 * CONTROL_PERIOD)
-    for row, onset in enumerate(native.onset[:, 1]):
-        free = int(onset / CONTROL_PERIOD) - 20  # the filter and the delays let the contact come later
-        np.testing.assert_allclose(out.wrench[row, :free], native.wrench[row, :free], atol=0.05)
-    peaks = np.abs(native.wrench[..., 2]).max(1)
+        out = engines.simulate(SCENE, params, "mjx")
+    found = parity(expected, contact, out)
+    assert found.holds, found
+    assert (found.trials, found.touched, found.diverged) == (4, 4, 0)
+    np.testing.assert_array_equal(out.length, expected.length)
+    np.testing.assert_allclose(out.onset[:, :2], expected.onset[:, :2], atol=1.5 * CONTROL_PERIOD)
+    peaks = np.abs(expected.wrench[..., 2]).max(1)
     assert (peaks > 5).all()
     np.testing.assert_allclose(np.abs(out.wrench[..., 2]).max(1), peaks, rtol=0.1)
+
+
+def test_parity_sees_what_differs(native: Rollouts) -> None:
+    _, contact = reference(SCENE, short_trials(4))
+    wrench = native.wrench.copy()
+    wrench[2, contact[2] - 1, 1] += 0.06
+    assert not parity(native, contact, replace(native, wrench=wrench)).holds
+    wrench = native.wrench.copy()
+    wrench[2, contact[2] + 1, 1] += 0.06
+    assert parity(native, contact, replace(native, wrench=wrench)).holds
+    seated = native.seated.copy()
+    seated[0] = ~native.seated[0].all()
+    assert not parity(native, contact, replace(native, seated=seated)).holds
+    wrench = native.wrench + np.where(np.arange(native.wrench.shape[1]) >= 300, 1.0, 0.0)[None, :, None]
+    wrench = wrench.astype(np.float32) * (1 + np.arange(native.wrench.shape[1], dtype=np.float32) % 7)[None, :, None]
+    assert min(parity(native, contact, replace(native, wrench=wrench)).labels.values()) < 0.9
+
+
+def test_lanes_are_refilled_without_a_trace() -> None:
+    count = LANES + 7
+    params, _ = draw_batch("A", 3, range(count), Randomisation(longest=0.2))
+    timeout = 0.05 + 0.005 * (np.arange(count) * 13 % 30)
+    params = replace(params, task=replace(params.task, timeout=timeout))
+    out = engines.simulate(SCENE, params, "native")
+    np.testing.assert_array_equal(out.length, np.round(timeout / CONTROL_PERIOD) + 1)
+    for row in (0, LANES - 1, LANES, count - 1, int(timeout.argmin())):
+        alone = engines.simulate(SCENE, take(params, [row]), "native")
+        np.testing.assert_array_equal(alone.wrench[0], out.wrench[row, : out.length[row]])
+        np.testing.assert_array_equal(alone.joints[0], out.joints[row, : out.length[row]])
+
+
+def test_an_error_in_a_thread_ends_the_simulation() -> None:
+    def watch(*_: np.ndarray) -> None:
+        raise RuntimeError("seen")
+
+    with pytest.raises(RuntimeError, match="seen"):
+        native_engine.simulate(SCENE, short_trials(LANES + 1, longest=30.0), watch=watch)
 
 
 def test_a_trial_does_not_depend_on_the_others(native: Rollouts) -> None:
@@ -81,7 +126,7 @@ def test_divergence_is_marked_and_not_stored(tmp_path: Path, monkeypatch: pytest
 
 
 def test_unknown_engines_are_refused() -> None:
-    with pytest.raises(InputError, match="native, mjx"):
+    with pytest.raises(InputError, match="native, mjx, warp"):
         engines.simulate(SCENE, short_trials(1), "bullet")
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +15,23 @@ from sim_mjx.rollout import Rollouts
 
 Array = Any
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
-# The default emitters make batched kinematics a hundred times slower on a CPU; other backends refuse the option.
-CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+# JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
+_CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 
 LARGEST = 1e5  # N or Nm; beyond it the physics has diverged, whatever it says next
+
+
+@lru_cache
+def compiler_options(backend: str) -> dict[str, str | bool]:
+    """Options of ``jax.jit`` for programs of a backend; a version of JAX that does not know them gets none."""
+    if backend != "cpu":
+        return {}
+    try:
+        with jax.default_device(jax.devices("cpu")[0]):
+            jax.jit(jnp.negative, compiler_options=_CPU_OPTIONS).lower(jnp.float32(0)).compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return _CPU_OPTIONS
 
 
 def sane(values: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
 from sim_mjx import task
-from sim_mjx.engines.common import CPU_OPTIONS, SETTLING, collect, past_lips, sane
+from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips, sane
 from sim_mjx.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.scene import Scene
 
@@ -112,7 +112,8 @@ class _Job:
     def work(self) -> list[_Run]:
         """Take trials until none is left."""
         lanes, runs = _Lanes(self), []
-        with mj_rollout.Rollout(nthread=0) as pool:
+        # where there is a GPU, the controllers still run beside the physics
+        with mj_rollout.Rollout(nthread=0) as pool, jax.default_device(jax.devices("cpu")[0]):
             while not self.stopped.is_set():
                 runs += lanes.finished()
                 lanes.refill()
@@ -262,8 +263,9 @@ def _compiled(program: Program) -> tuple[Callable[..., Any], ...]:
         started = jax.vmap(program.begin)(params, raw)
         return started if loop is None else jax.tree.map(chosen, started, loop)
 
-    control = jax.jit(jax.vmap(program.control), compiler_options=CPU_OPTIONS, donate_argnums=1)
-    return jax.jit(begin, compiler_options=CPU_OPTIONS), control
+    options = compiler_options("cpu")
+    control = jax.jit(jax.vmap(program.control), compiler_options=options, donate_argnums=1)
+    return jax.jit(begin, compiler_options=options), control
 
 
 def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
