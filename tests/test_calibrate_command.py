@@ -30,7 +30,7 @@ def store(tmp_path_factory) -> Path:
     ("method", "options"),
     [
         ("context", ["--own-axes"]),
-        ("search", ["--candidates", "4", "--generations", "1"]),
+        ("search", ["--candidates", "2", "--generations", "0"]),
         ("gradient", ["--steps", "2"]),
     ],
 )

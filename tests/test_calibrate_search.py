@@ -11,6 +11,7 @@ from rcbht_jax.calibrate.cma import Cma
 from rcbht_jax.calibrate.corpus import Corpus
 from rcbht_jax.calibrate.label_times import label_times
 from rcbht_jax.calibrate.objective import RIDGE, SCORES, Objective, scores, shares
+from rcbht_jax.calibrate.on_device import score_wrench
 from rcbht_jax.calibrate.search import SearchOptions, Space, evaluate, search
 from rcbht_jax.calibrate.windows import fit_windows
 from rcbht_jax.encoder import EncoderConfig
@@ -165,6 +166,19 @@ def test_successive_halving_scores_survivors_on_all_trials(made):
     assert found.evaluations in (8 + 2, 8 + 3)  # two survivors, and the base if it is not one of them
     alone = evaluate(made, CONFIG, found.thresholds.limits[None], chunk=4)[0]
     assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
+
+
+def test_trials_on_the_device_score_like_a_corpus(wrench, made):
+    whole = made.edges.copy()
+    whole[:, -1] = LENGTHS
+    corpus = Corpus(wrench, made.windows, whole, made.y, made.classes, made.trial)
+    limits = random_limits(4)
+    beyond = np.where(np.arange(wrench.shape[1])[:, None] < LENGTHS[:, None, None], wrench, 1e3)  # must not matter
+    there = score_wrench(
+        CONFIG, jnp.asarray(limits, jnp.float32), jnp.asarray(beyond), jnp.asarray(whole), jnp.asarray(made.y),
+        classes=4, chunk=4, group=1,
+    )  # fmt: skip
+    np.testing.assert_allclose(there, evaluate(corpus, CONFIG, limits, chunk=4), atol=2e-5)
 
 
 def test_errors_are_sentences(made):

@@ -63,12 +63,13 @@ def fit_windows(config: EncoderConfig, wrench: NDArray[np.floating], length: NDA
         if not np.isfinite(padded[row]).all():
             raise InputError(f"Recording {row} holds values that are not finite numbers; remove or interpolate them.")
     counts = length.astype(np.int32)
-    slope, vmax, vmin = _lines(config, jnp.asarray(padded), jnp.asarray(counts))
+    slope, vmax, vmin = device_lines(config, jnp.asarray(padded), jnp.asarray(counts))
     return Windows(np.asarray(slope), np.asarray(vmax), np.asarray(vmin), counts)
 
 
 @partial(jax.jit, static_argnums=0)
-def _lines(config: EncoderConfig, wrench: jax.Array, length: jax.Array) -> tuple[jax.Array, ...]:
+def device_lines(config: EncoderConfig, wrench: jax.Array, length: jax.Array) -> tuple[jax.Array, ...]:
+    """Slopes, larger and smaller ends ``[recording, window, 6]``; the wrench is made of whole windows."""
     recordings, samples, axes = wrench.shape
     count = samples // config.window
     first = jnp.arange(count, dtype=jnp.int32) * config.window
