@@ -30,7 +30,7 @@ class Windows:
     length: Array  # int32 [recording], samples
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Windows:
-        """The chosen recordings, without the windows that none of them has."""
+        """The chosen recordings."""
         whole: Windows = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], self)
         return whole
 

@@ -11,7 +11,7 @@ from rcbht_jax.plots.canvas import new_figure
 from rcbht_jax.thresholds import Thresholds
 
 _NAMES = ("impulse", "big", "medium", "small")
-_COLORS = ("#67000d", "#d94801", "#fd8d3c", "#bdbdbd")
+_COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
 
 
 def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | None = None) -> Figure:
@@ -36,7 +36,7 @@ def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | No
         bins = np.geomspace(low, high, 50)
         for column, name in enumerate(data.classes):
             panel = panels[row, column]
-            panel.hist(np.maximum(_inside(data, column, slopes), low), bins=bins, color="0.75")
+            panel.hist(np.maximum(_inside(data, column, slopes), low), bins=bins, color="0.8")
             for k, limit in enumerate(limits):
                 label = _NAMES[k] if (row, column) == (0, 0) else None
                 panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
