@@ -78,9 +78,10 @@ def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Floats:
     return ((force - force[0])[:, None, :] * rotation).sum(-1)
 
 
-def seated_snaps(run: Rollouts, recorder: Recorder) -> dict[str, Any]:
+def seated_snaps(run: Rollouts, recorder: Recorder, among: slice = slice(None)) -> dict[str, Any]:
     """Snaps in the force, before the sensor's chain, of the trials that seated; see ``snaps.summary``."""
-    rows = np.flatnonzero(run.seated.all(1) & np.isfinite(run.onset[:, 3])).tolist()
+    good = run.seated.all(1) & np.isfinite(run.onset[:, 3])
+    rows = [row for row in np.arange(len(good))[among].tolist() if good[row]]
     return snaps.summary([snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in rows])
 
 

@@ -22,6 +22,7 @@ from sim_mjx.engines import native
 from sim_mjx.fit import Values
 from sim_mjx.physical import Physical
 from sim_mjx.randomize import Randomisation
+from sim_mjx.replay import Recorder, seated_snaps
 from sim_mjx.rollout import Rollouts, TrialParams, stack
 from sim_mjx.scene import one_arm
 
@@ -195,7 +196,7 @@ def _frequency(force: NDArray[np.floating], begin: float) -> float:
 
 
 # What one unit of each term of the loss is worth; the worst cells of the metric's tables count as this many sd.
-WORST_CELL, ONSET_UNIT, ONSET_WEIGHT, OUTCOME_WEIGHT, LOST = 2.0, 0.3, 0.1, 1.0, 3.0
+WORST_CELL, ONSET_UNIT, ONSET_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT, LOST = 2.0, 0.3, 0.1, 1.0, 0.5, 3.0
 
 
 def loss(target: Target, run: Rollouts, *, outcomes: bool) -> float:
@@ -217,6 +218,16 @@ def loss(target: Target, run: Rollouts, *, outcomes: bool) -> float:
     return float(total + 1.0 - score.coverage + unlike + ONSET_WEIGHT * np.nansum(late) / ONSET_UNIT)
 
 
+def missing_snaps(target: Target, found: dict[str, Any]) -> float:
+    """By how much the share of seated trials with a snap like the recorded ones falls short of the recorded share."""
+    if target.snaps is None or target.snaps["trials"] == 0:
+        return 0.0
+    recorded, simulated = (
+        each["trials_with_a_snap_as_recorded"] / max(each["trials"], 1) for each in (target.snaps, found)
+    )
+    return float(max(recorded - simulated, 0.0))
+
+
 def agreement(run: Rollouts) -> int:
     """How many of the simulated cells of session B seat, or do not, as the recorded ones; whole trials only."""
     seated: list[bool] = np.atleast_1d(run.seated.all(1)).tolist()
@@ -231,10 +242,11 @@ class SessionObjective:
     count: int  # trials per candidate
     seed: int = 0
     outcomes: bool = False  # session B: simulate whole trials and compare how they ended
+    snaps: bool = False  # simulate whole trials and miss the snaps that the recorded ones have
     fixed: Physical = ()  # parameters that are set and not searched
 
     def __call__(self, candidates: list[Values]) -> Floats:
-        session, whole = self.target.session, self.outcomes
+        session, whole = self.target.session, self.outcomes or self.snaps
         losses = np.full(len(candidates), np.nan)
         batches: list[TrialParams] = []
         possible = []
@@ -247,10 +259,14 @@ class SessionObjective:
                 continue  # parts that cannot be: the worst loss
         if not batches:
             return losses
-        run = native.simulate(one_arm(), jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches))
+        recorder = Recorder(one_arm(), len(batches) * self.count)
+        together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+        run = native.simulate(one_arm(), together, watch=recorder.watch if self.snaps else None)
         for place, row in enumerate(possible):
             rows = slice(place * self.count, (place + 1) * self.count)
             losses[row] = loss(self.target, _part(run, rows), outcomes=self.outcomes)
+            if self.snaps:
+                losses[row] += SNAP_WEIGHT * missing_snaps(self.target, seated_snaps(run, recorder, rows))
         return losses
 
 

@@ -17,7 +17,7 @@ from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import Recordings
-from sim_mjx import engines, fidelity, sessions, signature
+from sim_mjx import engines, fidelity, sessions, signature, snaps
 from sim_mjx.commands.fidelity import table
 from sim_mjx.engines import native
 from sim_mjx.presets import CONTROL_PERIOD
@@ -99,6 +99,17 @@ def test_the_loss_is_least_for_the_session_itself() -> None:
     # three seated trials against the first three cells: only the third, (0, -2), was recorded off-seat
     assert sessions.agreement(run) == 2
     assert sessions.loss(own, run, outcomes=True) == pytest.approx(itself + 1 / 3)
+
+
+def test_missing_snaps_are_a_loss() -> None:
+    snap = snaps.Snap(8.0, 17.0, 11.0)
+    target = sessions.Target(
+        "B", np.zeros((1, 4, 100, 6)), np.zeros(3), None, snaps.summary([[snap], [snap], [snap], []])
+    )
+    assert sessions.missing_snaps(target, snaps.summary([[], []])) == 0.75
+    assert sessions.missing_snaps(target, snaps.summary([[snap], []])) == 0.25
+    assert sessions.missing_snaps(target, snaps.summary([[snap]])) == 0.0
+    assert sessions.missing_snaps(replace(target, snaps=None), snaps.summary([[]])) == 0.0
 
 
 def test_session_b_is_a_grid_and_a_repeats_one_pose() -> None:
@@ -246,6 +257,7 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
     assert (second["generations"], second["loss"] <= first["loss"]) == (2, True)
     assert cli.main([*words, "--seed", "5"]) == 2
     assert "other settings" in capsys.readouterr().err
+    assert cli.main([*words, "-o", str(tmp_path / "s.json"), "--snaps", "--generations", "1"]) == 0
     for wrong, sentence in (
         (["--parameters", "parts.colour"], "no physical parameter"),
         (["--parameters", "parts.position[0]"], "has no usual range"),

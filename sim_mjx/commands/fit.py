@@ -60,6 +60,8 @@ class FidelityFit(Command):
     """Simulated trials per candidate; default 4 for session A, elsewhere 9."""
     outcomes: bool = False
     """Session B: simulate whole trials, and count cells that end otherwise than recorded (three times slower)."""
+    snaps: bool = False
+    """Simulate whole trials, and count seated ones without a snap in the force where the recorded ones have it."""
     population: int = 12
     """Candidates per generation."""
     generations: int = 30
@@ -78,7 +80,7 @@ class FidelityFit(Command):
         physical.check((*fixed, *((name, 0.0) for name in self.parameters)))
         trials = self.trials or (4 if self.session == "A" else 9)
         sessions.trials_of(self.session, trials, physical=fixed)  # refuses a wrong count before the work
-        objective = sessions.SessionObjective(target, trials, self.seed, self.outcomes, fixed)
+        objective = sessions.SessionObjective(target, trials, self.seed, self.outcomes, self.snaps, fixed)
         search = self._search(fixed, trials, len(target.profiles))
         checkpoint = self.out.with_name(f"{self.out.name}.search")
         with tqdm(total=self.generations, desc="fit", unit=" gen", file=sys.stderr, disable=None) as bar:
@@ -103,7 +105,7 @@ class FidelityFit(Command):
         bounds = {name: (BOUNDS | ranges)[name] for name in self.parameters}
         about = {
             "session": self.session, "recorded_trials": recorded, "trials": trials, "outcomes": self.outcomes,
-            "fixed": [list(pair) for pair in fixed],
+            "snaps": self.snaps, "fixed": [list(pair) for pair in fixed],
         }  # fmt: skip
         begin = {name: _present(self.session, name, bound) for name, bound in bounds.items()}
         return Search(bounds, self.population, self.generations, self.seed, begin, self.spread, about)
