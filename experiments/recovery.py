@@ -2,9 +2,9 @@
 
 Trials of session C's controller are simulated, nominal ones and ones whose hand is 4 to 12 mm beside the part; an
 introspector learns outcome and direction of the deviation from them. Then new faults, unseen by it, are assembled:
-the planner subscribes to events, stops an attempt at the first anomaly, moves the next approach against the failure
-type by one step, and goes on until an attempt ends without an anomaly. The truth (four tabs seated) is looked at
-only for the report.
+the planner subscribes to events, stops an attempt once an anomaly stands and its kind is certain (or lets it end, if
+it never is), moves the next approach against the kind by one step, and goes on until an attempt ends without an
+anomaly. The truth (four tabs seated) is looked at only for the report.
 
 Run: python -m experiments.recovery --trials 24 --seed 0
 """
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.record import write_result
-from rcbht_jax.introspect.events import AnomalyRaised, Event, EventHub, FailureType
+from rcbht_jax.introspect.events import AnomalyCleared, AnomalyRaised, Event, EventHub, FailureType
 from rcbht_jax.introspect.introspector import Introspector
 from rcbht_jax.introspect.model import IntrospectionModel
 from rcbht_jax.introspect.train import HeadSpec, train_model
@@ -95,13 +95,20 @@ class Planner:
         self.correction = np.zeros(2)
         self.anomaly: AnomalyRaised | None = None
         self.kind: FailureType | None = None
-        hub.subscribe(self.told, AnomalyRaised, FailureType)
+        hub.subscribe(self.told, AnomalyRaised, AnomalyCleared, FailureType)
 
     def told(self, event: Event) -> None:
         if isinstance(event, AnomalyRaised):
             self.anomaly = event
         elif isinstance(event, FailureType):
             self.kind = event
+        elif isinstance(event, AnomalyCleared):
+            self.anomaly = self.kind = None
+
+    @property
+    def sure(self) -> bool:
+        """An anomaly stands and its kind is certain: nothing is gained by going on."""
+        return self.anomaly is not None and self.kind is not None and self.kind.level == "certain"
 
     def next_approach(self) -> None:
         """Move against the deviation that was recognised."""
@@ -121,23 +128,24 @@ def assemble(model: IntrospectionModel, fault: Floats, seed: int, first: int) ->
         length = int(run.length[0])
         for start in range(0, length, 10):
             hub.publish(introspector.push(run.wrench[0, start : min(start + 10, length)]))
-            if planner.anomaly and planner.kind:
+            if planner.sure:
                 break  # the robot stops here; what was simulated beyond never happens
-        stopped = planner.anomaly is not None and planner.kind is not None
+        failed = planner.anomaly is not None
         attempts.append(
             {
                 "deviation, mm": np.round((fault + planner.correction) * 1e3, 1).tolist(),
-                "anomaly at, s": round(introspector.received * CONTROL_PERIOD, 2) if stopped else None,
+                "anomaly at, s": round(planner.anomaly.time, 2) if planner.anomaly else None,
+                "stopped at, s": round(introspector.received * CONTROL_PERIOD, 2),
                 "contact at, s": round(float(run.onset[0, 1]), 2) if np.isfinite(run.onset[0, 1]) else None,
                 "length, s": round(length * CONTROL_PERIOD, 2),
                 "failure type": planner.kind.label if planner.kind else "",
                 "seated": bool(run.seated[0].all()),
             }
         )
-        if not stopped:
+        if not failed:
             break
         planner.next_approach()
-    ended = not stopped
+    ended = not failed
     return {"attempts": attempts, "believed done": ended, "seated": ended and attempts[-1]["seated"]}
 
 

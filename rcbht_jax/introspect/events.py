@@ -64,7 +64,7 @@ class AnomalyCleared(Event):
 
 @dataclass(frozen=True)
 class FailureType(Event):
-    """The likeliest kind of failure, told while an anomaly stands and whenever it changes."""
+    """The likeliest kind of failure while an anomaly stands; told anew whenever the kind or its level changes."""
 
     label: str
     probability: float

@@ -126,7 +126,7 @@ class Introspector:
         self._machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(k, hold) for h in model.heads if h.alarm}
-        self._failure = ""
+        self._failure: tuple[str, str] | None = None  # label and level that were told last
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
         self.labels: NDArray[np.int32] = np.zeros((3, 3, 6), np.int32)
@@ -167,7 +167,7 @@ class Introspector:
             confidence.reset()
         for alarm in self._alarms.values():
             alarm.reset()
-        self._failure = ""
+        self._failure = None
         self.latest = {}
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
@@ -249,11 +249,11 @@ class Introspector:
     def _failure_type(self, sample: int, time: float) -> list[Event]:
         belief = self.latest.get(FAILURE_TYPE)
         if belief is None or not any(alarm.raised for alarm in self._alarms.values()):
-            self._failure = ""
+            self._failure = None
             return []
-        if belief.label == self._failure:
+        if (belief.label, belief.level) == self._failure:
             return []
-        self._failure = belief.label
+        self._failure = belief.label, belief.level
         return [FailureType(sample, time, belief.label, belief.probability, belief.level)]
 
 
