@@ -15,21 +15,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rcbht_jax.batch import encode_recordings
 from rcbht_jax.data import dat, hiro_kinematics
 from rcbht_jax.data.hiro import find_trials
 from rcbht_jax.data.hiro_sets import parse_trial
 from rcbht_jax.data.hiro_trial import data_file
-from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
-from rcbht_jax.thresholds import preset as thresholds
 from sim_mjx import engines, presets, randomize, sessions, signature
 from sim_mjx.certificate import FORCE_LIMIT, MOMENT_LIMIT, certify
 from sim_mjx.engines import native
-from sim_mjx.presets import CONTROL_PERIOD
+from sim_mjx.parity import FORCE_LIMIT as FORCE
+from sim_mjx.parity import LABELS_LIMIT, OUTCOME_LIMIT, reference
+from sim_mjx.parity import MOMENT_LIMIT as MOMENT
+from sim_mjx.parity import parity as compared
 from sim_mjx.randomize import Randomisation
 from sim_mjx.replay import Recorder, seated_snaps
-from sim_mjx.rollout import Rollouts, TrialParams
+from sim_mjx.rollout import TrialParams
 from sim_mjx.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.sessions import Target
 from sim_mjx.signature import Similarity
@@ -39,9 +39,6 @@ COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # as near as session A is to session B
 HELD = ("A", "B")  # sessions that the limits are for
 ONSETS = {"A": 0.3}  # s, largest error of a median onset
 RING = (0.05, 0.15)  # shares by which session A's ring may be off in frequency and in peak
-BEFORE_CONTACT = 20  # control periods by which filter and delays let a contact come later
-PARITY = {"force": 0.05, "labels": 0.95, "outcome": 0.98}
-WINDOW = 5  # samples, of the encoder whose labels are compared
 # Largest rms distance (mm) and turn (degrees) of computed and recorded tool poses; the angles of session A are
 # encoder readings beside commanded poses. Source: the identification of the kinematic table.
 POSE_LIMITS = {"A": (0.3, 0.1), "B": (0.01, 0.002), "C": (0.01, 0.002), "openhrp": (0.01, 0.002)}
@@ -68,59 +65,17 @@ def convergence(trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[
     }
 
 
-def parity(engine: str, trials: int = 32, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
-    """The same trials in another engine and in the native one.
+def parity(engine: str, trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
+    """The same trials in another engine and in the native one; see ``sim_mjx.parity``.
 
     Raises:
         InputError: unknown engine.
     """
-    params = mixed_trials(trials, seed, longest)
-    expected, found = native.simulate(one_arm(), params), engines.simulate(one_arm(), params, engine)
-    samples = min(expected.wrench.shape[1], found.wrench.shape[1])
-    begun = np.nan_to_num(expected.onset[:, 1] / CONTROL_PERIOD, nan=np.inf)
-    both = np.minimum(expected.length, found.length)
-    free = np.arange(samples) < np.minimum(begun - BEFORE_CONTACT, both)[:, None]
-    error = np.abs(expected.wrench[:, :samples] - found.wrench[:, :samples])
-    said: dict[str, Any] = {
-        "engine": engine,
-        "trials": trials,
-        "force_before_contact": float(error[..., :3][free].max()),
-        "moment_before_contact": float(error[..., 3:][free].max()),
-        "label_agreement": label_agreement(expected, found),
-        "state_agreement": _state_agreement(expected, found),
-        "same_outcome": float((expected.seated.all(1) == found.seated.all(1)).mean()),
-        "limits": PARITY,
-    }
-    holds = said["force_before_contact"] <= PARITY["force"] and said["label_agreement"] >= PARITY["labels"]
-    return {**said, "holds": holds and said["same_outcome"] >= PARITY["outcome"]}
-
-
-def _state_agreement(first: Rollouts, second: Rollouts) -> float:
-    """Share of time in which both are in the same state."""
-    samples = np.minimum(first.length, second.length)
-    at = np.arange(samples.max())[None, :, None]
-    states = [(at * CONTROL_PERIOD >= np.nan_to_num(run.onset, nan=np.inf)[:, None]).sum(2) for run in (first, second)]
-    return float((states[0] == states[1])[np.arange(samples.max()) < samples[:, None]].mean())
-
-
-def label_agreement(first: Rollouts, second: Rollouts) -> float:
-    """Share of time and axes in which both runs of the same trials have the same low-level behaviour."""
-    samples = np.minimum(first.length, second.length)
-    lanes = [_behaviour(run, int(samples.max())) for run in (first, second)]
-    inside = np.broadcast_to((np.arange(samples.max()) < samples[:, None])[:, None], lanes[0].shape)
-    return float((lanes[0] == lanes[1])[inside].mean())
-
-
-def _behaviour(run: Rollouts, samples: int) -> NDArray[np.int8]:
-    """Low-level behaviour at each time [trial, axis, time]; 0 = none."""
-    config = EncoderConfig(WINDOW, CONTROL_PERIOD)
-    track = encode_recordings(config, thresholds("hiro"), run.wrench, run.length).llb
-    # each label's code is added where it begins and taken away where it ends
-    steps = np.zeros((*track.label.shape[:2], samples + 1), np.int64)
-    trial, axis, _ = np.indices(track.label.shape)
-    for at, sign in ((track.t0, 1), (track.t1, -1)):
-        np.add.at(steps, (trial, axis, np.minimum(at, samples)), sign * track.label.astype(np.int64))
-    return np.cumsum(steps, axis=2)[..., :samples].astype(np.int8)
+    params, scene = mixed_trials(trials, seed, longest), one_arm()
+    expected, contact = reference(scene, params)
+    found = compared(expected, contact, engines.simulate(scene, params, engine))
+    limits = {"force": FORCE, "moment": MOMENT, "labels": LABELS_LIMIT, "outcome": OUTCOME_LIMIT}
+    return {"engine": engine, **asdict(found), "limits": limits, "holds": found.holds}
 
 
 def kinematics(folder: Path) -> dict[str, Any]:

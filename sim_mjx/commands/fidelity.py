@@ -162,7 +162,7 @@ def _solver(row: dict[str, Any]) -> str:
 
 def _engine(row: dict[str, Any]) -> str:
     said = (
-        f"{row['force_before_contact']:.2g} N before contact, labels {row['label_agreement']:.1%}, "
+        f"{row['force_until_contact']:.2g} N until contact, labels {min(row['labels'].values()):.1%}, "
         f"outcome {row['same_outcome']:.1%}"
     )
     limits = row["limits"]
