@@ -50,17 +50,18 @@ def streamed(items: Sentences, every: int) -> Looks:
     return _looks(items, lambda size: np.append(np.arange(every, size, every), size))
 
 
-def picked(items: Sentences, every: int, count: int = PICKED) -> Looks:
-    """At most ``2 * count`` of the streamed looks per sentence: evenly spaced ones, and more at its beginning.
+def picked(items: Sentences, every: int, count: int = PICKED, early: bool = True) -> Looks:
+    """At most ``2 * count`` of the streamed looks per sentence, so that long sentences do not outweigh short ones.
 
-    Long sentences would otherwise outweigh short ones, and the first moments, when beliefs are hard, the rest.
+    Half of them are evenly spaced; ``early`` puts the others at the beginning of the sentence, when a sub-task is
+    hardest to tell. Without it all are even: before contact a trial says nothing about its outcome.
     """
 
     def choose(size: int) -> NDArray[np.int64]:
         steps = np.append(np.arange(every, size, every), size)
-        even = np.linspace(1, len(steps), count)
-        early = np.geomspace(1, len(steps), count)
-        return steps[np.unique(np.rint(np.concatenate([even, early])).astype(np.int64)) - 1]
+        even = np.linspace(1, len(steps), count if early else 2 * count)
+        first = np.geomspace(1, len(steps), count if early else 1)
+        return steps[np.unique(np.rint(np.concatenate([even, first])).astype(np.int64)) - 1]
 
     return _looks(items, choose)
 
@@ -119,7 +120,7 @@ def train_head(
         InputError: fewer than two classes, or a class with a single trial.
     """
     items = sentences(recordings, spec.task)
-    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))))
+    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.scope == "subtask")
     sight = Sight(FeatureSpec(families=spec.families))
     total = len(looks)
     x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
