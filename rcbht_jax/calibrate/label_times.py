@@ -7,7 +7,8 @@ whole samples, so the result does not depend on how candidates or recordings are
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,6 @@ _NEVER = 2**31 - 1  # samples
 _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
-@partial(jax.jit, static_argnums=0, static_argnames="group")
 def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
     """Samples that each label fills in each sentence.
 
@@ -56,6 +56,23 @@ def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: A
     times = jnp.moveaxis(times, (0, 3, 1, 4, 2, 5), (1, 2, 3, 4, 5, 0))
     flat = times.reshape(times.shape[0], -1, *times.shape[3:])[:, :recordings]
     return jnp.zeros_like(flat).at[:, order].set(flat)
+
+
+@lru_cache
+def compiled(backend: str) -> Callable[..., Array]:
+    """:func:`label_times` compiled for a backend.
+
+    JAX 0.10's default emitters for CPUs make these loops a third slower; later releases refuse the option.
+    """
+    compile_with = partial(jax.jit, static_argnums=0, static_argnames="group")
+    options: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
+    if backend == "cpu":
+        try:
+            jax.jit(jnp.negative, compiler_options=options).lower(jnp.float32(0)).compile()
+            return compile_with(label_times, compiler_options=options)
+        except jax.errors.JaxRuntimeError:
+            pass
+    return compile_with(label_times)
 
 
 def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array) -> Array:
