@@ -46,7 +46,7 @@ def mild(preset: str, count: int, **options: Any) -> tuple[Rollouts, float]:
 def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
     run = native.simulate(one_arm(), sessions.trials_of(session, seed=SEED))
     out: dict[str, Any] = {"signature": similarity(reference, run)}
-    out["median onsets, s"] = np.round(np.median(sessions.harmonised(run), axis=0), 3).tolist()
+    out["median onsets, s"] = np.round(np.nanmedian(sessions.harmonised(run), axis=0), 3).tolist()
     ring = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
     out["ring of Fz in mating"] = ring and {name: round(value, 2) for name, value in ring.items()}
     if session == "B":

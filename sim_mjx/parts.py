@@ -78,22 +78,22 @@ def _session_a() -> PartParams:
 
 
 def _session_b() -> PartParams:
-    """Fitted to session B's signature and outcomes over its grid of offsets."""
+    """Fitted to session B's signature, snaps and outcomes over its grid of offsets."""
     return PartParams(
-        tab_stiffness=np.array([13.29e3, 13.29e3, 10.1e3, 10.1e3]),
-        tab_damping=np.full(4, 75.4),
-        hook_overlap=np.array([0.223e-3, 0.674e-3, 0.807e-3, 0.713e-3]),
-        slot_play=np.array(1.407e-3),
-        seat_depth=np.array(2.89e-3),
-        foot_spread=np.array(5.115e-3),
-        foot_offset=np.array([-13.12e-3, -11.03e-3]),
-        rear_rise=np.array([1.681e-3, 0.4235e-3]),
-        foot_contact=np.array(STIFF_FEET),
-        friction=np.array(0.1605),
-        mount_stiffness=np.array([8.295e3, 4.099e3, 5.742e3]),
-        mount_damping=np.array([116.6, 120.0, 10.0]),
-        position=np.array([0.438e-3, -0.337e-3, 0.971e-3]),
-        roll=np.array(0.02268),
+        tab_stiffness=np.array([10.95e3, 10.95e3, 11.92e3, 11.92e3]),
+        tab_damping=np.full(4, 88.95),
+        hook_overlap=np.array([0.372e-3, 0.7132e-3, 0.9852e-3, 0.8226e-3]),
+        slot_play=np.array(1.485e-3),
+        seat_depth=np.array(2.635e-3),
+        foot_spread=np.array(11.01e-3),
+        foot_offset=np.array([-12.77e-3, -16.0e-3]),
+        rear_rise=np.array([1.414e-3, 0.3481e-3]),
+        foot_contact=np.array([0.01503, 0.95, 0.96, 0.3e-3]),
+        friction=np.array(0.2841),
+        mount_stiffness=np.array([8.174e3, 3.71e3, 4.535e3]),
+        mount_damping=np.array([138.5, 120.0, 10.7]),
+        position=np.array([0.8531e-3, -0.2595e-3, 1.106e-3]),
+        roll=np.array(0.02),
     )
 
 

@@ -38,7 +38,7 @@ REPEATED: dict[str, Any] = dict.fromkeys(SAME, (1.0, 1.0)) | {
     "shift": (-7e-5, 7e-5), "turn": (-3e-4, 3e-4), "force_bias": (-0.06, 0.06), "moment_bias": (-0.003, 0.003),
 }  # fmt: skip
 IN_PLACE: dict[str, Any] = {
-    "shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.2, 0.2), "moment_bias": (-0.005, 0.005),
+    "shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.18, 0.18), "moment_bias": (-0.004, 0.004),
 }  # fmt: skip
 REPEATS = 16
 RING = (0.0, 4.0)  # s after the onset of mating, in which its ring is sought

@@ -180,7 +180,7 @@ def test_parameter_files_round_trip(tmp_path: Path) -> None:
     values = {"parts.friction": 0.1 + 0.2, "sensor.delay": 7.0}
     physical.write(path, values, {"session": "B"})
     assert dict(physical.read(path)) == values
-    assert physical.value(parts.nominal("A"), sensor.real_sensor("B"), "sensor.delay") == 9.0
+    assert physical.value(parts.nominal("A"), sensor.real_sensor("B"), "sensor.delay") == 11.0
     for text in ("", "{}", '{"format": "rcbht-physical", "values": {"parts.friction": "much"}}'):
         path.write_text(text)
         with pytest.raises(InputError, match="holds no physical parameters"):
