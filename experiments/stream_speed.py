@@ -160,7 +160,13 @@ def fuzz_page(model: Path, count: int, seed: int) -> dict[str, Any]:
             request = rng.choice(
                 [rng.randbytes(rng.randrange(300)), b"GET /" + rng.randbytes(20) + b" HTTP/1.1\r\n\r\n"]
             )
-            request = rng.choice([request, b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n", b"GET / HTTP/1.1\r\n\r\n"])
+            request = rng.choice(
+                [
+                    request,
+                    b"POST / HTTP/1.1\r\nContent-Length: 99\r\n\r\n",
+                    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+                ]
+            )
             with socket.create_connection(address, timeout=20) as client:  # type: ignore[arg-type]
                 client.sendall(request)
                 client.shutdown(socket.SHUT_WR)
