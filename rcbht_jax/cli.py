@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fidelity fit": ("sim_mjx.commands.fit:FidelityFit", "fit physical parameters to a recorded session"),
     "view": ("sim_mjx.commands.view:View", "look at a trial: viewer, pictures or film"),
     "export": ("rcbht_jax.commands.export:Export", "a store as Parquet, LeRobot, MCAP or CSV"),
+    "report": ("rcbht_jax.commands.report:Report", "one HTML page: results, trials, words and beliefs"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),
     "plot map": ("rcbht_jax.commands.plot:PlotMap", "draw the label map of a store"),

@@ -298,7 +298,7 @@ def test_card_counts_and_warns(data: DataSet, tmp_path: Path) -> None:
     assert "| set | A | success | R | 1 | 2.00 / 2.00 / 2.00 |" in text
     assert "No session holds more than one outcome" in text
     assert "in 100% (balanced)" in text
-    assert "1 recordings are exact copies" in text
+    assert "Exact copies of another recording: 1;" in text
     assert "Licence:** not stated yet" in text
     export(data, tmp_path / "labelled", "csv")
     assert "`online-W5` (online taxonomy, windows of 5 samples)" in (tmp_path / "labelled/README.md").read_text()

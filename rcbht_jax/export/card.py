@@ -83,10 +83,10 @@ def confounds(data: DataSet) -> list[str]:
         found += _durations(recordings)
     copies = _copies(recordings)
     if copies:
-        found.append(f"{copies} recordings are exact copies of another one: keep copies on one side of every split.")
+        found.append(f"Exact copies of another recording: {copies}; keep copies on one side of every split.")
     missing = int(np.isnan(recordings.onset_harmonised).any(1).sum())
     if missing:
-        found.append(f"{missing} recordings lack the start of a state.")
+        found.append(f"Recordings that lack the start of a state: {missing}.")
     if data.attrs.get("importer") == "hiro":
         found += CONFOUNDS.values()
     return found or ["None was found; that does not mean that there is none."]

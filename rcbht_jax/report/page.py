@@ -1,0 +1,168 @@
+"""The page: text, tables and packed trials put into one HTML document."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax.errors import InputError
+from rcbht_jax.export.card import confounds
+from rcbht_jax.export.dataset import DataSet
+from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.introspect.model import IntrospectionModel
+from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
+from rcbht_jax.report.pack import believe, pack
+from rcbht_jax.report.results import FLAGS, Results, cells
+from rcbht_jax.types import Recordings
+
+
+@dataclass(frozen=True)
+class Options:
+    """What goes into a report besides the data."""
+
+    title: str = "Wrench introspection"
+    results: Results | None = None  # None = no table of results
+    model: IntrospectionModel | None = None  # whose beliefs are shown over time
+    rate: float = 10.0  # beliefs per second
+    trials: tuple[str, ...] = ()  # which trials; () = evenly chosen ones
+    most: int = 100  # recordings in the browser, where none are named
+
+
+def page(data: DataSet, options: Options = Options(), progress: Callable[[int], None] = lambda _: None) -> str:
+    """The whole report as HTML.
+
+    Args:
+        data: recordings with labels, see :func:`rcbht_jax.export.load`.
+        options: see there.
+        progress: called with the number of recordings packed since the last call.
+
+    Raises:
+        InputError: a trial that is not there, fewer than one trial, or a model for another sampling period.
+    """
+    rows = chosen(data.recordings, options)
+    introspector = _introspector(data.recordings, options)
+    abouts, blobs = [], []
+    for row in rows.tolist():
+        beliefs = [] if introspector is None else believe(introspector, data.recordings, row)
+        about, blob = pack(data.recordings, data.tracks, row, beliefs)
+        abouts.append(about)
+        blobs.append(blob)
+        progress(1)
+    facts = {
+        "dt": data.recordings.dt,
+        "axes": AXES,
+        "layers": LAYERS,
+        "names": {layer: [name(layer, code) for code in range(len(MEANING[layer]) + 1)] for layer in LAYERS},
+        "meanings": {layer: ["", *MEANING[layer]] for layer in LAYERS},
+        "colors": {layer: ["", *COLORS[layer]] for layer in LAYERS},
+        "trials": abouts,
+    }
+    parts = {
+        "TITLE": escape(options.title),
+        "STYLE": _asset("report.css"),
+        "SUMMARY": _summary(data, len(rows)),
+        "RESULTS": "" if options.results is None else results_html(options.results),
+        "FACTS": _script_json(facts),
+        "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
+        "SCRIPT": _asset("report.js"),
+    }
+    pieces = _asset("report.html").split("@@")  # text, NAME, text, NAME, ..., text
+    return "".join(parts[piece] if number % 2 else piece for number, piece in enumerate(pieces))
+
+
+def chosen(recordings: Recordings, options: Options) -> NDArray[np.int64]:
+    """Rows of the recordings in the browser.
+
+    Raises:
+        InputError: a trial that is not there, or fewer than one trial.
+    """
+    unknown = set(options.trials) - set(recordings.trial.tolist())
+    if unknown:
+        raise InputError(f"There is no trial {', '.join(sorted(unknown))}.")
+    if options.trials:
+        return np.flatnonzero(np.isin(recordings.trial, options.trials))
+    if options.most < 1:
+        raise InputError(f"{options.most} trials cannot be shown; give one or more.")
+    count = min(options.most, len(recordings))
+    return np.unique(np.linspace(0, len(recordings) - 1, count).round().astype(np.int64))
+
+
+def _introspector(recordings: Recordings, options: Options) -> Introspector | None:
+    if options.model is None:
+        return None
+    if abs(options.model.encoder.dt - recordings.dt) > 1e-6 * recordings.dt:
+        raise InputError(
+            f"The model was trained on samples {options.model.encoder.dt:g} s apart, the store's are "
+            f"{recordings.dt:g} s apart; train one on this store."
+        )
+    return Introspector(options.model, options.rate)
+
+
+def _asset(file: str) -> str:
+    return files("rcbht_jax.report").joinpath(file).read_text(encoding="utf-8")
+
+
+def _script_json(value: Any) -> str:
+    """JSON that cannot end the script element it stands in, whatever a trial is called."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _summary(data: DataSet, shown: int) -> str:
+    recordings = data.recordings
+    samples = int(recordings.length.sum())
+    outcomes = [f"{int((recordings.outcome == o).sum())} {o}" for o in np.unique(recordings.outcome).tolist()]
+    sources = ", ".join(escape(source) for source in np.unique(recordings.source).tolist())
+    labels = f"labels {escape(data.tracks_name)}" if data.tracks_name else "no labels"
+    warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
+    return (
+        f"<p>{len(recordings)} recordings of {sources}: {', '.join(map(escape, outcomes))}; "
+        f"{samples * recordings.dt / 60:.1f} minutes at {1 / recordings.dt:g} Hz; {labels}. "
+        f"{shown} of them are in the browser below.</p>"
+        f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
+        f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {_short(data)}.</p>'
+    )
+
+
+def _short(data: DataSet) -> str:
+    return escape(str(data.attrs.get("content_sha256", "not hashed"))[:12])
+
+
+_HEADS = ("benchmark", "paper", "ours", "95 % interval", "best peer", "duration alone", "read with care")
+
+
+def results_html(results: Results) -> str:
+    """The table of results with footnotes, and the files and commands behind it."""
+    notes = [flag for flag in FLAGS if any(flag in row.flags for row in results.rows)]
+    head = "".join(f'<th scope="col">{title}</th>' for title in _HEADS)
+    body = []
+    for group, rows in groupby(results.rows, key=lambda row: row.group):
+        body.append(f'<tr class="group"><th scope="colgroup" colspan="{len(_HEADS)}">{escape(group)}</th></tr>')
+        for row in rows:
+            what, *values = cells(row)
+            marks = " ".join(f'<a href="#flag-{flag}">{notes.index(flag) + 1}</a>' for flag in row.flags)
+            written = "".join(f"<td>{escape(value) or '<i>none</i>'}</td>" for value in values)
+            body.append(f'<tr><th scope="row">{escape(what)}</th>{written}<td>{marks}</td></tr>')
+    footnotes = "".join(f'<li id="flag-{flag}">{FLAGS[flag]}</li>' for flag in notes)
+    listed = "".join(
+        f"<tr><td>{escape(file)}</td><td><code>{escape(command)}</code></td><td>{escape(date)}</td>"
+        f"<td>{escape(machine)}</td></tr>"
+        for file, command, date, machine in results.files
+    )
+    return (
+        '<h2 id="results">Results</h2><div class="wide" role="region" tabindex="0" aria-label="results">'
+        f"<table><caption>Accuracy unless named otherwise; none = not measured or not printed.</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div><ol>{footnotes}</ol>"
+        "<details><summary>Files and commands behind these numbers</summary>"
+        '<div class="wide"><table><thead><tr><th scope="col">file</th><th scope="col">command</th>'
+        f'<th scope="col">date</th><th scope="col">machine</th></tr></thead><tbody>{listed}</tbody></table></div>'
+        "</details>"
+    )

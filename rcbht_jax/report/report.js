@@ -1,0 +1,461 @@
+"use strict";
+const byId = id => document.getElementById(id);
+const facts = JSON.parse(byId("facts").textContent);
+const { axes, layers, names, meanings, colors, dt } = facts;
+const LINES = ["#b35806", "#1b7837", "#2166ac", "#762a83", "#b2182b", "#35978f"];
+const RED = "#b2182b", LEFT = 52, RIGHT = 8;
+const plot = byId("plot");
+
+// What is shown: one trial, a span of time, one axis or all (-1), and the word that is spoken about.
+const view = { number: -1, trial: null, from: 0, to: 1, axis: -1, lane: [2, 0], word: -1, drag: null };
+const decoded = new Map();
+
+async function inflate(text) {
+  const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+function summed(values) {
+  for (let i = 1; i < values.length; i++) values[i] += values[i - 1];
+  return values;
+}
+
+async function trialOf(number) {
+  if (decoded.has(number)) return decoded.get(number);
+  const about = facts.trials[number], buffer = await inflate(byId("blob-" + number).textContent), n = about.samples;
+  let at = 0;
+  const take = (Kind, count) => { const part = new Kind(buffer, at, count); at += part.byteLength; return part; };
+  const packed = about.words.map(counts => {
+    const all = counts.reduce((a, b) => a + b, 0);
+    if (!all) return null;
+    return { t0: summed(take(Int32Array, all)), t1: summed(take(Int32Array, all)), emit: take(Int32Array, all),
+      vmax: take(Float32Array, all), vmin: take(Float32Array, all), avg: take(Float32Array, all), grad: take(Float32Array, all) };
+  });
+  const samples = about.beliefs.map(b => summed(take(Int32Array, b.steps)));
+  const differences = take(Uint16Array, 6 * n);
+  packed.forEach((layer, l) => { if (layer) layer.code = take(Uint8Array, layer.t0.length); });
+  const beliefs = about.beliefs.map((b, i) => ({ ...b, sample: samples[i], p: take(Uint8Array, b.steps * b.classes.length) }));
+  const wrench = axes.map((_, a) => {
+    const values = new Float32Array(n);
+    for (let i = 0, code = 0; i < n; i++) {
+      code = (code + differences[a * n + i]) & 0xffff;
+      values[i] = about.low[a] + about.step[a] * code;
+    }
+    return values;
+  });
+  const words = about.words.map((counts, l) => {
+    let start = 0;
+    return counts.map(count => {
+      const lane = [];
+      for (let i = start; i < start + count; i++) {
+        const word = {};
+        for (const field of ["t0", "t1", "emit", "vmax", "vmin", "avg", "grad", "code"]) word[field] = packed[l][field][i];
+        lane.push(word);
+      }
+      start += count;
+      return lane;
+    });
+  });
+  const trial = { about, wrench, words, beliefs, seconds: n * dt };
+  decoded.set(number, trial);
+  return trial;
+}
+
+async function show(number) {
+  number = Math.max(0, Math.min(facts.trials.length - 1, number));
+  view.number = number;
+  const trial = await trialOf(number);
+  if (view.number !== number) return; // another one was asked for meanwhile
+  Object.assign(view, { trial, from: 0, to: trial.seconds, word: -1, drag: null });
+  byId("trial").value = number;
+  const a = trial.about, failure = a.failure ? ` (${a.failure})` : "", arm = a.arm === "R" ? "right arm" : "left arm";
+  byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.outcome}${failure}, ${arm}, ${trial.seconds.toFixed(2)} s`;
+  byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
+  byId("previous").disabled = number === 0;
+  byId("next").disabled = number === facts.trials.length - 1;
+  draw();
+}
+
+// ---- drawing ----
+
+const shownAxes = () => view.axis < 0 ? axes.map((_, a) => a) : [view.axis];
+const sizes = () => view.axis < 0 ? { signal: 78, band: 13, gap: 12 } : { signal: 300, band: 30, gap: 16 };
+const TOP = 34;
+const xOf = (t, width) => LEFT + (width - LEFT - RIGHT) * (t - view.from) / (view.to - view.from);
+const tOf = (x, width) => view.from + (view.to - view.from) * (x - LEFT) / (width - LEFT - RIGHT);
+
+function prepare(canvas, height) {
+  const ratio = Math.max(window.devicePixelRatio || 1, view.printing ? 3 : 1), width = canvas.clientWidth;
+  canvas.style.height = height + "px";
+  canvas.width = Math.round(width * ratio);
+  canvas.height = Math.round(height * ratio);
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.font = "12px system-ui, sans-serif";
+  pen.fillStyle = "#fff";
+  pen.fillRect(0, 0, width, height);
+  return [pen, width];
+}
+
+function draw() {
+  if (!view.trial) return;
+  const { signal, band, gap } = sizes(), row = signal + 3 * band + gap, shown = shownAxes();
+  const height = TOP + shown.length * row + 24, [pen, width] = prepare(plot, height);
+  shown.forEach((a, place) => {
+    const top = TOP + place * row;
+    drawSignal(pen, width, a, top, signal);
+    layers.forEach((_, l) => drawBand(pen, width, l, a, top + signal + l * band, band));
+  });
+  drawMarks(pen, width, height);
+  drawTime(pen, width, height);
+  if (view.drag && view.drag.select) {
+    pen.fillStyle = "rgba(8, 81, 156, .18)";
+    pen.fillRect(Math.min(view.drag.x, view.drag.now), TOP, Math.abs(view.drag.now - view.drag.x), height - TOP - 24);
+  }
+  drawBeliefs();
+  listWords();
+  const a = view.trial.about;
+  plot.setAttribute("aria-label", `${a.trial}, ${view.from.toFixed(2)} to ${view.to.toFixed(2)} s of ${view.trial.seconds.toFixed(2)} s, ` +
+    (view.axis < 0 ? "all axes" : axes[view.axis]));
+}
+
+function drawSignal(pen, width, a, top, height) {
+  const values = view.trial.wrench[a], first = Math.max(0, Math.floor(view.from / dt) - 1);
+  const last = Math.min(values.length, Math.ceil(view.to / dt) + 2), unit = a < 3 ? "N" : "Nm";
+  let low = Infinity, high = -Infinity;
+  for (let i = first; i < last; i++) { low = Math.min(low, values[i]); high = Math.max(high, values[i]); }
+  if (high - low < 1e-3) { high += 5e-4; low -= 5e-4; }
+  const y = v => top + height - 4 - (height - 8) * (v - low) / (high - low);
+  pen.save();
+  pen.beginPath();
+  pen.rect(LEFT, top, width - LEFT - RIGHT, height);
+  pen.fillStyle = "#fafafa";
+  pen.fill();
+  pen.clip();
+  pen.strokeStyle = LINES[a];
+  pen.lineWidth = 1.2;
+  pen.beginPath();
+  const per = Math.max(1, (last - first) / (2 * (width - LEFT - RIGHT)));
+  if (per <= 2) for (let i = first; i < last; i++) pen.lineTo(xOf(i * dt, width), y(values[i]));
+  else for (let s = first; s < last; s += per) { // smallest and largest of what falls on half a pixel
+    let small = Infinity, large = -Infinity;
+    for (let i = Math.floor(s); i < Math.min(last, s + per); i++) { small = Math.min(small, values[i]); large = Math.max(large, values[i]); }
+    pen.lineTo(xOf(s * dt, width), y(small));
+    pen.lineTo(xOf(s * dt, width), y(large));
+  }
+  pen.stroke();
+  pen.strokeStyle = "rgba(0, 0, 0, .75)";
+  pen.lineWidth = 1;
+  pen.beginPath();
+  for (const word of inView(0, a)) { // the fitted lines: through the mean at the middle of the span
+    const t0 = word.t0 * dt, t1 = (word.t1 - 1) * dt, half = word.grad * (t1 - t0) / 2;
+    pen.moveTo(xOf(t0, width), y(word.avg - half));
+    pen.lineTo(xOf(t1, width), y(word.avg + half));
+  }
+  pen.stroke();
+  pen.restore();
+  pen.fillStyle = "#222";
+  pen.textAlign = "right";
+  pen.fillText(axes[a], LEFT - 4, top + height / 2 + 4);
+  pen.fillStyle = "#555";
+  pen.font = "10px system-ui, sans-serif";
+  pen.fillText(high.toPrecision(3), LEFT - 4, top + 10);
+  pen.fillText(low.toPrecision(3), LEFT - 4, top + height - 2);
+  pen.textAlign = "left";
+  if (view.axis >= 0) pen.fillText(unit, LEFT + 4, top + 12);
+  pen.font = "12px system-ui, sans-serif";
+}
+
+function inView(l, a) {
+  return view.trial.words[l][a].filter(word => word.t1 * dt > view.from && word.t0 * dt < view.to);
+}
+
+function dark(color) {
+  const [r, g, b] = [1, 3, 5].map(i => parseInt(color.slice(i, i + 2), 16));
+  return .299 * r + .587 * g + .114 * b < 128;
+}
+
+function drawBand(pen, width, l, a, top, height) {
+  const layer = layers[l], right = width - RIGHT;
+  const chosen = view.word >= 0 && view.lane[0] === l && view.lane[1] === a ? view.trial.words[l][a][view.word] : null;
+  for (const word of inView(l, a)) {
+    const x0 = Math.max(LEFT, xOf(word.t0 * dt, width)), x1 = Math.min(right, xOf(word.t1 * dt, width));
+    pen.fillStyle = colors[layer][word.code];
+    pen.fillRect(x0, top + .5, Math.max(.7, x1 - x0 - (x1 - x0 > 4 ? .7 : 0)), height - 1);
+    const text = names[layer][word.code];
+    if (height > 12 && x1 - x0 > 7 * text.length + 4) {
+      pen.fillStyle = dark(colors[layer][word.code]) ? "#fff" : "#000";
+      pen.font = height > 20 ? "13px system-ui, sans-serif" : "10px system-ui, sans-serif";
+      pen.textAlign = "center";
+      pen.fillText(text, (x0 + x1) / 2, top + height / 2 + 4);
+    }
+    if (word === chosen) {
+      pen.strokeStyle = "#000";
+      pen.lineWidth = 2.5;
+      pen.strokeRect(x0, top + 1, Math.max(3, x1 - x0), height - 2);
+    }
+  }
+  pen.textAlign = "right";
+  pen.fillStyle = "#555";
+  pen.font = "9px system-ui, sans-serif";
+  pen.fillText(layer === "primitive" ? "prim." : layer, LEFT - 4, top + height / 2 + 3);
+  pen.textAlign = "left";
+  pen.font = "12px system-ui, sans-serif";
+}
+
+function drawMarks(pen, width, height) {
+  pen.font = "11px system-ui, sans-serif";
+  const ends = [];
+  for (const [seconds, text, dashed] of view.trial.about.marks) {
+    if (seconds < view.from || seconds > view.to) continue;
+    const x = xOf(seconds, width), wide = pen.measureText(text).width, left = Math.min(x + 3, width - RIGHT - wide);
+    pen.strokeStyle = pen.fillStyle = RED;
+    pen.lineWidth = 1.2;
+    pen.setLineDash(dashed ? [4, 3] : []);
+    pen.beginPath();
+    pen.moveTo(x, TOP);
+    pen.lineTo(x, height - 24);
+    pen.stroke();
+    let line = ends.findIndex(end => end < left);
+    if (line < 0) line = ends.length;
+    ends[line] = left + wide + 4;
+    if (line < 2) pen.fillText(text, left, TOP - 5 - 13 * line);
+  }
+  pen.setLineDash([]);
+}
+
+function drawTime(pen, width, height) {
+  const span = view.to - view.from, rough = span / Math.max(3, width / 110), power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map(m => m * power).find(s => s >= rough), digits = Math.max(0, -Math.floor(Math.log10(step)));
+  pen.fillStyle = "#222";
+  pen.textAlign = "center";
+  for (let t = Math.ceil(view.from / step) * step; t <= view.to; t += step)
+    pen.fillText(t.toFixed(digits), xOf(t, width), height - 8);
+  pen.textAlign = "left";
+  pen.fillText("s", 4, height - 8);
+}
+
+function drawBeliefs() {
+  const box = byId("beliefs"), beliefs = view.trial.beliefs;
+  while (box.children.length > 2 * beliefs.length) box.lastChild.remove();
+  beliefs.forEach((belief, i) => {
+    if (box.children.length < 2 * i + 2) box.append(document.createElement("p"), document.createElement("canvas"));
+    const title = box.children[2 * i], canvas = box.children[2 * i + 1], count = belief.classes.length;
+    canvas.setAttribute("role", "img");
+    const [pen, width] = prepare(canvas, 120), y = p => 108 - 100 * p / 255;
+    title.replaceChildren(`Belief, ${belief.head}: `, ...belief.classes.map((name, c) => {
+      const key = document.createElement("span");
+      key.textContent = name + " ";
+      key.style.color = LINES[c % 6];
+      key.style.fontWeight = "bold";
+      return key;
+    }));
+    pen.strokeStyle = "#ddd";
+    for (const p of [0, 127.5, 255]) { pen.beginPath(); pen.moveTo(LEFT, y(p)); pen.lineTo(width - RIGHT, y(p)); pen.stroke(); }
+    pen.fillStyle = "#555";
+    pen.textAlign = "right";
+    ["0", "0.5", "1"].forEach((text, k) => pen.fillText(text, LEFT - 4, y(127.5 * k) + 4));
+    pen.save();
+    pen.beginPath();
+    pen.rect(LEFT, 0, width - LEFT - RIGHT, 120);
+    pen.clip();
+    for (let c = 0; c < count; c++) {
+      pen.strokeStyle = LINES[c % 6];
+      pen.lineWidth = 1.8;
+      pen.setLineDash(c < 6 ? [] : [5, 3]);
+      pen.beginPath();
+      belief.sample.forEach((sample, s) => pen.lineTo(xOf(sample * dt, width), y(belief.p[s * count + c])));
+      pen.stroke();
+    }
+    pen.restore();
+    const last = belief.p.subarray((belief.steps - 1) * count);
+    canvas.setAttribute("aria-label", `belief over time, ${belief.head}; at the end ` +
+      belief.classes.map((name, c) => `${name} ${(last[c] / 255).toFixed(2)}`).join(", "));
+  });
+}
+
+function believed(seconds) {
+  return view.trial.beliefs.map(belief => {
+    let step = -1;
+    while (step + 1 < belief.steps && belief.sample[step + 1] * dt <= seconds) step += 1;
+    if (step < 0) return "";
+    const count = belief.classes.length, p = Array.from(belief.p.subarray(step * count, (step + 1) * count)), best = p.indexOf(Math.max(...p));
+    return ` ${belief.head} believed: ${belief.classes[best]} ${(p[best] / 255).toFixed(2)}.`;
+  }).join("");
+}
+
+// ---- words ----
+
+function say(l, a, index) {
+  view.lane = [l, a];
+  view.word = index;
+  const word = view.trial.words[l][a][index], layer = layers[l], unit = a < 3 ? "N" : "Nm", t = n => (n * dt).toFixed(3);
+  const known = word.emit < 0 ? "" : `, known at ${t(word.emit)} s`;
+  byId("word").textContent = `${axes[a]} ${layer}: ${names[layer][word.code]} (${meanings[layer][word.code]}), ` +
+    `${t(word.t0)} to ${t(word.t1)} s${known}; mean ${word.avg.toPrecision(3)} ${unit}, slope ${word.grad.toPrecision(3)} ${unit}/s, ` +
+    `${word.vmin.toPrecision(3)} to ${word.vmax.toPrecision(3)} ${unit}.` + believed(word.t1 * dt);
+  byId("word").style.borderLeftColor = colors[layer][word.code];
+  byId("layer").value = l;
+  requestAnimationFrame(draw);
+}
+
+function wordAt(x, y) {
+  const { signal, band, gap } = sizes(), row = signal + 3 * band + gap, shown = shownAxes(), width = plot.clientWidth;
+  const place = Math.floor((y - TOP) / row), inside = (y - TOP) - place * row;
+  if (place < 0 || place >= shown.length || x < LEFT || x > width - RIGHT) return null;
+  const l = inside < signal ? 0 : Math.floor((inside - signal) / band), sample = tOf(x, width) / dt;
+  if (l > 2) return null;
+  const index = view.trial.words[l][shown[place]].findIndex(word => word.t0 <= sample && sample < word.t1);
+  return index < 0 ? null : [l, shown[place], index];
+}
+
+function listWords() {
+  const l = byId("layer").value * 1, a = view.axis < 0 ? view.lane[1] : view.axis, layer = layers[l], list = byId("list");
+  if (!list.closest("details").open) return;
+  const found = inView(l, a), unit = a < 3 ? "N" : "Nm";
+  byId("caption").textContent = `${axes[a]} ${layer}: ${found.length} words between ${view.from.toFixed(2)} and ${view.to.toFixed(2)} s` +
+    (found.length > 300 ? "; the first 300 are listed" : "") + `; means in ${unit}, slopes in ${unit}/s`;
+  list.replaceChildren(...found.slice(0, 300).map(word => {
+    const line = document.createElement("tr"), t = n => (n * dt).toFixed(3), n = v => v.toPrecision(3);
+    const texts = [`${names[layer][word.code]} (${meanings[layer][word.code]})`, t(word.t0), t(word.t1), word.emit < 0 ? "" : t(word.emit),
+      n(word.avg), n(word.grad), n(word.vmin), n(word.vmax)];
+    line.append(...texts.map(text => { const cell = document.createElement("td"); cell.textContent = text; return cell; }));
+    return line;
+  }));
+}
+
+// ---- moving about ----
+
+function look(from, to) {
+  const whole = view.trial.seconds, span = Math.min(whole, Math.max(20 * dt, to - from));
+  view.from = Math.max(0, Math.min(from, whole - span));
+  view.to = view.from + span;
+  requestAnimationFrame(draw);
+}
+
+const move = share => look(view.from + share * (view.to - view.from), view.to + share * (view.to - view.from));
+
+function middle() { // of the chosen word if it is in view, else of the view
+  const word = view.trial.words[view.lane[0]][view.lane[1]][view.word], seconds = word ? (word.t0 + word.t1) / 2 * dt : -1;
+  return view.from < seconds && seconds < view.to ? seconds : (view.from + view.to) / 2;
+}
+
+function zoom(factor, centre = middle()) {
+  look(centre - (centre - view.from) * factor, centre + (view.to - centre) * factor);
+}
+
+function step(by) {
+  const [l, a] = view.lane, words = view.trial.words[l][a];
+  if (!words.length) return;
+  let index = view.word + by;
+  if (view.word < 0) index = words.findIndex(word => word.t1 * dt > view.from);
+  index = Math.max(0, Math.min(words.length - 1, index));
+  say(l, a, index);
+  const seconds = (words[index].t0 + words[index].t1) / 2 * dt, half = (view.to - view.from) / 2;
+  if (seconds < view.from || seconds > view.to) look(seconds - half, seconds + half);
+}
+
+function changeLane(by) {
+  const shown = shownAxes(), old = view.trial.words[view.lane[0]][view.lane[1]][view.word];
+  const lane = Math.max(0, Math.min(3 * shown.length - 1, 3 * Math.max(0, shown.indexOf(view.lane[1])) + view.lane[0] + by));
+  const l = lane % 3, a = shown[Math.floor(lane / 3)], words = view.trial.words[l][a];
+  if (!words.length) return;
+  const sample = old ? (old.t0 + old.t1) / 2 : view.from / dt, index = words.findIndex(word => word.t1 > sample);
+  say(l, a, index < 0 ? words.length - 1 : index);
+}
+
+const KEYS = {
+  ArrowLeft: () => step(-1), ArrowRight: () => step(1), ArrowUp: () => changeLane(-1), ArrowDown: () => changeLane(1),
+  "+": () => zoom(.5), "=": () => zoom(.5), "-": () => zoom(2), ",": () => move(-.5), ".": () => move(.5),
+  0: () => look(0, view.trial.seconds), n: () => show(view.number + 1), p: () => show(view.number - 1),
+};
+
+plot.addEventListener("keydown", event => {
+  const act = KEYS[event.key] || KEYS[event.key.toLowerCase()];
+  if (!act || !view.trial || event.ctrlKey || event.metaKey || event.altKey) return;
+  event.preventDefault();
+  act();
+});
+
+const fingers = new Map();
+plot.addEventListener("pointerdown", event => {
+  fingers.set(event.pointerId, event.offsetX);
+  view.drag = { x: event.offsetX, now: event.offsetX, from: view.from, to: view.to, select: event.pointerType === "mouse", moved: false };
+  plot.setPointerCapture(event.pointerId);
+});
+plot.addEventListener("pointermove", event => {
+  if (!view.trial) return;
+  if (!view.drag) {
+    const found = wordAt(event.offsetX, event.offsetY);
+    if (found && (found[2] !== view.word || found[0] !== view.lane[0] || found[1] !== view.lane[1])) say(...found);
+    return;
+  }
+  const before = [...fingers.values()], drag = view.drag, scale = (drag.to - drag.from) / (plot.clientWidth - LEFT - RIGHT);
+  fingers.set(event.pointerId, event.offsetX);
+  const after = [...fingers.values()];
+  drag.now = event.offsetX;
+  drag.moved ||= Math.abs(drag.now - drag.x) > 4;
+  if (after.length === 2) {
+    const ratio = Math.max(20, Math.abs(before[0] - before[1])) / Math.max(20, Math.abs(after[0] - after[1]));
+    zoom(ratio, tOf((after[0] + after[1]) / 2, plot.clientWidth));
+  } else if (drag.select) requestAnimationFrame(draw);
+  else if (drag.moved) look(drag.from - (drag.now - drag.x) * scale, drag.to - (drag.now - drag.x) * scale);
+});
+function release(event) {
+  const drag = view.drag, width = plot.clientWidth;
+  fingers.delete(event.pointerId);
+  view.drag = null;
+  if (!drag || !view.trial) return;
+  if (drag.select && drag.moved) {
+    const [a, b] = [drag.x, drag.now].map(x => tOf(x, width)).sort((p, q) => p - q);
+    look(Math.max(0, a), Math.min(view.trial.seconds, b));
+  } else if (!drag.moved) {
+    const found = wordAt(event.offsetX, event.offsetY);
+    if (found) say(...found);
+  }
+}
+plot.addEventListener("pointerup", release);
+plot.addEventListener("pointercancel", event => { fingers.delete(event.pointerId); view.drag = null; });
+plot.addEventListener("dblclick", () => look(0, view.trial.seconds));
+plot.addEventListener("wheel", event => {
+  if (!event.ctrlKey) return; // plain scrolling belongs to the page
+  event.preventDefault();
+  zoom(event.deltaY > 0 ? 1.25 : .8, tOf(event.offsetX, plot.clientWidth));
+}, { passive: false });
+
+for (const [id, act] of Object.entries({ left: () => move(-.5), right: () => move(.5), in: () => zoom(.5), out: () => zoom(2),
+  all: () => look(0, view.trial.seconds), previous: () => show(view.number - 1), next: () => show(view.number + 1) }))
+  byId(id).addEventListener("click", act);
+byId("trial").addEventListener("change", event => show(event.target.value * 1));
+byId("axis").addEventListener("change", event => {
+  view.axis = event.target.value * 1;
+  if (view.axis >= 0) { view.lane = [view.lane[0], view.axis]; view.word = -1; }
+  draw();
+});
+byId("layer").addEventListener("change", event => { view.lane = [event.target.value * 1, view.lane[1]]; view.word = -1; draw(); });
+byId("list").closest("details").addEventListener("toggle", draw);
+window.addEventListener("resize", () => requestAnimationFrame(draw));
+window.addEventListener("beforeprint", () => { view.printing = true; draw(); });
+window.addEventListener("afterprint", () => { view.printing = false; draw(); });
+
+let box = null;
+facts.trials.forEach((trial, number) => {
+  const title = `${trial.source}, ${trial.outcome}`;
+  if (!box || box.label !== title) { box = document.createElement("optgroup"); box.label = title; byId("trial").append(box); }
+  box.append(new Option(`${trial.trial} (${trial.arm})`, number));
+});
+byId("axis").append(new Option("all", -1), ...axes.map((name, a) => new Option(name, a)));
+byId("layer").append(...layers.map((name, l) => new Option(name, l)));
+byId("layer").value = 2;
+byId("legend").replaceChildren(...layers.map(layer => {
+  const line = document.createElement("div");
+  line.append(layer + ": ", ...names[layer].slice(1).map((name, i) => {
+    const key = document.createElement("span"), chip = document.createElement("i");
+    chip.style.background = colors[layer][i + 1];
+    key.append(chip, `${name} ${meanings[layer][i + 1]}`);
+    return key;
+  }));
+  return line;
+}));
+show(0).then(() => { document.body.dataset.ready = "yes"; });
