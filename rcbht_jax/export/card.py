@@ -51,7 +51,7 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
     origin = "simulated" if "simulated" in data.attrs else "recorded"
     parts = [
         f"{front}# Wrench recordings",
-        f"{len(recordings)} {origin} recordings of {len(set(_keys(recordings)))} trials, {samples} samples at "
+        f"{len(recordings)} recordings of {len(set(_keys(recordings)))} {origin} trials, {samples} samples at "
         f"{1 / recordings.dt:g} Hz ({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",
         "**Licence:** not stated yet; name it here before you pass this on. It is that of the recordings, not that of "
         "the program that wrote them.",
@@ -59,7 +59,7 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
         "## Units and frames\n\nForces Fx Fy Fz in N, moments Mx My Mz in N m, times in s from the first sample of a "
         "recording, evenly spaced. The wrench is as the source logged it: not tared, filtered, resampled or rotated. "
         "HIRO's recordings and their simulations are in the robot's base frame (x forward, y left, z up), moments "
-        "about the wrist.",
+        "about a point of the wrist.",
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
         "## Known confounds\n\n" + "\n".join(f"* {sentence}" for sentence in confounds(data)),

@@ -73,7 +73,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
-        "SCRIPT": _asset("report.js"),
+        "SCRIPT": _asset("report.js") + _asset("report_draw.js"),
     }
     pieces = _asset("report.html").split("@@")  # text, NAME, text, NAME, ..., text
     return "".join(parts[piece] if number % 2 else piece for number, piece in enumerate(pieces))
