@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo bench constraints clean
+.PHONY: help venv test lint format demo docs bench constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -37,6 +37,9 @@ format: $(INSTALLED) ## put the style right
 demo: $(INSTALLED) ## simulate, label, train, evaluate, draw: OUT=folder; on recorded trials: DATA=folder
 	$(BIN)/rcbht demo $(if $(DATA),--data $(DATA)) --out $(OUT)
 
+docs: $(INSTALLED) ## build the documentation into the folder site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench
 
@@ -45,5 +48,5 @@ constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	@touch $(INSTALLED)
 
 clean: ## remove what make and the tests leave behind
-	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

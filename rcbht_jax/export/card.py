@@ -58,8 +58,8 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
         f"## Files\n\n{layout}",
         "## Units and frames\n\nForces Fx Fy Fz in N, moments Mx My Mz in N m, times in s from the first sample of a "
         "recording, evenly spaced. The wrench is as the source logged it: not tared, filtered, resampled or rotated. "
-        "HIRO's recordings and their simulations are in the robot's base frame (x forward, y left, z up), moments "
-        "about a point of the wrist.",
+        "HIRO's one-arm trials, recorded or simulated, are in the robot's base frame (x forward, y left, z up), its "
+        "two-arm trials in each wrist's frame; moments are about a point of the wrist.",
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
         "## Known confounds\n\n" + "\n".join(f"* {sentence}" for sentence in confounds(data)),
