@@ -24,6 +24,7 @@ from test_store import folder_is_clean, simple
 from rcbht_jax.cli import main
 from rcbht_jax.data.store import write_recordings
 from rcbht_jax.errors import InputError
+from rcbht_jax.evaluate import data_hash
 from rcbht_jax.export import DataSet, load
 from rcbht_jax.introspect.events import Belief
 from rcbht_jax.introspect.introspector import Introspector
@@ -183,6 +184,13 @@ def test_choice_of_trials(data: DataSet) -> None:
     slow = dataclasses.replace(data, recordings=dataclasses.replace(data.recordings, dt=0.01))
     with pytest.raises(InputError, match=r"0\.005 s apart"):
         page(slow, Options(model=model()))
+
+
+def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report: Path) -> None:
+    assert "trained on other data" in report.read_text()
+    seen = dataclasses.replace(model(), data_hash=data_hash(data.recordings))
+    assert "flatter it" in page(data, Options(model=seen, trials=("one",)))
+    assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
 
 def test_every_number_of_the_results_is_in_its_file() -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.errors import InputError
+from rcbht_jax.evaluate import data_hash
 from rcbht_jax.export.card import confounds
 from rcbht_jax.export.dataset import DataSet
 from rcbht_jax.introspect.introspector import Introspector
@@ -69,7 +70,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     parts = {
         "TITLE": escape(options.title),
         "STYLE": _asset("report.css"),
-        "SUMMARY": _summary(data, len(rows)),
+        "SUMMARY": _summary(data, len(rows)) + _about_model(data.recordings, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
@@ -130,6 +131,18 @@ def _summary(data: DataSet, shown: int) -> str:
         f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
         f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {_short(data)}.</p>'
     )
+
+
+def _about_model(recordings: Recordings, model: IntrospectionModel | None) -> str:
+    """What must be known about the beliefs that are shown."""
+    if model is None:
+        return ""
+    trained = (
+        "The model was trained on this very store: its beliefs about trials that it has seen flatter it."
+        if model.data_hash == data_hash(recordings)
+        else "The model was trained on other data than this store."
+    )
+    return f"<p><strong>Beliefs:</strong> {trained} It is told when a sub-task begins, as the store says.</p>"
 
 
 def _short(data: DataSet) -> str:
