@@ -27,6 +27,8 @@ from rcbht_jax.export import FORMATS, DataSet, export, load, tables
 from rcbht_jax.export.dataset import codes_at_samples, states_at_samples
 from rcbht_jax.labels import AXES, LAYERS, name
 from rcbht_jax.offline.dataset import encode_dataset
+from rcbht_jax.streams.bags import read_bag
+from rcbht_jax.streams.messages import Sample
 from rcbht_jax.types import Recordings
 
 pd = pytest.importorskip("pandas")
@@ -185,6 +187,8 @@ def test_mcap_opens_in_its_own_reader(data: DataSet, tmp_path: Path) -> None:
                 last = [list(getattr(ros, layer)) for layer in LAYERS]
     np.testing.assert_array_equal(np.array(values, np.float32), data.recordings.wrench[1, :250])
     assert events == [0, 80, 180]
+    again = [message.wrench for message in read_bag(tmp_path / "out/000001.mcap") if isinstance(message, Sample)]
+    np.testing.assert_array_equal(np.array(again, np.float32), data.recordings.wrench[1, :250])
     assert data.tracks is not None
     assert last == codes_at_samples(data.tracks, 1, 250)[-1].tolist()
 
