@@ -126,7 +126,7 @@ word = st.one_of(option, st.text(max_size=6), st.integers(-3, 3).map(str), st.fl
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    command=st.sampled_from([name for name in COMMANDS if name not in ("bench", "demo", "simulate")]),
+    command=st.sampled_from([name for name in COMMANDS if name not in ("bench", "demo", "simulate", "fidelity")]),
     rest=st.lists(word, max_size=5),
 )
 def test_any_words_give_a_sentence_or_help(
