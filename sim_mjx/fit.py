@@ -1,8 +1,6 @@
 """Black-box search for a handful of physical parameters: CMA-ES, a whole population per evaluation, resumable.
 
-Covariance matrix adaptation with rank-one and rank-mu updates and cumulative step-size control, in the unit cube
-that the bounds span; a candidate beyond a bound is mirrored back. Source: N. Hansen, The CMA Evolution Strategy:
-A Tutorial, arXiv:1604.00772, Table 1 and Appendix A, whose default strategy parameters are used.
+The search (``rcbht_jax.cma``) runs in the unit cube that the bounds span; a candidate beyond a bound is mirrored back.
 """
 
 from __future__ import annotations
@@ -17,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax import cma
+from rcbht_jax.cma import State
 from rcbht_jax.errors import InputError
 from sim_mjx.shards import write_atomically
 
@@ -65,16 +65,6 @@ class Fit:
     generations: list[Generation]
 
 
-class _State(NamedTuple):
-    """The search distribution, in the unit cube of n parameters."""
-
-    mean: Floats  # [n]
-    step: float
-    covariance: Floats  # [n, n]
-    step_path: Floats  # [n] p_sigma
-    path: Floats  # [n] p_c
-
-
 def fit(
     objective: Objective,
     search: Search,
@@ -104,7 +94,7 @@ def fit(
         losses = np.asarray(objective(candidates), np.float64)
         if losses.shape != (search.population,):
             raise ValueError(f"the objective gave {losses.shape} losses for {search.population} candidates")
-        state = _tell(state, points, losses, number)
+        state = cma.update(state, points, losses, number)
         done = Generation(number, _lowest(losses), _median(losses), state.step)
         found = _better(found, candidates, losses, done)
         if checkpoint is not None:
@@ -137,10 +127,9 @@ def check(search: Search) -> None:
             raise InputError(f"The search starts at {name} = {value}, which is outside its range.")
 
 
-def _begin(search: Search) -> _State:
-    n = len(search.bounds)
+def _begin(search: Search) -> State:
     middle = [_share(search.start[name], b) if name in search.start else 0.5 for name, b in search.bounds.items()]
-    return _State(np.array(middle), search.spread, np.eye(n), np.zeros(n), np.zeros(n))
+    return cma.start(np.array(middle), search.spread)
 
 
 def _share(value: float, bound: Bound) -> float:
@@ -163,39 +152,11 @@ def _mirrored(points: Floats) -> Floats:
     return np.where(folded > 1.0, 2.0 - folded, folded)
 
 
-def _ask(state: _State, search: Search, number: int) -> Floats:
+def _ask(state: State, search: Search, number: int) -> Floats:
     """A population [population, n], not yet mirrored; each generation has its own random stream."""
     spread, turn = np.linalg.eigh(state.covariance)
     normal = np.random.default_rng((search.seed, number)).normal(size=(search.population, len(state.mean)))
     return state.mean + state.step * (normal * np.sqrt(np.maximum(spread, 0.0))) @ turn.T
-
-
-def _tell(state: _State, points: Floats, losses: Floats, number: int) -> _State:
-    """The distribution after a generation; tutorial, equations (numbers of Table 1) 37 to 47."""
-    n, count = len(state.mean), len(points)
-    weights = math.log((count + 1) / 2) - np.log(np.arange(1, count // 2 + 1))
-    weights /= weights.sum()
-    mass = 1.0 / float((weights**2).sum())  # variance-effective selection mass
-    cs, cc = (mass + 2) / (n + mass + 5), (4 + mass / n) / (n + 4 + 2 * mass / n)
-    c1 = 2 / ((n + 1.3) ** 2 + mass)
-    cmu = min(1 - c1, 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass))
-    damping = 1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + cs
-    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # length of a standard normal vector
-
-    order = np.argsort(np.where(np.isnan(losses), np.inf, losses), kind="stable")
-    moves = (points[order[: len(weights)]] - state.mean) / state.step
-    move = weights @ moves
-    spread, turn = np.linalg.eigh(state.covariance)
-    whitened = turn @ ((turn.T @ move) / np.sqrt(np.maximum(spread, 1e-20)))
-    step_path = (1 - cs) * state.step_path + math.sqrt(cs * (2 - cs) * mass) * whitened
-    length = float(np.linalg.norm(step_path))
-    # a path that grows fast would stretch the covariance while the step still adapts
-    steady = length / math.sqrt(1 - (1 - cs) ** (2 * number)) < (1.4 + 2 / (n + 1)) * usual
-    path = (1 - cc) * state.path + steady * math.sqrt(cc * (2 - cc) * mass) * move
-    kept = 1 - c1 - cmu + (1 - steady) * c1 * cc * (2 - cc)
-    covariance = kept * state.covariance + c1 * np.outer(path, path) + cmu * (moves.T * weights) @ moves
-    step = state.step * math.exp(min(1.0, cs / damping * (length / usual - 1)))
-    return _State(state.mean + state.step * move, step, covariance, step_path, path)
 
 
 def _lowest(losses: Floats) -> float:
@@ -223,7 +184,7 @@ def _settings(search: Search) -> dict[str, Any]:
     return json.loads(json.dumps(settings))
 
 
-def _save(path: Path, search: Search, state: _State, found: Fit) -> None:
+def _save(path: Path, search: Search, state: State, found: Fit) -> None:
     content = {
         "format": FORMAT,
         "search": _settings(search),
@@ -236,7 +197,7 @@ def _save(path: Path, search: Search, state: _State, found: Fit) -> None:
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def _load(path: Path, search: Search) -> tuple[_State, Fit]:
+def _load(path: Path, search: Search) -> tuple[State, Fit]:
     try:
         content = json.loads(path.read_text())
         if content["format"] != FORMAT:
@@ -244,8 +205,8 @@ def _load(path: Path, search: Search) -> tuple[_State, Fit]:
         filled = [[math.inf if x is None else x for x in row] for row in content["generations"]]
         rows = [Generation(int(number), best, median, step) for number, best, median, step in filled]
         loss = math.inf if content["loss"] is None else content["loss"]
-        arrays: dict[str, Any] = {name: np.array(content["state"][name]) for name in _State._fields}
-        state = _State(**arrays | {"step": float(arrays["step"])})
+        arrays: dict[str, Any] = {name: np.array(content["state"][name]) for name in State._fields}
+        state = State(**arrays | {"step": float(arrays["step"])})
         found, settings = Fit(content["values"], loss, rows), content["search"]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is not the checkpoint of a search, or damaged; delete it to begin anew.") from error

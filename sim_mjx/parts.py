@@ -142,7 +142,6 @@ def nominal(session: str = "A") -> PartParams:
 
 TIP_RADIUS = 0.002  # m
 MOUNT_MASS = 0.3  # kg
-SEATED_DEPTH = TIP_RADIUS * 0.75  # m, centre of a tip below the upper edge of its lip
 
 
 def check(params: PartParams) -> None:

@@ -24,7 +24,6 @@ from rcbht_jax.types import LabelTrack, LabelTracks
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 CONFIG = EncoderConfig()
-TITLES = {"primitive": "Primitives", "mc": "Motion compositions", "llb": "Low-level behaviours"}
 # Samples of a good example: long enough to see, short enough to show its lines.
 SHOWN = {"primitive": (5, 40), "mc": (10, 60), "llb": (20, 120)}
 
