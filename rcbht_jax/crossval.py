@@ -158,7 +158,7 @@ def transfer(learner: Learner, y: Ints, groups: NDArray[Any], split: Split, seed
     """
     train, test = split
     said, choice = learner(train, test, 1000 * seed)
-    low, high = _resampled(y[test] == said, groups[test], seed)
+    low, high = bootstrap(y[test] == said, groups[test], seed)
     truth, classes = y[test], int(y.max()) + 1
     return Transfer(
         accuracy=metrics.accuracy(truth, said),
@@ -170,8 +170,8 @@ def transfer(learner: Learner, y: Ints, groups: NDArray[Any], split: Split, seed
     )
 
 
-def _resampled(correct: NDArray[np.bool_], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """Percentile bootstrap over groups: the items of a trial are not independent."""
+def bootstrap(correct: NDArray[np.bool_], groups: NDArray[Any], seed: int) -> tuple[float, float]:
+    """95% percentile bootstrap over groups of the share of ``correct`` [item]: items of a trial are not independent."""
     number = np.unique(groups, return_inverse=True)[1]
     right, total = np.bincount(number, correct), np.bincount(number)
     draws = np.random.default_rng(seed).integers(0, len(total), (_RESAMPLES, len(total)))
