@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from rcbht_jax.calibrate.cma import Cma
 from rcbht_jax.calibrate.corpus import Corpus
 from rcbht_jax.calibrate.label_times import compiled
 from rcbht_jax.calibrate.objective import RIDGE, SCORES, Objective, scores, shares
-from rcbht_jax.calibrate.on_device import score_wrench
+from rcbht_jax.calibrate.on_device import device_corpus
 from rcbht_jax.calibrate.search import SearchOptions, Space, evaluate, search
 from rcbht_jax.calibrate.windows import fit_windows
 from rcbht_jax.encoder import EncoderConfig
@@ -170,17 +171,18 @@ def test_successive_halving_scores_survivors_on_all_trials(made):
     assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
 
 
-def test_trials_on_the_device_score_like_a_corpus(wrench, made):
+def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
     whole = made.edges.copy()
     whole[:, -1] = LENGTHS
     corpus = Corpus(wrench, made.windows, whole, made.y, made.classes, made.trial)
-    limits = random_limits(4)
-    beyond = np.where(np.arange(wrench.shape[1])[:, None] < LENGTHS[:, None, None], wrench, 1e3)  # must not matter
-    there = score_wrench(
-        CONFIG, jnp.asarray(limits, jnp.float32), jnp.asarray(beyond), jnp.asarray(whole), jnp.asarray(made.y),
-        classes=4, chunk=4, group=1,
-    )  # fmt: skip
-    np.testing.assert_allclose(there, evaluate(corpus, CONFIG, limits, chunk=4), atol=2e-5)
+    beyond = np.where(np.arange(wrench.shape[1])[:, None] < LENGTHS[:, None, None], wrench, np.nan)  # must not matter
+    arrays = jax.device_put((beyond, whole, made.y))
+    with jax.transfer_guard("disallow"):
+        there = device_corpus(CONFIG, *arrays, made.classes)
+        found = search(there, CONFIG, SMALL)
+        values = evaluate(there, CONFIG, random_limits(4), chunk=4, group=1)
+    np.testing.assert_allclose(values, evaluate(corpus, CONFIG, random_limits(4), chunk=4), atol=2e-5)
+    np.testing.assert_allclose(found.thresholds.limits, search(corpus, CONFIG, SMALL).thresholds.limits)
 
 
 def test_errors_are_sentences(made):

@@ -13,17 +13,20 @@ from rcbht_jax.calibrate.windows import Windows, fit_windows
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.tasks import Sentences
-from rcbht_jax.types import Recordings
+from rcbht_jax.types import Array, Recordings
 
 
 @dataclass(frozen=True)
 class Corpus:
-    """One row per recording; every recording has the same number of sentences, end to end."""
+    """One row per recording; every recording has the same number of sentences, end to end.
 
-    wrench: NDArray[np.float32]  # [recording, time, 6], N and Nm
+    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibrate.on_device.device_corpus`).
+    """
+
+    wrench: Array  # float32 [recording, time, 6], N and Nm
     windows: Windows
-    edges: NDArray[np.int32]  # [recording, sentence + 1] samples
-    y: NDArray[np.int32]  # [recording, sentence] index into classes
+    edges: Array  # int32 [recording, sentence + 1] samples
+    y: Array  # int32 [recording, sentence] index into classes
     classes: tuple[str, ...]
     trial: NDArray[np.str_]  # [recording]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax  # type: ignore[import-untyped]
+from numpy.typing import NDArray
 
 from rcbht_jax.calibrate.corpus import Corpus
 from rcbht_jax.encoder import EncoderConfig
@@ -35,11 +36,12 @@ class GradientOptions:
     temperature: tuple[float, float] = (1.0, 0.1)  # first and last, geometric in between
     loss: Literal["logistic", "hinge"] = "logistic"
     decay: float = 1e-3  # penalty of the classifier's squared weights
+    batch: int = 0  # trials per step, the next ones of a shuffled order; 0 = all
     straight_through: bool = False  # hard labels forward, gradients of the soft ones
-    seed: int = 0  # of the classifier's first weights
+    seed: int = 0  # of the classifier's first weights and of the order of the trials
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
+        if self.steps < 1 or self.batch < 0 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
             raise InputError("training needs steps, positive temperatures and positive rates.")
         if self.loss not in ("logistic", "hinge"):
             raise InputError(f"the loss {self.loss!r} is not known; expected logistic or hinge.")
@@ -76,6 +78,20 @@ def batch_of(corpus: Corpus, config: EncoderConfig) -> Batch:
     windows = -(-corpus.wrench.shape[1] // config.window)
     weights = overlaps(jnp.asarray(corpus.edges), windows, config.window)
     return Batch(jnp.asarray(corpus.wrench), jnp.asarray(corpus.windows.length), weights, jnp.asarray(corpus.y))
+
+
+def _orders(trials: int, options: GradientOptions) -> Iterator[NDArray[np.int64]]:
+    """Rows of the trials of each step; every trial once before any comes again."""
+    size = min(options.batch, trials)
+    rng, left = np.random.default_rng(options.seed), np.zeros(0, np.int64)
+    while True:
+        if not options.batch:
+            yield np.arange(trials)
+            continue
+        if len(left) < size:
+            left = np.concatenate([left, rng.permutation(trials)])
+        yield left[:size]
+        left = left[size:]
 
 
 def loss(
@@ -121,9 +137,7 @@ def calibrate(
     free = np.asarray(to_free(start), np.float32)
     if not np.isfinite(free).all():
         raise InputError("training starts from strictly ordered thresholds; two of the given limits are equal.")
-    classes = len(corpus.classes)
-    weights = 0.01 * jax.random.normal(jax.random.key(options.seed), (_FEATURES, classes))
-    parameters = Parameters(jnp.asarray(free), weights, jnp.zeros(classes))
+    parameters = _first(free, len(corpus.classes), options)
     optimizer = optax.multi_transform(
         {"limits": optax.adam(options.rate), "classifier": optax.adam(options.rate_weights)},
         Parameters("limits", "classifier", "classifier"),
@@ -132,15 +146,30 @@ def calibrate(
     batch = batch_of(corpus, config)
     other = None if held_out is None else batch_of(held_out, config)
     history, began = [], time.perf_counter()
-    for temperature in np.geomspace(*options.temperature, options.steps).astype(np.float32):
-        outside = np.nan if other is None else float(_loss(config, options, parameters, other, temperature))
-        parameters, state, inside = _step(config, options, optimizer, parameters, state, batch, temperature)
-        history.append((time.perf_counter() - began, float(inside), outside))
+    temperatures = np.geomspace(*options.temperature, options.steps).astype(np.float32)
+    for temperature, rows in zip(temperatures, _orders(len(corpus), options), strict=False):
+        # copies are explicit: a transfer guard can show that nothing else leaves the device
+        warmth, chosen = jax.device_put((temperature, rows.astype(np.int32)))
+        outside = np.nan if other is None else float(jax.device_get(_loss(config, options, parameters, other, warmth)))
+        parameters, state, inside = _step(config, options, optimizer, parameters, state, batch, chosen, warmth)
+        history.append((time.perf_counter() - began, float(jax.device_get(inside)), outside))
         if not np.isfinite(history[-1][1]):
             raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
         if progress is not None:
             progress(1)
-    return Trained(Thresholds(np.asarray(from_free(parameters.free).limits, np.float64)), parameters, history)
+    found = jax.device_get(_limits(parameters.free))
+    return Trained(Thresholds(found.astype(np.float64)), parameters, history)
+
+
+def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) -> Parameters:
+    weights = 0.01 * jax.random.normal(jax.random.key(options.seed), (_FEATURES, classes))
+    return Parameters(jnp.asarray(free), weights, jnp.zeros(classes))
+
+
+@jax.jit
+def _limits(free: Array) -> Array:
+    limits: Array = from_free(free).limits
+    return limits
 
 
 _loss = jax.jit(loss, static_argnums=(0, 1))
@@ -154,10 +183,13 @@ def _step(
     parameters: Parameters,
     state: Any,
     batch: Batch,
+    rows: Array,
     temperature: Array,
 ) -> tuple[Parameters, Any, Array]:
+    some = jax.tree.map(lambda leaf: leaf[rows], batch) if options.batch else batch
+
     def total(parameters: Parameters) -> tuple[Array, Array]:
-        value = loss(config, options, parameters, batch, temperature)
+        value = loss(config, options, parameters, some, temperature)
         return value + options.decay * jnp.sum(jnp.square(parameters.weights)), value
 
     gradients, value = jax.grad(total, has_aux=True)(parameters)

@@ -91,18 +91,23 @@ def score_block(times: Array, y: Array, *, classes: int) -> Array:
         accuracy, fit = _left_out(jnp.sqrt(x), target, y.shape[1])
         return jnp.stack([accuracy, fit, _fisher(x, target), _information(x, target), _agreement(x, target)])
 
-    return jax.vmap(one)(times)
+    with jax.default_matmul_precision("highest"):  # a GPU would round the factors to ten bits
+        return jax.vmap(one)(times)
 
 
-def scores(times: Array, y: NDArray[np.integer], classes: int) -> NDArray[np.float32]:
+def scores(times: Array, y: Array, classes: int) -> NDArray[np.float32]:
     """:func:`score_block` for any number of candidates; a candidate's scores do not depend on the others."""
-    out = []
-    for start in range(0, len(times), _BLOCK):
-        some = times[start : start + _BLOCK]
-        padded = jnp.concatenate([some, jnp.repeat(some[-1:], _BLOCK - len(some), axis=0)])
-        made = score_block(padded, jnp.asarray(y, jnp.int32), classes=classes)
-        out.append(np.asarray(made)[: len(some)])
-    return np.concatenate(out)
+    truth = jax.device_put(y)
+    made = [score_block(block, truth, classes=classes) for block in _blocks(times)]
+    return np.concatenate(jax.device_get(made))[: len(times)]
+
+
+@jax.jit
+def _blocks(times: Array) -> list[Array]:
+    """The candidates in blocks of one size, the last one filled up."""
+    count = times.shape[0]
+    padded = jnp.concatenate([times, jnp.repeat(times[-1:], -count % _BLOCK, axis=0)])
+    return [padded[start : start + _BLOCK] for start in range(0, count, _BLOCK)]
 
 
 def _left_out(x: Array, target: Array, per_trial: int) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -15,23 +16,24 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from rcbht_jax.calibrate.cma import Cma
 from rcbht_jax.calibrate.corpus import Corpus
-from rcbht_jax.calibrate.label_times import compiled
+from rcbht_jax.calibrate.label_times import LABELS, compiled
 from rcbht_jax.calibrate.ledger import Ledger
 from rcbht_jax.calibrate.objective import SCORES, Objective, scores
+from rcbht_jax.calibrate.windows import AXES
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.thresholds import Thresholds, preset
 
 Floats = NDArray[np.float64]
-# Candidates and recordings encoded at once: as much as fits a core's cache, or fills a GPU.
-_LANES = {"cpu": (256, 1), "gpu": (4096, 8)}
+# Candidates x recordings encoded at once: as much as fits a core's cache, or fills a GPU; ...
+_TOGETHER = {"cpu": (256, 1), "gpu": (4096, 8)}
+_MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and bytes that the times of a chunk of candidates may take
 
 
 @dataclass(frozen=True)
@@ -131,20 +133,26 @@ def evaluate(
         progress: called after each chunk with the index of its first candidate and its scores.
     """
     backend = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    chunk = min(chunk or _LANES[backend][0], 1 << (len(limits) - 1).bit_length())  # few sizes, few compilations
-    group = group or min(_LANES[backend][1], len(corpus))
-    windows = jax.tree.map(jnp.asarray, corpus.windows)
-    edges = jnp.asarray(corpus.edges)
+    # few sizes, few compilations
+    chunk = min(chunk or _chunk(backend, corpus), 1 << (len(limits) - 1).bit_length())
+    group = group or min(max(1, math.prod(_TOGETHER[backend]) // chunk), len(corpus))
+    windows, edges, y = jax.device_put((corpus.windows, corpus.edges, corpus.y))
     dtype = corpus.windows.slope.dtype
     out = []
     for start in range(0, len(limits), chunk):
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
-        times = compiled(backend)(config, jnp.asarray(padded), windows, edges, group=group)
-        out.append(scores(times[: len(some)], corpus.y, len(corpus.classes)))
+        times = compiled(backend)(config, jax.device_put(padded), windows, edges, group=group)
+        out.append(scores(times, y, len(corpus.classes))[: len(some)])
         if progress is not None:
             progress(start, out[-1])
     return np.concatenate(out)
+
+
+def _chunk(backend: str, corpus: Corpus) -> int:
+    """Candidates at once, a power of two, so that their times fit."""
+    bytes_each = 4 * corpus.y.size * AXES * LABELS
+    return min(_TOGETHER[backend][0], 1 << max(0, (_MOST[backend] // bytes_each).bit_length() - 1))
 
 
 class _Run:
@@ -177,7 +185,7 @@ class _Run:
         if progress is not None and done:
             progress(done)
         if done < len(points):
-            part = self.corpus.take(rows)
+            part = self.corpus if trials == 1 else self.corpus.take(rows)
             made = evaluate(part, self.config, limits[done:], chunk=self.chunk, progress=keep)
             known = np.concatenate([known.reshape(-1, made.shape[1]), made])
         self.number += len(points)
@@ -214,9 +222,10 @@ def search(
     Raises:
         InputError: the ledger belongs to another search, or the corpus has fewer than two classes.
     """
-    if len(np.unique(corpus.y)) < 2:
+    if len(np.unique(jax.device_get(corpus.y))) < 2:
         raise InputError("thresholds can only be searched on sentences of at least two classes.")
-    run = _Run(corpus, config, options, Ledger(ledger, _fingerprint(corpus, config, options)), chunk)
+    fingerprint = "" if ledger is None else _fingerprint(corpus, config, options)
+    run = _Run(corpus, config, options, Ledger(ledger, fingerprint), chunk)
     points = options.points()
     for rung in options.rungs:
         made = run(points, rung, progress)

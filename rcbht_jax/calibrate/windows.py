@@ -31,7 +31,7 @@ class Windows:
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Windows:
         """The chosen recordings."""
-        whole: Windows = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], self)
+        whole: Windows = jax.tree.map(lambda leaf: leaf[rows], self)
         return whole
 
 

@@ -133,7 +133,7 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
         logs.append(log)
         if progress is not None:
             progress(int((log.phase[:, :count] < task.ENDED).sum()))
-        if bool((log.phase[-1] == task.ENDED).all()):
+        if jax.device_get((log.phase[-1] == task.ENDED).all()):  # explicit: nothing else goes to the host
             break
     return _outcome(settling, count, logs, seated(layout, fixed, state))
 
