@@ -3,12 +3,13 @@ PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
 OUT ?= demo-out
+PEERS ?= .venv-peers
 
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo docs bench constraints clean
+.PHONY: help venv test lint format demo docs bench peers constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -43,10 +44,18 @@ docs: $(INSTALLED) ## build the documentation into the folder site
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench
 
+peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
+	$(PEERS)/bin/python -m experiments.peers
+
+$(PEERS)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[peers]'
+	@touch $@
+
 constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	@touch $(INSTALLED)
 
 clean: ## remove what make and the tests leave behind
-	rm -rf $(VENV) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(PEERS) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -22,8 +22,8 @@ def machine() -> str:
     return f"{os.cpu_count()} CPU cores ({platform.machine()}), JAX {jax.__version__} on {devices}"
 
 
-def write_result(name: str, command: str, result: Any, seed: int | None = None) -> Path:
-    """Write ``experiments/results/<name>.json`` and print it."""
+def write_result(name: str, command: str, result: Any, seed: int | None = None, show: bool = True) -> Path:
+    """Write ``experiments/results/<name>.json``, whole or not at all, and print it if ``show``."""
     record = {
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
@@ -37,5 +37,6 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None) 
     draft = path.with_suffix(".partial")
     draft.write_text(json.dumps(record, indent=1) + "\n")
     draft.replace(path)
-    print(path.read_text())
+    if show:
+        print(path.read_text())
     return path
