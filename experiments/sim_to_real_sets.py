@@ -1,15 +1,28 @@
-"""Simulated training sets for ``experiments.sim_to_real``: each preset with nothing, little or much varied.
+"""Sets of trials for ``experiments.sim_to_real``: each preset simulated with nothing, little or much varied.
 
 Run: python -m experiments.sim_to_real_sets FOLDER [--sets none mild wide]
-Every set is a store that ``sim_mjx.synth`` makes: interrupted, it goes on where it stopped; finished ones are kept.
+Every simulated set is a store that ``sim_mjx.synth`` makes: interrupted, it goes on where it stopped; finished ones are
+kept. A set's name is a recorded session, or a level of randomisation and a preset, such as "wide B".
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.batch import encode_recordings
+from rcbht_jax.data.store import read_recordings
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.grammar import FAMILIES, Features, FeatureSpec
+from rcbht_jax.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.thresholds import Thresholds, preset
+from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx import synth
 from sim_mjx.presets import PRESETS
 from sim_mjx.randomize import Randomisation
@@ -37,7 +50,87 @@ class SimulatedSet:
     trials: int  # per preset
 
 
+# The recorded sessions; C's trials are failures, of which those count that reached every state.
+RECORDED = {
+    "A": TaskSpec(sessions=("A",)),
+    "B": TaskSpec(sessions=("B",)),
+    "C": TaskSpec(sessions=("C",), outcomes=("failure",)),
+    "SIM1": TaskSpec(sessions=("SIM1",)),
+}
+TARE_SECONDS = 1.0  # of free space at the beginning of every trial
+SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
+
 SETS = {"none": SimulatedSet(NONE, 64), "mild": SimulatedSet(MILD, 128), "wide": SimulatedSet(WIDE, 256)}
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """How a wrench becomes labels."""
+
+    window: int = 5  # samples
+    tare: bool = True  # subtract the mean of the first second
+    limits: tuple[tuple[float, ...], ...] | None = None  # [6][4]; None = the preset
+
+
+class Sets:
+    """Sets by name, each read, labelled and described once."""
+
+    def __init__(self, folder: Path, recorded: Recordings) -> None:
+        self.folder, self.recorded = folder, recorded
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def recordings(self, name: str, tare: bool) -> Recordings:
+        """The trials of a set; a simulated one is made where it is missing."""
+        if name in RECORDED:
+            (session,) = RECORDED[name].sessions
+            found = taken(self.recorded, np.flatnonzero(self.recorded.session == session))
+        else:
+            level, which = name.split()
+            make(self.folder, level, which)
+            found = read_recordings(store_of(self.folder, level, which))
+        return tared(found) if tare else found
+
+    @cache  # noqa: B019
+    def items(self, name: str, boundaries: str) -> Sentences:
+        """One sentence per state of the trials that reached every state."""
+        spec = RECORDED.get(name, TaskSpec(outcomes=()))
+        return sentences(self.recordings(name, True), replace(spec, boundaries=boundaries))
+
+    @cache  # noqa: B019
+    def tracks(self, name: str, how: Labelling) -> LabelTracks:
+        """Labels of all trials of a set."""
+        trials = self.recordings(name, how.tare)
+        limits = preset() if how.limits is None else Thresholds(np.array(how.limits))
+        return encode_recordings(EncoderConfig(how.window, trials.dt), limits, trials.wrench, trials.length)
+
+    @cache  # noqa: B019
+    def features(self, name: str, how: Labelling, boundaries: str) -> Features:
+        """All families of features of a set's sentences."""
+        return describe(self.tracks(name, how), self.items(name, boundaries), SPEC)
+
+
+def taken(recordings: Recordings, rows: NDArray[np.integer]) -> Recordings:
+    """The chosen recordings."""
+    names = [field.name for field in fields(recordings) if field.name != "dt"]
+    return replace(recordings, **{name: getattr(recordings, name)[rows] for name in names})
+
+
+def joined(parts: list[Recordings]) -> Recordings:
+    """Several sets as one, padded to the longest."""
+    longest = max(part.wrench.shape[1] for part in parts)
+    wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
+    names = [field.name for field in fields(parts[0]) if field.name not in ("dt", "wrench")]
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], wrench=np.concatenate(wide), **columns)
+
+
+def tared(recordings: Recordings) -> Recordings:
+    """Each trial without the mean wrench of its first second."""
+    samples = round(TARE_SECONDS / recordings.dt)
+    wrench = recordings.wrench.copy()
+    for row, length in enumerate(recordings.length):
+        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0)
+    return replace(recordings, wrench=wrench)
 
 
 def store_of(folder: Path, level: str, preset: str) -> Path:
@@ -66,8 +159,8 @@ def main() -> None:
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     for level in given.sets:
-        for preset in given.presets:
-            make(given.folder, level, preset)
+        for name in given.presets:
+            make(given.folder, level, name)
 
 
 if __name__ == "__main__":

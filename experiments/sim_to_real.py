@@ -1,0 +1,221 @@
+"""Train on simulated trials only, test on the recorded ones: states, per session, and what moves the score.
+
+Nothing of the recorded trials is used but the mean of their first second, in free space, which is subtracted (tare).
+Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
+only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
+
+The presets' parts, sensor and controller were identified from the recorded sessions whose letters they bear. What
+transfers without that is said by the rows whose training leaves a session's own preset out.
+
+Run: python -m experiments.sim_to_real FOLDER [--only TEXT ...]
+FOLDER holds the sets of ``experiments.sim_to_real_sets``, which are made where they are missing. Every finished row is
+kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments import raw_learners
+from experiments.benchmarks import recorded, rounded, segments
+from experiments.rows import Rows
+from experiments.sim_to_real_rows import CANDIDATES, ROWS, Row
+from experiments.sim_to_real_sets import SEED as SEED_OF_SETS
+from experiments.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets, joined, taken
+from rcbht_jax import crossval, metrics
+from rcbht_jax.calibrate import context
+from rcbht_jax.calibrate.corpus import corpus
+from rcbht_jax.calibrate.objective import Objective
+from rcbht_jax.calibrate.search import SearchOptions, search
+from rcbht_jax.classify import Grid, SvmSpec, predictions, select
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+SEED = 0
+BOUNDARIES = ("merged", "harmonised")
+GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,), floor=0.05)
+SELECTING = 48  # trials of each training set that choose kernel, cost and features
+SEARCHING, SEARCHED = 24, 512  # trials of each training set, and candidates, of a search for thresholds
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Sentences of several sets, one after the other."""
+
+    x: dict[str, NDArray[np.float64]]  # candidate -> [item, feature]
+    y: Ints  # [item]
+    trial: NDArray[np.str_]  # [item]
+    place: NDArray[np.str_]  # [item] name of the set
+    classes: tuple[str, ...]
+
+    def rows(self, names: tuple[str, ...]) -> Ints:
+        return np.flatnonzero(np.isin(self.place, names))
+
+
+class Experiment:
+    """The sets, and what makes each row."""
+
+    def __init__(self, folder: Path) -> None:
+        self.sets = Sets(folder, recorded())
+
+    def row(self, spec: Row) -> Callable[[], Any]:
+        return lambda: {"train": list(spec.train)} | {b: self.measure(spec, b) for b in BOUNDARIES}
+
+    def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
+        """Accuracy on every test set, of a learner that saw the training sets only."""
+        how = Labelling(spec.window, spec.tare, self.limits(spec))
+        pool = self.pool(spec, how, boundaries)
+        train = pool.rows(spec.train)
+        train = train[np.isin(pool.trial[train], some_trials(pool, train, spec.trials, spec.draw))]
+        test = pool.rows(spec.test)
+        said, chosen = self.answers(spec, pool, train, test)
+        out: dict[str, Any] = {"trials": len(np.unique(pool.trial[train])), "chosen": chosen}
+        for names in [(name,) for name in spec.test] + [("A", "B")] * (set(spec.test) >= {"A", "B"}):
+            inside = np.isin(pool.place[test], names)
+            out["+".join(names)] = scored(pool, test[inside], said[inside])
+        return rounded(out)
+
+    def pool(self, spec: Row, how: Labelling, boundaries: str) -> Pool:
+        names = tuple(dict.fromkeys((*spec.train, *spec.test)))
+        items = [self.sets.items(name, boundaries) for name in names]
+        makers = {
+            "duration": lambda: {"": np.concatenate([one.seconds for one in items])},
+            "statistics": lambda: {"": np.concatenate([self.statistics(name, boundaries) for name in names])},
+            "words": lambda: self.words(spec, names, how, boundaries),
+        }
+        return Pool(
+            x=makers[spec.learner](),
+            y=np.concatenate([one.y for one in items]),
+            trial=np.concatenate([np.char.add(f"{name} ", one.trial) for name, one in zip(names, items, strict=True)]),
+            place=np.repeat(names, [len(one.y) for one in items]),
+            classes=items[0].classes,
+        )
+
+    def words(
+        self, spec: Row, names: tuple[str, ...], how: Labelling, boundaries: str
+    ) -> dict[str, NDArray[np.float64]]:
+        made = [self.sets.features(name, how, boundaries) for name in names]
+        whole = np.concatenate([one.values for one in made]).astype(np.float64)
+        family = np.array(made[0].families)
+        return {name: whole[:, np.isin(family, CANDIDATES[name])] for name in spec.candidates}
+
+    def statistics(self, name: str, boundaries: str) -> NDArray[np.float64]:
+        return raw_learners.statistics(segments(self.sets.recordings(name, True), self.sets.items(name, boundaries)))
+
+    def answers(self, spec: Row, pool: Pool, train: Ints, test: Ints) -> tuple[Ints, dict[str, Any]]:
+        """Class index of every test item, and what was chosen on the training items."""
+        if spec.learner != "words":
+            return raw_learners.forest(pool.x[""], pool.y)(train, test, SEED)[0], {}
+        best, score = choose(pool, train[np.isin(pool.trial[train], some_trials(pool, train, SELECTING, spec.draw))])
+        said = predictions(pool.x[best.features], pool.y, train, test, best, [best.cost])[0]
+        chosen = {"features": best.features, "kernel": best.kernel, "cost": best.cost, "simulated": score}
+        return said, chosen
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
+        """Thresholds chosen on the training sets; None = the preset's."""
+        if spec.thresholds == "preset":
+            return None
+        trials, items = self.training(spec)
+        config = EncoderConfig(spec.window, trials.dt)
+        if spec.thresholds.startswith("context"):
+            copy = context.AUTHORS_COPY if spec.thresholds == "context" else context.OWN
+            rows = np.unique(items.intervals[0].recording)
+            found = context.calibrate(trials, rows, config, copy=copy).thresholds
+        else:
+            options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
+            found = search(corpus(trials, items, config), config, options).thresholds
+        return tuple(tuple(row) for row in np.asarray(found.limits).tolist())
+
+    def training(self, spec: Row) -> tuple[Recordings, Sentences]:
+        """A few trials of each training set as one set, and their states."""
+        parts = []
+        for name in spec.train:
+            trials, items = self.sets.recordings(name, spec.tare), self.sets.items(name, "harmonised")
+            rows = np.unique(items.intervals[0].recording)
+            few = np.random.default_rng(SEED).permutation(rows)[:SEARCHING]
+            parts.append(taken(trials, np.sort(few)))
+        together = joined(parts)
+        return together, sentences(together, TaskSpec(outcomes=()))
+
+
+def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_]:
+    """At most so many trials of each set that ``rows`` name, drawn at random; a larger number holds the smaller's."""
+    chosen = []
+    for place in np.unique(pool.place[rows]):
+        trials = np.unique(pool.trial[rows[pool.place[rows] == place]])
+        chosen.append(np.random.default_rng((SEED, draw)).permutation(trials)[:most])
+    return np.concatenate(chosen)
+
+
+def choose(pool: Pool, rows: Ints) -> tuple[SvmSpec, float | None]:
+    """The grid's best choice for sets that are not trained on, and its mean accuracy there.
+
+    With a single set, by grouped folds inside it; its score says nothing of other sets and is not given.
+    """
+    places = np.unique(pool.place[rows])
+    if len(places) == 1:
+        inside = {name: x[rows] for name, x in pool.x.items()}
+        return select(inside, pool.y[rows], pool.trial[rows], GRID, SEED), None
+    paths = GRID.paths(list(pool.x))
+    scores = np.zeros((len(paths), len(GRID.costs)))
+    for place in places:
+        held = pool.place[rows] == place
+        for path, spec in zip(scores, paths, strict=True):
+            said = predictions(pool.x[spec.features], pool.y, rows[~held], rows[held], spec, GRID.costs)
+            path += [metrics.accuracy(pool.y[rows[held]], one) / len(places) for one in said]
+    best = int(scores.round(9).argmax())
+    found = replace(paths[best // len(GRID.costs)], cost=GRID.costs[best % len(GRID.costs)])
+    return found, float(scores.max())
+
+
+def scored(pool: Pool, test: Ints, said: Ints) -> dict[str, Any]:
+    """Accuracy with its interval by resampling trials, and who was taken for whom."""
+    right = pool.y[test] == said
+    low, high = crossval.bootstrap(right, pool.trial[test], SEED)
+    wrong = Counter(
+        f"{pool.classes[truth]} as {pool.classes[answer]}"
+        for truth, answer in zip(pool.y[test][~right].tolist(), said[~right].tolist(), strict=True)
+    )
+    count = len(np.unique(pool.trial[test]))
+    return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
+
+
+def about(experiment: Experiment) -> dict[str, Any]:
+    return {
+        "what": "states of recorded trials by learners that saw simulated trials only",
+        "used of a recorded trial": f"the mean of its first {TARE_SECONDS:g} s, which is subtracted",
+        "presets": "parts, sensor and controller of a preset were identified from the recorded session of its name",
+        "chance": {"merged": round(1 / 3, 4), "harmonised": 0.25},
+        "sets": {name: asdict(one) | {"seed": SEED_OF_SETS} for name, one in SETS.items()},
+        "candidates": {name: list(families) for name, families in CANDIDATES.items()},
+        "grid": asdict(GRID),
+        "trials of each set that select": SELECTING,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
+    given = parser.parse_args()
+    experiment = Experiment(given.folder)
+    rows = Rows("sim_to_real", "python -m experiments.sim_to_real FOLDER", about(experiment), SEED)
+    wanted = {name: experiment.row(spec) for name, spec in ROWS.items()}
+    rows.fill(wanted, lambda name: any(text in name for text in given.only))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""What ``experiments.sim_to_real`` compares: one row per training set, feature family or way of labelling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from sim_mjx.presets import PRESETS
+
+# Families of features that selection may choose from, simple ones first: ties go to the earlier.
+CANDIDATES = {
+    "histogram": ("histogram",),
+    "words": ("histogram", "ngram", "attributes"),
+    "course": ("course",),
+    "edges": ("edges",),
+    "levels": ("attributes", "course", "offset", "edges"),
+    "all but duration": ("histogram", "ngram", "attributes", "course", "offset", "edges"),
+    "words and course": ("histogram", "ngram", "attributes", "course"),
+    "all": ("histogram", "ngram", "attributes", "course", "offset", "edges", "duration"),
+}
+CHOICE = ("histogram", "words", "course", "edges", "levels", "all but duration")  # not duration, a confound
+EVERY = 10_000  # trials: all
+
+
+@dataclass(frozen=True)
+class Row:
+    """Who is trained on what and tested on what."""
+
+    train: tuple[str, ...]  # names of sets
+    test: tuple[str, ...] = ("A", "B", "C")
+    trials: int = EVERY  # of each training set, at most
+    draw: int = 0  # which of them
+    candidates: tuple[str, ...] = CHOICE
+    window: int = 5  # samples
+    tare: bool = True
+    thresholds: str = "preset"
+    learner: str = "words"  # or "duration", "statistics" (of the raw wrench)
+
+
+def _of(level: str, *presets: str) -> tuple[str, ...]:
+    return tuple(f"{level} {preset}" for preset in presets)
+
+
+ALL = Row(_of("wide", *PRESETS))
+FEW = replace(ALL, trials=64)  # of each set, for comparisons in which each set must have as many
+
+
+def _rows() -> dict[str, Row]:
+    rows = {
+        "main | all presets": ALL,
+        "main | without preset A": Row(_of("wide", "B", "C", "openhrp")),
+        "main | without preset B": Row(_of("wide", "A", "C", "openhrp")),
+        "main | without presets A and B": Row(_of("wide", "C", "openhrp")),
+        "baseline | recorded OpenHRP trials": Row(("SIM1",)),
+        "baseline | duration alone": replace(ALL, learner="duration"),
+        "baseline | statistics of the raw wrench, random forest": replace(ALL, learner="statistics"),
+    }
+    rows |= {f"one preset | {preset}": Row(_of("wide", preset)) for preset in PRESETS}
+    for level in ("none", "mild", "wide"):
+        rows[f"randomisation | {level}, all presets"] = replace(FEW, train=_of(level, *PRESETS))
+        rows[f"randomisation | {level}, without A and B"] = replace(FEW, train=_of(level, "C", "openhrp"))
+    for trials, draws in ((4, 3), (16, 3), (64, 1), (128, 1)):
+        for draw in range(draws):
+            name = f"amount | {trials * len(PRESETS)} trials" + f", draw {draw + 1}" * (draws > 1)
+            rows[name] = replace(ALL, trials=trials, draw=draw)
+    rows |= {f"features | {name}": replace(FEW, candidates=(name,)) for name in CANDIDATES}
+    rows |= {f"window | {samples} samples": replace(FEW, window=samples) for samples in (5, 10, 20)}
+    rows |= {f"tare | {word}": replace(FEW, tare=tare) for word, tare in (("first second", True), ("none", False))}
+    for thresholds in ("preset", "context", "context, own axes", "search"):
+        for features in ("words", "all but duration"):
+            name = f"thresholds | {thresholds}, {features}"
+            rows[name] = replace(FEW, thresholds=thresholds, candidates=(features,))
+    for level in ("mild", "wide"):
+        rows[f"reverse | recorded A and B to {level}"] = Row(("A", "B"), _of(level, *PRESETS))
+    return rows
+
+
+ROWS = _rows()
