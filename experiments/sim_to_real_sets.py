@@ -25,7 +25,7 @@ from rcbht_jax.thresholds import Thresholds, preset
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx import synth
 from sim_mjx.presets import PRESETS
-from sim_mjx.randomize import Randomisation
+from sim_mjx.randomize import SIMULATED, Randomisation
 
 SEED = 20
 ONE = (1.0, 1.0)
@@ -143,7 +143,10 @@ def make(folder: Path, level: str, preset: str) -> None:
     target = store_of(folder, level, preset)
     if target.exists():
         return
-    job = synth.Synthesis(preset, SETS[level].trials, SEED, shard=64, spec=SETS[level].spec)
+    spec = SETS[level].spec
+    if preset == SIMULATED and level != "ideal":
+        spec = replace(spec, sensor=WORN)
+    job = synth.Synthesis(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 
     def progress(now: synth.Progress) -> None:
         print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)
@@ -154,7 +157,7 @@ def make(folder: Path, level: str, preset: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=["none", "mild", "wide"])
     parser.add_argument("--presets", nargs="+", choices=PRESETS, default=list(PRESETS))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)

@@ -43,6 +43,7 @@ class Randomisation:
     )  # fmt: skip
     longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
     physical: Physical = ()  # nominal parameters of parts and sensor that replace the preset's, by name
+    sensor: str | None = None  # session whose wrist sensor is worn, noise and drift included; None = the preset's
 
     shift: Range = (-5e-4, 5e-4)  # m, hand in x and y without a fault: seated by A, B, OpenHRP
     turn: Range = (-0.005, 0.005)  # rad, hand about the vertical without a fault; chosen
@@ -117,6 +118,8 @@ def check(spec: Randomisation) -> None:
     if spec.longest is not None and not 0.0 < spec.longest < np.inf:
         raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
     physical.check(spec.physical)
+    if spec.sensor is not None:
+        sensor.real_sensor(spec.sensor)
     if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
         raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for name, (least, most) in LIMITS.items():
@@ -182,6 +185,8 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[Trial
 def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[TrialParams, Fault]:
     """One trial of a setup; see :func:`draw`."""
     check(spec)
+    if spec.sensor is not None:
+        base = replace(base, sensor=sensor.real_sensor(spec.sensor), drifts=True)
     rng = stream(seed, index)
     task, touch, part = _mild(base, spec, rng)
     values = _Values(

@@ -186,3 +186,14 @@ def test_simulated_preset_has_the_simulated_sensor() -> None:
     assert not params.sensor.bias.any()
     assert params.command_delay == 1
     assert draw("A", 0, 0, NOMINAL)[0].command_delay in (4, 5)
+
+
+def test_a_trial_can_wear_another_sessions_sensor() -> None:
+    worn, _ = draw("openhrp", 0, 0, replace(NOMINAL, sensor="B"))
+    own, real = draw("openhrp", 0, 0, NOMINAL)[0], sensor.real_sensor("B")
+    assert [worn.sensor.b, worn.sensor.delay] == [real.b, real.delay]
+    assert np.ptp(worn.sensor.noise / real.noise) < 1e-9
+    assert not np.array_equal(worn.sensor.bias, real.bias)
+    assert same(replace(worn, sensor=own.sensor), own)
+    with pytest.raises(InputError, match="no sensor of session 'Z'"):
+        draw("A", 0, 0, replace(NOMINAL, sensor="Z"))
