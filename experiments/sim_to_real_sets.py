@@ -60,7 +60,13 @@ RECORDED = {
 TARE_SECONDS = 1.0  # of free space at the beginning of every trial
 SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
 
-SETS = {"none": SimulatedSet(NONE, 64), "mild": SimulatedSet(MILD, 128), "wide": SimulatedSet(WIDE, 256)}
+SETS = {
+    "none": SimulatedSet(NONE, 64),
+    "mild": SimulatedSet(MILD, 128),
+    "wide": SimulatedSet(WIDE, 256),
+    "ideal": SimulatedSet(WIDE, 64),  # as wide, but the OpenHRP preset keeps its noise-free sensor
+}
+WORN = "A"  # a robot's sensor has noise, which the OpenHRP preset's has not: it wears this session's
 
 
 @dataclass(frozen=True)
