@@ -251,61 +251,68 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> d
 
     Args:
         model: of a scene with both parts.
-        params: of one trial.
+        params: of one trial, or of a batch whose leaves and fields lead with the trial.
         arm: that holds the male part.
     """
-    out = {name: getattr(model, name).copy() for name in (
+    lead = np.shape(params.roll)
+    out = {name: np.broadcast_to(getattr(model, name), lead + getattr(model, name).shape).copy() for name in (
         "jnt_stiffness", "dof_damping", "geom_pos", "pair_friction", "pair_solref", "pair_solimp", "body_pos",
         "body_quat",
     )}  # fmt: skip
     for index, name in enumerate(TABS):
         joint = model.joint(f"{arm}TAB_{name}")
-        out["jnt_stiffness"][joint.id] = params.tab_stiffness[index]
-        out["dof_damping"][joint.dofadr[0]] = params.tab_damping[index]
+        out["jnt_stiffness"][..., joint.id] = params.tab_stiffness[..., index]
+        out["dof_damping"][..., joint.dofadr[0]] = params.tab_damping[..., index]
         for kind, place in _boxes(index, params).items():
-            out["geom_pos"][model.geom(f"{kind}_{name}").id] = place
-        out["geom_pos"][model.geom(f"{arm}FOOT_{name}").id] = _foot(index, params)
+            out["geom_pos"][..., model.geom(f"{kind}_{name}").id, :] = place
+        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, :] = _foot(index, params)
     for axis, name in enumerate("XYZ"):
         joint = model.joint(f"MOUNT_{name}")
-        out["jnt_stiffness"][joint.id] = params.mount_stiffness[axis]
-        out["dof_damping"][joint.dofadr[0]] = params.mount_damping[axis]
-    out["geom_pos"][model.geom("SEAT").id] = _seat(params)
-    out["pair_friction"][:, :2] = params.friction
+        out["jnt_stiffness"][..., joint.id] = params.mount_stiffness[..., axis]
+        out["dof_damping"][..., joint.dofadr[0]] = params.mount_damping[..., axis]
+    out["geom_pos"][..., model.geom("SEAT").id, :] = _seat(params)
+    out["pair_friction"][..., :2] = np.asarray(params.friction)[..., None, None]
     feet = [model.pair(f"{arm}FOOT_{name}:SEAT").id for name in TABS]
-    out["pair_solref"][feet, 0], out["pair_solimp"][feet, :3] = params.foot_contact[0], params.foot_contact[1:]
+    out["pair_solref"][..., feet, 0] = params.foot_contact[..., :1]
+    out["pair_solimp"][..., feet, :3] = params.foot_contact[..., None, 1:]
     mount = model.body("MOUNT").id
-    out["body_pos"][mount] = model.body_pos[mount] + params.position
-    half = float(params.roll) / 2
-    out["body_quat"][mount] = (np.cos(half), 0.0, 0.0, np.sin(half))
+    out["body_pos"][..., mount, :] = model.body_pos[mount] + params.position
+    half = np.asarray(params.roll) / 2
+    out["body_quat"][..., mount, :] = _place(np.cos(half), 0.0, 0.0, np.sin(half))
     return out
 
 
-def _foot(index: int, params: PartParams) -> Vector:
-    """Place of a foot in the wrist's frame, x up the hand and z backwards."""
+def _place(*coordinates: Any) -> NDArray[np.float64]:
+    """Coordinates of any shape side by side, last."""
+    return np.stack(np.broadcast_arrays(*coordinates), axis=-1)
+
+
+def _foot(index: int, params: PartParams) -> NDArray[np.float64]:
+    """Place of a foot [..., 3] in the wrist's frame, x up the hand and z backwards."""
     aft, _ = _tab_place(index)
-    left = float(params.foot_spread) * (1 if index % 2 else -1) + float(params.foot_offset[index // 2])
-    rise = float(params.rear_rise[1]) if index >= 2 else 0.0
-    return TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft
+    left = params.foot_spread * (1 if index % 2 else -1) + params.foot_offset[..., index // 2]
+    rise = params.rear_rise[..., 1] if index >= 2 else 0.0
+    return _place(TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft)
 
 
-def _boxes(index: int, params: PartParams) -> dict[str, Vector]:
-    """Places of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
+def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
+    """Places [..., 3] of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
     aft, aside = _tab_place(index)
     outward = 1.0 if index < 2 else -1.0
-    overlap = float(params.hook_overlap[index])
+    overlap = params.hook_overlap[..., index]
     edge = aft + outward * (TIP_RADIUS - overlap)
     # the tips' lowest points touch the lips' edges at the mount's origin height
-    top = -np.sqrt(max(TIP_RADIUS**2 - (TIP_RADIUS - max(overlap, 0.0)) ** 2, 0.0))
-    top += float(params.rear_rise[0]) if index >= 2 else 0.0
-    gone = -0.05 if overlap < 0 else 0.0  # a missing tab meets nothing
-    reach = TIP_RADIUS + float(params.slot_play) + BLOCK[1]
+    top = -np.sqrt(np.maximum(TIP_RADIUS**2 - (TIP_RADIUS - np.maximum(overlap, 0.0)) ** 2, 0.0))
+    top = top + (params.rear_rise[..., 0] if index >= 2 else 0.0)
+    gone = np.where(overlap < 0, -0.05, 0.0)  # a missing tab meets nothing
+    reach = TIP_RADIUS + params.slot_play + BLOCK[1]
     return {
-        "LIP": (edge + outward * LIP[0], aside, top - LIP[2] + gone),
-        "BLOCK1": (aft, aside - reach, top - BLOCK[2] + gone),
-        "BLOCK2": (aft, aside + reach, top - BLOCK[2] + gone),
+        "LIP": _place(edge + outward * LIP[0], aside, top - LIP[2] + gone),
+        "BLOCK1": _place(aft, aside - reach, top - BLOCK[2] + gone),
+        "BLOCK2": _place(aft, aside + reach, top - BLOCK[2] + gone),
     }
 
 
-def _seat(params: PartParams) -> Vector:
-    top = FOOT_HEIGHT - TIP_RADIUS - float(params.seat_depth)
-    return (-TAB_SPACING[0] / 2, 0.0, top - 0.004)
+def _seat(params: PartParams) -> NDArray[np.float64]:
+    top = FOOT_HEIGHT - TIP_RADIUS - params.seat_depth
+    return _place(-TAB_SPACING[0] / 2, 0.0, top - 0.004)

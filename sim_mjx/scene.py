@@ -33,7 +33,7 @@ class Scene:
     forces: NDArray[np.int32]  # [K] addresses of the wrists' forces in sensordata; each is followed by its torque
     tips: NDArray[np.int32]  # [tab] geoms; a tab is seated when its tip is past its lip
     lips: NDArray[np.int32]  # [tab] geoms
-    fields: Callable[[Any], dict[str, NDArray[Any]]]  # one trial's parts -> fields of the model
+    fields: Callable[[Any], dict[str, NDArray[Any]]]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
 
 

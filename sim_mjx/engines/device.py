@@ -175,8 +175,7 @@ def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
 
 def _fields(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
     """Model fields of all trials, each [trial, ...]."""
-    rows = [scene.fields(jax.tree.map(lambda leaf, i=i: leaf[i], params.parts)) for i in range(batch_size(params))]
-    return {name: np.stack([row[name] for row in rows]).astype(np.float32) for name in rows[0]}
+    return {name: value.astype(np.float32) for name, value in scene.fields(params.parts).items()}
 
 
 def _most_rows(model: mujoco.MjModel) -> int:

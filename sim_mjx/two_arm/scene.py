@@ -51,15 +51,17 @@ def model_fields(model: mujoco.MjModel, params: PartParams) -> dict[str, NDArray
 
     Args:
         model: of this scene.
-        params: of one trial; ``position`` and ``roll`` are in the mount's axes, as in the one-arm scene.
+        params: of one trial or a batch; ``position`` and ``roll`` are in the mount's axes, as in the one-arm scene.
     """
     out = parts.model_fields(model, params)
     for name in parts.TABS:
-        out["geom_pos"][model.geom(f"RFOOT_{name}").id] += GRIP
-    half = float(params.roll) / 2
+        out["geom_pos"][..., model.geom(f"RFOOT_{name}").id, :] += GRIP
+    half = np.asarray(params.roll)[..., None] / 2
     mount = model.body("MOUNT").id
-    out["body_pos"][mount] = FIRST_TOUCH + TURN @ params.position
-    out["body_quat"][mount] = _product(_quaternion(TURN), (np.cos(half), 0.0, 0.0, np.sin(half)))
+    out["body_pos"][..., mount, :] = FIRST_TOUCH + params.position @ TURN.T
+    # of a turn of the mount about its own z axis
+    still, turned = _quaternion(TURN), _product(_quaternion(TURN), (0.0, 0.0, 0.0, 1.0))
+    out["body_quat"][..., mount, :] = np.cos(half) * still + np.sin(half) * turned
     return out
 
 
