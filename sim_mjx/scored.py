@@ -30,7 +30,7 @@ def simulated_scores(
     params: Any,
     impl: str,
     config: EncoderConfig,
-    limits: NDArray[np.floating],
+    limits: NDArray[np.float64],
     *,
     progress: Callable[[int], None] | None = None,
 ) -> NDArray[np.float32]:
@@ -56,36 +56,74 @@ def simulated_scores(
 
 
 def states_corpus(out: device.Outcome, config: EncoderConfig) -> Corpus:
-    """The completed trials with their four states, on the device.
+    """The completed trials with a sentence for each of their four states, on the device.
 
     A completed trial went through all states, seated all its tabs and felt nothing impossible.
 
     Raises:
         InputError: there is none.
     """
-    edges, order, count = _completed(out)
+    edges, y, usable = _states(out)
+    return _corpus(config, out.wrench, edges, y, usable, STATES)
+
+
+def whole_corpus(
+    out: device.Outcome, y: NDArray[np.integer], classes: tuple[str, ...], config: EncoderConfig
+) -> Corpus:
+    """The trials that did not seat all tabs and felt nothing impossible, one sentence each, on the device.
+
+    Args:
+        out: of :func:`sim_mjx.engines.device.run`.
+        y: int ``[trial]``, index into ``classes``; -1 leaves a trial out.
+        classes: their names.
+        config: of the encoder.
+
+    Raises:
+        InputError: there is none.
+    """
+    edges, truth, usable = _whole(out, jax.device_put(y.astype(np.int32)))
+    return _corpus(config, out.wrench, edges, truth, usable, classes)
+
+
+def _corpus(
+    config: EncoderConfig, wrench: Array, edges: Array, y: Array, usable: Array, classes: tuple[str, ...]
+) -> Corpus:
+    order, count = _first(usable)
     kept = int(jax.device_get(count))
     if not kept:
-        raise InputError(f"none of the {len(out.phase)} simulated trials was completed; nothing to calibrate on.")
-    wrench, edges, y = _kept(kept, out.wrench, edges, order)
-    return device_corpus(config, wrench, edges, y, STATES)
+        raise InputError(f"none of the {len(wrench)} simulated trials can be used; nothing to calibrate on.")
+    wrench, edges, y = _rows(kept, order, (wrench, edges, y))
+    return device_corpus(config, wrench, edges, y, classes)
 
 
 @jax.jit
-def _completed(out: device.Outcome) -> tuple[Array, Array, Array]:
-    """Edges of the states ``[trial, 5]``, samples; the trials, completed ones first; how many they are."""
+def _states(out: device.Outcome) -> tuple[Array, Array, Array]:
+    """Edges ``[trial, 5]``, samples; classes ``[trial, 4]``; which trials were completed."""
     # a phase is logged one period after the measurement that began it
     begun = [(out.phase < phase).sum(1, dtype=jnp.int32) - 1 for phase in (task.ROTATION, task.INSERTION, task.MATING)]
     edges = jnp.stack([jnp.zeros_like(out.length), *begun, out.length], axis=1)
-    inside = jnp.arange(out.wrench.shape[1], dtype=jnp.int32)[None] < out.length[:, None]
-    sane = ((jnp.abs(out.wrench) <= MOST_WRENCH).all(2) | ~inside).all(1)
     entered = (out.phase == task.MATING).any(1)  # a trial that ran out of time is logged as if it had passed all
-    done = sane & entered & out.seated.all(1) & (jnp.diff(edges, axis=1) > 0).all(1)
-    return edges, jnp.argsort(~done, stable=True), done.sum(dtype=jnp.int32)
+    y = jnp.broadcast_to(jnp.arange(len(STATES), dtype=jnp.int32)[None], (len(out.phase), len(STATES)))
+    return edges, y, _sane(out) & entered & out.seated.all(1) & (jnp.diff(edges, axis=1) > 0).all(1)
+
+
+@jax.jit
+def _whole(out: device.Outcome, y: Array) -> tuple[Array, Array, Array]:
+    edges = jnp.stack([jnp.zeros_like(out.length), out.length], axis=1)
+    return edges, y[:, None], _sane(out) & ~out.seated.all(1) & (y >= 0)
+
+
+def _sane(out: device.Outcome) -> Array:
+    inside = jnp.arange(out.wrench.shape[1], dtype=jnp.int32)[None] < out.length[:, None]
+    return ((jnp.abs(out.wrench) <= MOST_WRENCH).all(2) | ~inside).all(1)  # false for NaN
+
+
+@jax.jit
+def _first(usable: Array) -> tuple[Array, Array]:
+    """The trials, usable ones first, and how many they are."""
+    return jnp.argsort(~usable, stable=True), usable.sum(dtype=jnp.int32)
 
 
 @partial(jax.jit, static_argnums=0)
-def _kept(count: int, wrench: Array, edges: Array, order: Array) -> tuple[Array, Array, Array]:
-    rows = order[:count]
-    y = jnp.broadcast_to(jnp.arange(len(STATES), dtype=jnp.int32)[None], (count, len(STATES)))
-    return wrench[rows], edges[rows], y
+def _rows(count: int, order: Array, leaves: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(leaf[order[:count]] for leaf in leaves)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.calibrate.corpus import Corpus
-from rcbht_jax.calibrate.gradient import GradientOptions, calibrate
+from rcbht_jax.calibrate.gradient import GradientOptions, _orders, calibrate
 from rcbht_jax.calibrate.label_times import compiled
 from rcbht_jax.calibrate.objective import shares
 from rcbht_jax.calibrate.windows import fit_windows
@@ -169,10 +169,10 @@ def two_class_corpus(trials: int, seed: int) -> Corpus:
     return Corpus(wrench, fit_windows(CONFIG, wrench, length), edges, y, ("slow", "fast"), names)
 
 
-@pytest.mark.parametrize("kind", ["logistic", "hinge"])
-def test_training_moves_a_limit_between_the_classes(kind):
+@pytest.mark.parametrize(("kind", "batch"), [("logistic", 0), ("hinge", 4)])
+def test_training_moves_a_limit_between_the_classes(kind, batch):
     start = preset()
-    options = GradientOptions(steps=60, rate=0.1, loss=kind, temperature=(0.7, 0.1))
+    options = GradientOptions(steps=60, rate=0.1, loss=kind, temperature=(0.7, 0.1), batch=batch)
     held_out = two_class_corpus(4, 1) if kind == "logistic" else None
     trained = calibrate(two_class_corpus(6, 0), CONFIG, start, options, held_out=held_out)
     assert trained.history[-1][1] < 0.5 * trained.history[0][1]
@@ -180,6 +180,13 @@ def test_training_moves_a_limit_between_the_classes(kind):
     between = (trained.thresholds.limits[0] > 2.8) & (trained.thresholds.limits[0] < 7)
     assert between.any()
     assert not ((LIMITS[0] > 2.8) & (LIMITS[0] < 7)).any()
+
+
+def test_batches_see_every_trial_before_any_comes_again():
+    rows = _orders(6, GradientOptions(batch=4))
+    seen = [next(rows) for _ in range(3)]
+    assert [len(some) for some in seen] == [4, 4, 4]
+    np.testing.assert_array_equal(np.sort(np.concatenate(seen)), np.repeat(np.arange(6), 2))
 
 
 def test_training_needs_a_strictly_ordered_start():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -138,11 +138,9 @@ def calibrate(
     if not np.isfinite(free).all():
         raise InputError("training starts from strictly ordered thresholds; two of the given limits are equal.")
     parameters = _first(free, len(corpus.classes), options)
-    optimizer = optax.multi_transform(
-        {"limits": optax.adam(options.rate), "classifier": optax.adam(options.rate_weights)},
-        Parameters("limits", "classifier", "classifier"),
-    )
-    state = optimizer.init(parameters)
+    # what a compiled step depends on: the rest may change without compiling it again
+    fixed = replace(options, steps=1, temperature=(1.0, 1.0), batch=min(options.batch, 1), seed=0)
+    state = _optimizer(fixed).init(parameters)
     batch = batch_of(corpus, config)
     other = None if held_out is None else batch_of(held_out, config)
     history, began = [], time.perf_counter()
@@ -150,8 +148,8 @@ def calibrate(
     for temperature, rows in zip(temperatures, _orders(len(corpus), options), strict=False):
         # copies are explicit: a transfer guard can show that nothing else leaves the device
         warmth, chosen = jax.device_put((temperature, rows.astype(np.int32)))
-        outside = np.nan if other is None else float(jax.device_get(_loss(config, options, parameters, other, warmth)))
-        parameters, state, inside = _step(config, options, optimizer, parameters, state, batch, chosen, warmth)
+        outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, warmth)))
+        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, warmth)
         history.append((time.perf_counter() - began, float(jax.device_get(inside)), outside))
         if not np.isfinite(history[-1][1]):
             raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
@@ -175,11 +173,17 @@ def _limits(free: Array) -> Array:
 _loss = jax.jit(loss, static_argnums=(0, 1))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+def _optimizer(options: GradientOptions) -> optax.GradientTransformation:
+    return optax.multi_transform(
+        {"limits": optax.adam(options.rate), "classifier": optax.adam(options.rate_weights)},
+        Parameters("limits", "classifier", "classifier"),
+    )
+
+
+@partial(jax.jit, static_argnums=(0, 1))
 def _step(
     config: EncoderConfig,
     options: GradientOptions,
-    optimizer: optax.GradientTransformation,
     parameters: Parameters,
     state: Any,
     batch: Batch,
@@ -194,6 +198,6 @@ def _step(
 
     gradients, value = jax.grad(total, has_aux=True)(parameters)
     with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers
-        updates, state = optimizer.update(gradients, state, parameters)
+        updates, state = _optimizer(options).update(gradients, state, parameters)
         parameters = Parameters(*optax.apply_updates(parameters, updates))
     return parameters, state, value

@@ -38,4 +38,5 @@ def _fitted(config: EncoderConfig, wrench: Array, edges: Array) -> tuple[Array, 
     inside = jnp.arange(wrench.shape[1], dtype=jnp.int32)[None] < length[:, None]
     short = -wrench.shape[1] % config.window
     padded = jnp.pad(jnp.where(inside[..., None], wrench, 0), ((0, 0), (0, short), (0, 0)))
-    return padded, Windows(*device_lines(config, padded, length), length)
+    slope, vmax, vmin = device_lines(config, padded, length)
+    return padded, Windows(slope, vmax, vmin, length)
