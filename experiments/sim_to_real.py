@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from experiments import raw_learners
 from experiments.benchmarks import recorded, rounded, segments
 from experiments.rows import Rows
-from experiments.sim_to_real_rows import CANDIDATES, ROWS, Row
+from experiments.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.sim_to_real_sets import SEED as SEED_OF_SETS
 from experiments.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets, joined, taken
 from rcbht_jax import crossval, metrics
@@ -43,6 +43,7 @@ from rcbht_jax.types import Recordings
 
 SEED = 0
 BOUNDARIES = ("merged", "harmonised")
+REAL = ("A", "B")
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,), floor=0.05)
 SELECTING = 48  # trials of each training set that choose kernel, cost and features
 SEARCHING, SEARCHED = 24, 512  # trials of each training set, and candidates, of a search for thresholds
@@ -82,7 +83,7 @@ class Experiment:
         test = pool.rows(spec.test)
         said, chosen = self.answers(spec, pool, train, test)
         out: dict[str, Any] = {"trials": len(np.unique(pool.trial[train])), "chosen": chosen}
-        for names in [(name,) for name in spec.test] + [("A", "B")] * (set(spec.test) >= {"A", "B"}):
+        for names in [(name,) for name in spec.test] + [REAL] * (set(spec.test) >= set(REAL)):
             inside = np.isin(pool.place[test], names)
             out["+".join(names)] = scored(pool, test[inside], said[inside])
         return rounded(out)
@@ -150,6 +151,29 @@ class Experiment:
         together = joined(parts)
         return together, sentences(together, TaskSpec(outcomes=()))
 
+    def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:
+        """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.
+
+        Per family the median and the 95th percentile over columns and states, and the columns that are farthest off.
+        """
+        made = {name: self.sets.features(name, Labelling(), boundaries) for name in (*ALL.train, *REAL)}
+        y = {name: self.sets.items(name, boundaries).y for name in made}
+        simulated = np.concatenate([made[name].values for name in ALL.train]).astype(np.float64)
+        width = np.maximum(simulated.std(0), GRID.floor)
+        states = np.unique(y["A"]).tolist()
+
+        def mean(names: tuple[str, ...]) -> NDArray[np.float64]:
+            return np.stack([np.concatenate([made[n].values[y[n] == s] for n in names]).mean(0) for s in states])
+
+        off = {name: np.abs(mean((name,)) - mean(ALL.train)) / width for name in REAL}
+        family, names = np.array(made["A"].families), np.array(made["A"].names)
+        out: dict[str, Any] = {}
+        for name, table in off.items():
+            quantiles = {f: np.quantile(table[:, family == f], [0.5, 0.95]).tolist() for f in dict.fromkeys(family)}
+            worst = np.argsort(-table.max(0))[:10]
+            out[name] = {"families": quantiles, "farthest": {str(names[i]): float(table[:, i].max()) for i in worst}}
+        return rounded(out)
+
 
 def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_]:
     """At most so many trials of each set that ``rows`` name, drawn at random; a larger number holds the smaller's."""
@@ -213,7 +237,7 @@ def main() -> None:
     given = parser.parse_args()
     experiment = Experiment(given.folder)
     rows = Rows("sim_to_real", "python -m experiments.sim_to_real FOLDER", about(experiment), SEED)
-    wanted = {name: experiment.row(spec) for name, spec in ROWS.items()}
+    wanted = {name: experiment.row(spec) for name, spec in ROWS.items()} | {"shift of features": experiment.shift}
     rows.fill(wanted, lambda name: any(text in name for text in given.only))
 
 

@@ -58,6 +58,9 @@ def _rows() -> dict[str, Row]:
     for level in ("none", "mild", "wide"):
         rows[f"randomisation | {level}, all presets"] = replace(FEW, train=_of(level, *PRESETS))
         rows[f"randomisation | {level}, without A and B"] = replace(FEW, train=_of(level, "C", "openhrp"))
+    ideal = (*_of("wide", "A", "B", "C"), "ideal openhrp")
+    rows["sensor | all presets wear a robot's"] = FEW
+    rows["sensor | the OpenHRP preset's is free of noise"] = replace(FEW, train=ideal)
     for trials, draws in ((4, 3), (16, 3), (64, 1), (128, 1)):
         for draw in range(draws):
             name = f"amount | {trials * len(PRESETS)} trials" + f", draw {draw + 1}" * (draws > 1)

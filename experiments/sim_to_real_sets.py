@@ -38,7 +38,7 @@ MILD = Randomisation(nominal_share=1.0)
 WIDE = Randomisation(
     nominal_share=1.0, shift=(-2e-3, 2e-3), turn=(-0.02, 0.02), stiffness=(0.5, 2.0), overlap=(0.8, 1.1),
     friction=(0.5, 2.0), mount=(0.6, 1.7), gain=(0.8, 1.25), goal=(0.7, 1.4), speed=(0.6, 1.6), lag=(3, 8),
-    noise=(0.5, 2.0), force_bias=(-1.0, 1.0), moment_bias=(-0.05, 0.05), tare=(0.8, 1.0),
+    noise=(0.5, 2.0), force_bias=(-1.0, 1.0), moment_bias=(-0.05, 0.05), tare=(0.8, 1.0), mating=(1.0, 20.0),
 )  # fmt: skip
 
 
@@ -64,6 +64,7 @@ SETS = {
     "none": SimulatedSet(NONE, 64),
     "mild": SimulatedSet(MILD, 128),
     "wide": SimulatedSet(WIDE, 256),
+    "own-end": SimulatedSet(replace(WIDE, mating=None), 64),  # as wide, but each preset's own time of mating
     "ideal": SimulatedSet(WIDE, 64),  # as wide, but the OpenHRP preset keeps its noise-free sensor
 }
 WORN = "A"  # a robot's sensor has noise, which the OpenHRP preset's has not: it wears this session's

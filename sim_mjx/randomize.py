@@ -59,6 +59,7 @@ class Randomisation:
     force_bias: Range = (-0.3, 0.3)  # N, drift since the tare, each axis: <= .4 N; audit
     moment_bias: Range = (-0.02, 0.02)  # Nm, likewise; C's free space My is -.045; audit
     tare: Range = (0.97, 1.0)  # share of the tool's weight that the tare removes; chosen
+    mating: Range | None = None  # s, recorded after mating begins; None = the preset's own time
 
     fault_x: Range = (0.0, 0.020)  # m, pose fault; recorded failures 0-19.7 mm; audit
     fault_y: Range = (-0.0105, 0.0105)  # m, pose fault; recorded failures +-10.5 mm; audit
@@ -76,8 +77,8 @@ LIMITS: dict[str, Range] = {
     "shift": (-0.1, 0.1), "turn": (-1.0, 1.0), "stiffness": (0.05, 20.0), "overlap": (0.05, 2.0),
     "friction": (0.01, 20.0), "mount": (0.05, 20.0), "gain": (0.0, 10.0), "goal": (0.0, 10.0), "speed": (0.05, 20.0),
     "noise": (0.0, 100.0), "force_bias": (-50.0, 50.0), "moment_bias": (-5.0, 5.0), "tare": (0.0, 1.0),
-    "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0), "jam_friction": (0.01, 20.0),
-    "jam_overlap": (1e-5, 1.99e-3),
+    "mating": (0.1, 600.0), "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0),
+    "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
     "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "moved_by": (0.0, 0.1), "stop_at": (0.01, 1.0),
 }  # fmt: skip
 
@@ -123,6 +124,8 @@ def check(spec: Randomisation) -> None:
     if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
         raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for name, (least, most) in LIMITS.items():
+        if getattr(spec, name) is None:
+            continue
         low, high = getattr(spec, name)
         if not least <= low <= high <= most:
             raise InputError(f"The range of {name} is {low} to {high}; expected it within {least} to {most}.")
@@ -201,6 +204,8 @@ def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[Trial
     kind = "none" if rng.random() < spec.nominal_share else spec.faults[int(rng.integers(len(spec.faults)))]
     if kind != "none":
         FAULTS[kind](values, spec, rng)
+    if spec.mating is not None:  # the last draw, so that the others do not depend on it
+        task = replace(task, mating_time=np.asarray(_draw(rng, spec.mating)))
     params = TrialParams(
         task=_with_task(base, task, values, spec.longest),
         sensor=touch,

@@ -197,3 +197,9 @@ def test_a_trial_can_wear_another_sessions_sensor() -> None:
     assert same(replace(worn, sensor=own.sensor), own)
     with pytest.raises(InputError, match="no sensor of session 'Z'"):
         draw("A", 0, 0, replace(NOMINAL, sensor="Z"))
+
+
+def test_how_long_mating_is_recorded_can_vary_and_changes_nothing_else() -> None:
+    own, varied = (draw("C", 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
+    assert 1.0 <= varied.task.mating_time <= 20.0 != own.task.mating_time
+    assert same(replace(varied, task=replace(varied.task, mating_time=own.task.mating_time)), own)
