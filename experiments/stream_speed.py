@@ -39,19 +39,20 @@ from rcbht_jax.streams.session import Session
 
 TRIAL = "REAL_HIRO_ONE_SA_SUCCESS/20121127-HIROSA-S-13"
 START = """
-import sys, time
+import resource, sys, time
 start = time.perf_counter()
-import jax, numpy as np
-if sys.argv[2]:
-    jax.config.update("jax_compilation_cache_dir", sys.argv[2])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 from pathlib import Path
+from rcbht_jax import compile_cache
 from rcbht_jax.introspect.introspector import Introspector
 from rcbht_jax.introspect.model import load
+if sys.argv[2]:
+    compile_cache.use(Path(sys.argv[2]))
 introspector = Introspector(load(Path(sys.argv[1])), rate=None)
-assert introspector.push(np.zeros((introspector.model.encoder.window, 6)))
-print(time.perf_counter() - start)
+assert introspector.push([[0.0] * 6] * introspector.model.encoder.window)
+used = resource.getrusage(resource.RUSAGE_SELF)
+print(time.perf_counter() - start, used.ru_utime + used.ru_stime)
 """
+QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "largest": 1.0}
 
 
 def signal(data: Path) -> NDArray[np.float32]:
@@ -65,27 +66,34 @@ def megabytes() -> float:
 
 
 def latency(model: Path, wrench: NDArray[np.float32], pushes: int) -> dict[str, float]:
+    """Wall and processor time of single pushes; the latter is the same on a busy machine."""
     introspector = Introspector(load(model), rate=None)
     introspector.warm_up()
     window = introspector.model.encoder.window
     windows = wrench[: len(wrench) // window * window].reshape(-1, window, 6)
-    seconds = np.empty(pushes)
+    wall, processor = np.empty(pushes), np.empty(pushes)
     for k in range(pushes):
         piece = windows[k % len(windows)]
-        start = time.perf_counter()
+        start, used = time.perf_counter(), time.process_time()
         introspector.push(piece)
-        seconds[k] = time.perf_counter() - start
-    quantiles = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "largest": 1.0}
-    return {f"{name}, ms": round(float(np.quantile(seconds, q)) * 1e3, 3) for name, q in quantiles.items()}
+        wall[k], processor[k] = time.perf_counter() - start, time.process_time() - used
+    return {
+        f"{name}, {what}ms": round(float(np.quantile(seconds, q)) * 1e3, 3)
+        for what, seconds in (("", wall), ("processor ", processor))
+        for name, q in QUANTILES.items()
+    }
 
 
-def start_up(model: Path) -> dict[str, float]:
-    def once(cache: str) -> float:
+def start_up(model: Path) -> dict[str, dict[str, float]]:
+    """Wall and processor seconds of a fresh process from the first import to the first belief."""
+
+    def once(cache: str) -> dict[str, float]:
         command = [sys.executable, "-c", START, str(model), cache]
-        return round(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout), 2)
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        return {"wall, s": round(float(said[0]), 2), "processor, s": round(float(said[1]), 2)}
 
     with tempfile.TemporaryDirectory() as folder:
-        return {"cold, s": once(""), "filling the cache, s": once(folder), "warm cache, s": once(folder)}
+        return {"cold": once(""), "filling the cache": once(folder), "warm cache": once(folder)}
 
 
 def long_stream(model: Path, wrench: NDArray[np.float32], samples: int) -> dict[str, Any]:

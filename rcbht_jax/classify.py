@@ -18,9 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.model_selection import StratifiedGroupKFold
-from sklearn.svm import SVC
 
 from rcbht_jax import metrics
 from rcbht_jax.errors import InputError
@@ -198,6 +195,10 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
 
 def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterations: int, gamma: float = 1.0) -> Any:
     """A fitted ``SVC``; its ``fit_status_`` is 1 if it stopped at the bound on iterations (-1 = none)."""
+    # Imported by those who train only: it takes longer to import than a stream may take to start.
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.svm import SVC
+
     machine = SVC(
         C=cost,
         kernel=kernel,
@@ -230,6 +231,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int, seed: int) -> list[
     Raises:
         InputError: a class has fewer groups than there are folds.
     """
+    from sklearn.model_selection import StratifiedGroupKFold
+
     fewest = _fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         raise InputError(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rcbht_jax.errors import InputError
 
@@ -75,7 +75,7 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
         raise InputError(f"an interval needs at least two scores; there are {scores.size}.")
     mean = float(scores.mean())
     error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
-    half = float(student.ppf(0.5 + level / 2, scores.size - 1) * error)
+    half = float(stdtrit(scores.size - 1, 0.5 + level / 2) * error)
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 

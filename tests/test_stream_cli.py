@@ -13,10 +13,17 @@ import numpy as np
 import pytest
 from introspect_models import model, trial
 
+from rcbht_jax import compile_cache
 from rcbht_jax.cli import main
 from rcbht_jax.data.store import read_recordings
 from rcbht_jax.introspect import model as model_files
 from rcbht_jax.streams import page
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The programs of these tests stay out of the user's cache."""
+    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
 
 
 @pytest.fixture

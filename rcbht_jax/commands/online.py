@@ -1,4 +1,4 @@
-"""``rcbht train-online`` and ``rcbht stream``."""
+"""``rcbht stream``, and what it shares with ``rcbht serve``."""
 
 from __future__ import annotations
 
@@ -13,86 +13,18 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from tqdm import tqdm  # type: ignore[import-untyped]
 
+from rcbht_jax import compile_cache
 from rcbht_jax.commands import Command
-from rcbht_jax.data.store import read_recordings
-from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.events import Belief, Event
 from rcbht_jax.introspect.introspector import Introspector
-from rcbht_jax.introspect.model import load, save
-from rcbht_jax.introspect.train import FAMILIES, RELATIVE, HeadSpec, train_model
+from rcbht_jax.introspect.model import load
 from rcbht_jax.streams.bags import McapWriter, is_bag, read_bag
 from rcbht_jax.streams.live import read_live
 from rcbht_jax.streams.messages import Message, Sample
 from rcbht_jax.streams.recordings import read_folder, read_store
 from rcbht_jax.streams.session import Session, paced
-from rcbht_jax.tasks import CONFOUNDS, TaskSpec
-from rcbht_jax.thresholds import preset
-
-
-@dataclass(frozen=True)
-class TrainOnline(Command):
-    """Train the beliefs of a stream: one head per task, calibrated on trials that its machine did not see.
-
-    Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
-    """
-
-    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
-    """Store of recordings; no label tracks are needed."""
-    tasks: tuple[Literal["states", "outcome", "failure-type"], ...] = ("states",)
-    """Heads to train."""
-    source: tuple[str, ...] = ()
-    """Data sets; default all."""
-    session: tuple[str, ...] = ()
-    """Recording sessions; default all."""
-    features: Literal["all", "relative"] = "all"
-    """relative leaves out what absolute values give away, such as the bias of the sensor."""
-    window: int = 5
-    """Samples per straight-line fit."""
-    robot: Literal["hiro", "baxter", "pa10"] = "hiro"
-    """Whose gradient thresholds to use."""
-    seed: int = 0
-    """Of the folds."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")] = Path("online.model")
-    """Model file to write: arrays and JSON, no code."""
-
-    def run(self) -> dict[str, Any]:
-        recordings = read_recordings(self.store)
-        families = FAMILIES if self.features == "all" else RELATIVE
-        specs = tuple(
-            HeadSpec(TaskSpec(task, sources=self.source, sessions=self.session), families) for task in self.tasks
-        )
-        config = EncoderConfig(window=self.window, dt=recordings.dt)
-        with tqdm(desc="watch", unit=" looks", file=sys.stderr, disable=None) as bar:
-
-            def progress(done: int, total: int) -> None:
-                bar.total = total
-                bar.update(done)
-
-            model = train_model(recordings, specs, config, preset(self.robot), self.seed, progress)
-        save(self.out, model)
-        heads = {
-            head.name: {
-                "classes": list(head.classes),
-                "kernel": head.machine.svm.spec.kernel,
-                "cost": head.machine.svm.spec.cost,
-                "features": int(head.machine.svm.center.size),
-                "confounds": CONFOUNDS[head.name],
-            }
-            for head in model.heads
-        }
-        return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
-
-    def text(self, result: dict[str, Any]) -> str:
-        lines = [f"{result['model']}: {len(result['heads'])} head(s)"]
-        for name, head in result["heads"].items():
-            classes = ", ".join(head["classes"])
-            how = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"
-            lines.append(f"{name}: {classes}; {how}")
-            lines.append(f"  read with care: {head['confounds']}")
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -121,6 +53,8 @@ class Source(Command):
     """Gaps up to this many seconds are bridged; after longer ones everything starts anew."""
     silent: float = 1.0
     """Report a live source that says nothing for so many seconds."""
+    compile_cache: Path | None = None
+    """Folder for the compiled chain, so that the next start is quick; default in your cache folder."""
 
     def opened(self) -> tuple[Session, Iterator[Message]]:
         """A session with its model compiled, and the messages for it.
@@ -131,6 +65,7 @@ class Source(Command):
         if not 0 <= self.speed < float("inf"):
             raise InputError(f"A stream cannot be replayed at {self.speed} times its pace; give zero or more.")
         messages = self._messages()
+        compile_cache.use(self.compile_cache)
         introspector = Introspector(load(self.model), self.rate or None, self.k)
         session = Session(introspector, self.bridge)
         introspector.warm_up()

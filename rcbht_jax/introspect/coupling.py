@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from rcbht_jax.classify import DEGREE, Ints, Matrix, SvmModel, SvmSpec, fit, grouped_folds, pairs
 from rcbht_jax.errors import InputError
@@ -130,10 +129,15 @@ def _loss(point: NDArray[np.float64], f: Matrix, target: Matrix) -> float:
     return float(np.sum(np.logaddexp(0, z) - (1 - target) * z))
 
 
+def _sigmoid(x: Matrix) -> NDArray[np.float64]:
+    """1 / (1 + exp(-x)) without overflow."""
+    return np.asarray(np.exp(-np.logaddexp(0, -x)), np.float64)
+
+
 def _derivatives(
     point: NDArray[np.float64], f: Matrix, target: Matrix
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    p = expit(-(point[0] * f + point[1]))
+    p = _sigmoid(-(point[0] * f + point[1]))
     design = np.stack([f, np.ones_like(f)], 1)
     gradient = design.T @ (target - p)
     hessian = (design * (p * (1 - p))[:, None]).T @ design + _RIDGE * np.eye(2)
@@ -142,7 +146,7 @@ def _derivatives(
 
 def pair_probability(decision: Matrix, sigmoid: Matrix) -> NDArray[np.float64]:
     """Probability ``[item, pair]`` of each pair's first class, from decision values ``[item, pair]``."""
-    return np.clip(expit(-(decision * sigmoid[:, 0] + sigmoid[:, 1])), CERTAIN, 1 - CERTAIN)
+    return np.clip(_sigmoid(-(decision * sigmoid[:, 0] + sigmoid[:, 1])), CERTAIN, 1 - CERTAIN)
 
 
 def _quadratic(pair: Matrix, classes: int) -> NDArray[np.float64]:

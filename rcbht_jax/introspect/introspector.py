@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -91,6 +90,7 @@ def believe(
 
 
 _believe = jax.jit(believe, static_argnums=0)
+_begin = jax.jit(begin_stream, static_argnums=0)  # one small program in place of one per field
 
 
 class Introspector:
@@ -122,8 +122,8 @@ class Introspector:
         self._chain = Chain.of(model)
         self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
-        self._limits = jnp.asarray(model.limits, jnp.float32)
-        self._machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
+        self._limits = jax.device_put(np.asarray(model.limits, np.float32))
+        self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(k, hold) for h in model.heads if h.alarm}
         self._failure: tuple[str, str] | None = None  # label and level that were told last
@@ -133,7 +133,7 @@ class Introspector:
         self._fresh()
 
     def _fresh(self) -> None:
-        self._progress: Progress = begin_stream(self._chain.sights)
+        self._progress: Progress = _begin(self._chain.sights)
         self._rest: NDArray[np.float32] = np.zeros((self._config.window, 6), np.float32)
         self._count = 0
         self._complete = 0  # samples in complete windows
