@@ -61,6 +61,10 @@ def _rows() -> dict[str, Row]:
     ideal = (*_of("wide", "A", "B", "C"), "ideal openhrp")
     rows["sensor | all presets wear a robot's"] = FEW
     rows["sensor | the OpenHRP preset's is free of noise"] = replace(FEW, train=ideal)
+    rows["mating | 1 to 20 s"] = FEW
+    rows["mating | 1 to 20 s, without A and B"] = replace(FEW, train=_of("wide", "C", "openhrp"))
+    rows["mating | each preset's own time"] = replace(FEW, train=_of("own-end", *PRESETS))
+    rows["mating | own time, without A and B"] = replace(FEW, train=_of("own-end", "C", "openhrp"))
     for trials, draws in ((4, 3), (16, 3), (64, 1), (128, 1)):
         for draw in range(draws):
             name = f"amount | {trials * len(PRESETS)} trials" + f", draw {draw + 1}" * (draws > 1)

@@ -1,0 +1,79 @@
+"""The figure of ``experiments.sim_to_real``: what each choice does to the accuracy on recorded trials.
+
+Run: python -m experiments.sim_to_real_figure docs/images/sim-to-real.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.record import RESULTS
+from rcbht_jax.plots.canvas import new_figure, save
+
+TITLES = {"merged": "three states (rotation and insertion merged)", "harmonised": "four states"}
+GOALS = {"merged": 0.92, "harmonised": 0.80}
+SESSIONS = {"A": ("o", "#1f77b4"), "B": ("s", "#d95f02")}
+POOLED = "A+B"
+
+
+def lines(rows: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Name as shown -> rows behind it, several where the same was done with several draws of trials."""
+    shown: dict[str, list[dict[str, Any]]] = {}
+    for name, row in rows.items():
+        if "|" in name and POOLED in row.get("merged", {}):
+            shown.setdefault(name.split(", draw")[0], []).append(row)
+    return shown
+
+
+def draw(rows: dict[str, Any]) -> Figure:
+    """Dots per session and the 95 % interval of both together, one line per row."""
+    shown = lines(rows)
+    figure = new_figure((12.0, 0.21 * len(shown) + 1.6), 110)
+    panels = figure.subplots(1, 2, sharey=True)
+    for panel, (boundaries, title) in zip(panels, TITLES.items(), strict=True):
+        for height, group in enumerate(shown.values()):
+            found = [row[boundaries] for row in group]
+            low, high = np.mean([one[POOLED]["interval"] for one in found], axis=0)
+            panel.plot([low, high], [height, height], color="0.6", linewidth=3, solid_capstyle="butt", zorder=1)
+            for session, (marker, color) in SESSIONS.items():
+                at = np.mean([one[session]["accuracy"] for one in found])
+                panel.plot(at, height, marker, color=color, markersize=5, zorder=2, alpha=0.85)
+        panel.axvline(GOALS[boundaries], color="0.3", linestyle=":", linewidth=1)
+        panel.set_title(title, fontsize=10)
+        panel.set_xlim(0, 1.02)
+        panel.set_xlabel("accuracy on recorded trials")
+        panel.grid(axis="x", color="0.9")
+    names = list(shown)
+    for height in range(1, len(names)):
+        if names[height].split(" | ")[0] != names[height - 1].split(" | ")[0]:
+            for panel in panels:
+                panel.axhline(height - 0.5, color="0.8", linewidth=0.8)
+    panels[0].set_yticks(range(len(names)), [name.replace(" | ", ": ") for name in names], fontsize=8)
+    panels[0].set_ylim(len(names) - 0.5, -0.5)
+    handles = [
+        panels[0].plot([], [], marker, color=color, label=f"session {session}")[0]
+        for session, (marker, color) in SESSIONS.items()
+    ]
+    handles.append(panels[0].plot([], [], color="0.6", linewidth=3, label="both, 95 % interval")[0])
+    handles.append(panels[0].plot([], [], ":", color="0.3", label="aim")[0])
+    figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
+    figure.tight_layout(rect=(0, 0.5 / figure.get_figheight(), 1, 1))
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("target", type=Path)
+    given = parser.parse_args()
+    record = json.loads((RESULTS / "sim_to_real.json").read_text(encoding="utf-8"))
+    save(draw(record["result"]["rows"]), given.target)
+
+
+if __name__ == "__main__":
+    main()
