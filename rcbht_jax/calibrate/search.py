@@ -32,7 +32,7 @@ from rcbht_jax.thresholds import Thresholds, preset
 
 Floats = NDArray[np.float64]
 # Candidates x recordings encoded at once: as much as fits a core's cache, or fills a GPU; ...
-_TOGETHER = {"cpu": (256, 1), "gpu": (4096, 8)}
+_TOGETHER = {"cpu": (128, 1), "gpu": (4096, 8)}
 _MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and bytes that the times of a chunk of candidates may take
 
 
