@@ -1,0 +1,90 @@
+"""Confidence while a sub-task runs: the belief in its true class over its course, per class, as in the paper's figure.
+
+Half of the trials train, the other half is streamed at 10 Hz, again and again with other halves, with the machinery of
+experiments.table2. Kept are the mean and the middle 80 % of the probability of the true class per twentieth of the
+sub-task, over all test sentences and repeats.
+
+Run: python -m experiments.confidence --repeats 10 --seed 0
+Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments.benchmarks import recorded, rounded
+from experiments.rows import Rows
+from experiments.table2 import MAIN_RATE, SETS, halves, watched
+from rcbht_jax.classify import select
+from rcbht_jax.encoder import EncoderConfig
+from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.train import FAMILIES, GRID, Looks
+from rcbht_jax.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+PARTS = 20  # of a sub-task
+
+
+def beliefs(x: dict[str, Any], items: Sentences, seed: int) -> tuple[Looks, np.ndarray]:
+    """The looks at the untrained half, and the probability of the true class at each."""
+    inside = halves(items, seed)
+    columns = np.isin(x["family"], FAMILIES)
+    fitted, looks = x["picked"], x["streamed"]
+    rows = inside[fitted.sentence]
+    sentence = fitted.sentence[rows]
+    y, group, train = items.y[sentence], items.trial[sentence], x["picked_x"][rows][:, columns]
+    machine = fit_probabilistic(train, y, group, items.classes, select({"": train}, y, group, GRID, seed), seed)
+    test = np.flatnonzero(~inside[looks.sentence])
+    seen = looks.take(test)
+    p = machine.probability(x["streamed_x"][test][:, columns])
+    return seen, p[np.arange(len(p)), items.y[seen.sentence]]
+
+
+def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
+    items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
+    length = items.intervals[0].end - items.intervals[0].start
+    classes, parts, found = [], [], []
+    for one in tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None):
+        seen, p = beliefs(x, items, one)
+        classes.append(items.y[seen.sentence])
+        parts.append(np.minimum(((seen.now - seen.begin) * PARTS - 1) // length[seen.sentence], PARTS - 1))
+        found.append(p)
+    y, part, p = np.concatenate(classes), np.concatenate(parts), np.concatenate(found)
+    return {
+        "seconds of a sub-task, median": [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)],
+        "belief": {name: course(p[y == c], part[y == c]) for c, name in enumerate(items.classes)},
+    }
+
+
+def course(p: np.ndarray, part: np.ndarray) -> dict[str, list[float | None]]:
+    """Mean and middle 80 % per part; None where no look falls into it."""
+    cells = [p[part == i] for i in range(PARTS)]
+    kinds = {"mean": np.mean, "low": lambda v: np.quantile(v, 0.1), "high": lambda v: np.quantile(v, 0.9)}
+    return {kind: [float(f(cell)) if cell.size else None for cell in cells] for kind, f in kinds.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    recordings = recorded()
+    about = {
+        "what": "probability of the true class over the course of a sub-task, streamed, trials not trained on",
+        "rate, Hz": MAIN_RATE,
+        "repeats": args.repeats,
+        "families": FAMILIES,
+    }
+    command = f"python -m experiments.confidence --repeats {args.repeats} --seed {args.seed}"
+    wanted = {n: lambda n=n: rounded(measure(recordings, n, args.repeats, args.seed)) for n in SETS}
+    Rows("confidence", command, about, args.seed).fill(wanted)
+
+
+if __name__ == "__main__":
+    main()

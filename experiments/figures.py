@@ -1,0 +1,160 @@
+"""Figures of the committed results, written to docs/images; nothing is measured here.
+
+Run: python -m experiments.figures
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.record import RESULTS
+from rcbht_jax.plots import save
+from rcbht_jax.plots.canvas import new_figure
+
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+DPI = 110
+# Colours that people with any colour vision tell apart (Okabe and Ito).
+OURS, PEER, PROBE = "#0072B2", "#E69F00", "#999999"
+LINES = ("#D55E00", "#0072B2", "#999999", "#009E73")
+KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
+
+
+def result(name: str) -> Any:
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["result"]
+
+
+def plain(ax: Axes) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(labelsize=8)
+
+
+def peers() -> Figure:
+    """One panel per benchmark: accuracy of every method with its interval, best on top."""
+    found = result("peers")
+    benchmarks = list(found["benchmarks"])
+    figure = new_figure((12.5, 8.6), DPI)
+    for number, benchmark in enumerate(benchmarks):
+        ax = figure.add_subplot(2, len(benchmarks) // 2, number + 1)
+        rows = {
+            name.split(" | ")[1]: row
+            for name, row in found["rows"].items()
+            if name.startswith(f"{benchmark} | ") and not name.endswith("majority")
+        }
+        order = sorted(rows, key=lambda method: rows[method]["accuracy"]["mean"])
+        for place, method in enumerate(order):
+            bar(ax, place, rows[method])
+        ax.set_yticks(range(len(order)), [short(method) for method in order])
+        chance = found["rows"].get(f"{benchmark} | majority")
+        if chance:
+            ax.axvline(chance["accuracy"]["mean"], color="0.3", linestyle=":", linewidth=1)
+        ax.set_xlim(0, 1.02)
+        facts = found["benchmarks"][benchmark]
+        ax.set_title(f"{benchmark}\n{len(facts['classes'])} classes, {facts['items']} items", fontsize=9)
+        plain(ax)
+    handles = [figure.axes[0].barh(np.nan, 0, color=color, label=label) for color, label in KINDS.values()]
+    figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=9)
+    figure.supxlabel("accuracy; line: 95 % interval; dots: most frequent class", fontsize=9, y=0.045)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return figure
+
+
+def bar(ax: Axes, place: int, row: dict[str, Any]) -> None:
+    score = row["accuracy"]
+    ax.barh(place, score["mean"], color=KINDS[row["kind"]][0], height=0.75)
+    ax.plot([score["low"], score["high"]], [place, place], color="black", linewidth=1.2)
+
+
+def short(method: str) -> str:
+    long = {", without duration and offset": ",\nno duration, no offset", ", offset removed": ",\nno offset"}
+    for part, shorter in long.items():
+        method = method.replace(part, shorter)
+    return method
+
+
+def curves() -> Figure:
+    """Accuracy over the number of training trials, one panel per set."""
+    rows = result("curves")["rows"]
+    names = list(dict.fromkeys(name.split(" | ")[0] for name in rows))
+    figure = new_figure((10.0, 4.0), DPI)
+    for number, name in enumerate(names):
+        ax = figure.add_subplot(1, len(names), number + 1)
+        found = {key.split(" | ")[2]: row for key, row in rows.items() if key.startswith(f"{name} | curve")}
+        for color, (features, row) in zip(LINES, found.items(), strict=False):
+            sizes = [int(size) for size in row]
+            mean, low, high = np.array(list(row.values())).T
+            ax.plot(sizes, mean, color=color, marker="o", markersize=3.5, label=features)
+            ax.fill_between(sizes, low, high, color=color, alpha=0.15, linewidth=0)
+        ax.set_ylim(0.4, 1.01)
+        ax.set_title(name, fontsize=10)
+        ax.set_xlabel("training trials", fontsize=9)
+        ax.grid(alpha=0.3)
+        plain(ax)
+    figure.axes[0].set_ylabel("accuracy on all other trials", fontsize=9)
+    figure.axes[-1].legend(fontsize=8, frameon=False, loc="lower right")
+    figure.tight_layout()
+    return figure
+
+
+def grids() -> Figure:
+    """Accuracy over kernel and cost, one panel per set and kind of features."""
+    found = result("curves")
+    rows = {name: row for name, row in found["rows"].items() if " | grid | " in name}
+    figure = new_figure((11.0, 4.2), DPI)
+    for number, (name, row) in enumerate(rows.items()):
+        ax = figure.add_subplot(2, 2, number + 1)
+        values = np.array(list(row.values()))
+        ax.imshow(values, vmin=0.25, vmax=1, cmap="viridis", aspect="auto")
+        for (y, x), value in np.ndenumerate(values):
+            color = "white" if value < 0.7 else "black"
+            ax.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
+        ax.set_yticks(range(len(row)), list(row))
+        ax.set_xticks(range(values.shape[1]), [f"{cost:g}" for cost in found["costs"]])
+        ax.set_title(name.replace(" | grid | ", ": "), fontsize=9)
+        ax.tick_params(labelsize=8)
+    figure.supxlabel("C", fontsize=9)
+    figure.supylabel("kernel", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+def confidence() -> Figure:
+    """Belief in the true class over the course of a sub-task: a row per set, a column per class."""
+    rows = result("confidence")["rows"]
+    figure = new_figure((10.5, 2.3 * len(rows) + 0.4), DPI)
+    for number, (name, row) in enumerate(rows.items()):
+        for place, (state, belief) in enumerate(row["belief"].items()):
+            ax = figure.add_subplot(len(rows), len(row["belief"]), number * len(row["belief"]) + place + 1)
+            mean, low, high = (np.array(belief[kind], float) for kind in ("mean", "low", "high"))
+            at = (np.arange(len(mean)) + 0.5) * 100 / len(mean)
+            seen = ~np.isnan(mean)
+            ax.axhspan(0, 0.5, color="0.93", linewidth=0)
+            ax.axhline(0.7, color="0.4", linestyle=":", linewidth=1)
+            ax.fill_between(at[seen], low[seen], high[seen], color=OURS, alpha=0.2, linewidth=0)
+            ax.plot(at[seen], mean[seen], color=OURS, linewidth=1.8)
+            ax.set_xlim(0, 100)
+            ax.set_ylim(0, 1.02)
+            seconds = row["seconds of a sub-task, median"][place]
+            ax.set_title(f"{name}, {state} ({seconds:.1f} s)", fontsize=9)
+            plain(ax)
+    figure.supxlabel("part of the sub-task that has passed, %", fontsize=9)
+    figure.supylabel("probability of the true class", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+FIGURES = {"peers": peers, "training-size": curves, "kernel-cost": grids, "confidence": confidence}
+
+
+def main() -> None:
+    for name, draw in FIGURES.items():
+        save(draw(), IMAGES / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

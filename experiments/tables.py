@@ -1,0 +1,172 @@
+"""Tables in Markdown of the committed results, by name; each takes the way from its page to the results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.record import RESULTS
+from rcbht_jax.errors import InputError
+from rcbht_jax.report.results import Row, read_results
+
+# What the README shows: beginning of the group, of the row's text -> what it is called there.
+SHOWN = {
+    ("Offline", "REAL states, grouped"): "states, real trials, offline",
+    ("Offline", "SIM one-arm states, grouped"): "states, the authors' simulated trials, offline",
+    ("Offline", "REAL success/failure"): "success or failure, real trials, offline (confounded)",
+    ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end",
+    ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
+    ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
+}
+FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")
+NONE = "–"
+
+
+def _result(name: str) -> Any:
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["result"]
+
+
+def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _number(score: dict[str, float] | None, interval: bool = True) -> str:
+    """A mean with its 95 % interval, or a dash."""
+    if score is None:
+        return NONE
+    limits = f" ({score['low']:.3f} to {score['high']:.3f})" if interval and "low" in score else ""
+    return f"{score['mean']:.3f}{limits}"
+
+
+def _grouped(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Rows called "first | second" as second -> first -> row."""
+    out: dict[str, dict[str, Any]] = {}
+    for name, row in rows.items():
+        first, second = name.split(" | ")
+        out.setdefault(second, {})[first] = row
+    return out
+
+
+def results(way: str) -> str:
+    """The README's table."""
+    rows = read_results(RESULTS).rows
+    lines = []
+    for (group, what), title in SHOWN.items():
+        row = _only([row for row in rows if row.group.startswith(group) and row.what.startswith(what)], what)
+        low, high = row.interval or (row.ours, row.ours)
+        link = f"[{Path(row.source).stem}]({way}{row.source})"
+        lines.append((title, row.paper or "none", f"{row.ours:.3f} ({low:.3f} to {high:.3f})", link))
+    return _markdown(("accuracy", "paper", "here, 95 % interval", "result"), lines)
+
+
+def _only(rows: list[Row], what: str) -> Row:
+    if len(rows) != 1:
+        raise InputError(f"{len(rows)} results are called {what}; expected one.")
+    return rows[0]
+
+
+def _peers(benchmarks: Sequence[str]) -> str:
+    found = _grouped(_result("peers")["rows"])
+    lines = []
+    for kind in ("peer", "ours", "probe"):
+        for method, row in found.items():
+            if next(iter(row.values()))["kind"] == kind:
+                said = (row.get(benchmark, {}).get("accuracy") for benchmark in benchmarks)
+                lines.append((f"*{method}*" if kind == "probe" else method, *map(_number, said)))
+    return _markdown(("", *benchmarks), lines)
+
+
+def peers_folds(way: str) -> str:
+    """Other methods and words by cross-validation."""
+    return _peers(FOLDED)
+
+
+def peers_sessions(way: str) -> str:
+    """Other methods and words from one session to another."""
+    return _peers([name for name in _result("peers")["benchmarks"] if name not in FOLDED])
+
+
+def table1(way: str) -> str:
+    """Table I of the paper on our labels."""
+    lines = []
+    for name, row in _result("table1_ours")["rows"].items():
+        what, labels = name.split(" | ")
+        paper = NONE if row["paper"] is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*row["paper"])
+        low, mean, high = row["paper's features, paper's protocol"]["fold_min_mean_max"]
+        nested, words = (row[f"{kind}, nested, grouped"]["accuracy"] for kind in ("paper's features", "words"))
+        alone = row["duration alone"]["accuracy"]
+        ours = (f"{mean:.3f} ({low:.3f} to {high:.3f})", _number(nested), _number(words), _number(alone, False))
+        lines.append((what, labels, paper, *ours))
+    head = ("", "labels", "paper: mean (min to max)", "paper's features and protocol: mean (min to max)")
+    return _markdown((*head, "paper's features, nested, grouped", "words, nested, grouped", "duration alone"), lines)
+
+
+def probes(way: str) -> str:
+    """What tells failure, success and session without any assembly."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, row in _result("probes")["rows"].items():
+        question, view = name.split(" | ")
+        found.setdefault(question, {})[view] = row["balanced_accuracy"]
+    views = list(next(iter(found.values())))[1:]
+    lines = [(question, *(_number(row.get(view)) for view in views)) for question, row in found.items()]
+    return _markdown(("balanced accuracy", *views), lines)
+
+
+def calibration(way: str) -> str:
+    """Thresholds by each method, words alone; the best of a line in bold."""
+    result = _result("calibration")
+    methods = {
+        "preset": "preset", "context": "context", "search, best": "search, best",
+        "search, inner folds choose among 6 and the preset": "search, inner folds choose", "gradient": "gradient",
+    }  # fmt: skip
+    transfers, failures = result["real-transfer"], result["failure-type"]
+    rows = {
+        "SIM1 states, 3 x 5 folds": result["sim1"],
+        "REAL A -> B, harmonised": transfers["A -> B, harmonised"],
+        "REAL B -> A, harmonised": transfers["B -> A, harmonised"],
+        "SIM1 -> REAL, merged": result["sim1-to-real"]["SIM1 -> A+B, merged"],
+        f"failure type, {len(failures['classes'])} classes, 5 folds": failures,
+    }
+    lines = []
+    for title, row in rows.items():
+        said = [row[key]["words"]["accuracy"]["mean"] if key in row else None for key in methods]
+        best = max(value for value in said if value is not None)
+        lines.append((title, *(_bold(value, value == best) for value in said)))
+    return _markdown(("", *methods.values()), lines)
+
+
+def _bold(value: float | None, best: bool) -> str:
+    if value is None:
+        return "not run"
+    return f"**{value:.3f}**" if best else f"{value:.3f}"
+
+
+def online(way: str) -> str:
+    """States streamed at 10 Hz."""
+    rows = _result("table2")["rows"]
+    names = {"REAL": "REAL", "SIM1": "SIM one arm", "SIM2": "SIM two arms (right)"}
+    kinds = {"all": "all features", "relative": "relative features"}
+    lines = []
+    for name, title in names.items():
+        for kind, features in kinds.items():
+            if found := rows[f"{name} at 10 Hz"].get(kind):
+                means = [found[key]["mean"] for key in ("macro step accuracy", "full-sequence accuracy", "OverallPr")]
+                own = min(found["certainty"]["k=0.70"]["m_own"])
+                errors = " / ".join(f"{found[f'ECE {part}']['mean']:.3f}" for part in ("steps", "full sequences"))
+                lines.append((f"{title}, {features}", *(f"{value:.3f}" for value in means), f"{own:.2f}", errors))
+    head = ("step accuracy (mean of classes)", "full-sequence accuracy", "OverallPr", "smallest own-length m at .70")
+    return _markdown(("", *head, "calibration error, steps / full"), lines)
+
+
+TABLES: dict[str, Callable[[str], str]] = {
+    "results": results,
+    "peers-folds": peers_folds,
+    "peers-sessions": peers_sessions,
+    "table1": table1,
+    "probes": probes,
+    "calibration": calibration,
+    "online": online,
+}
