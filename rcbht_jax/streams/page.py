@@ -28,7 +28,7 @@ VIEWERS = 16
 IDLE = 10.0  # s until a connection that sends no request is closed
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
-_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'"
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
 
 
 def description(session: Session) -> dict[str, Any]:
