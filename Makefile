@@ -4,12 +4,13 @@ VENV ?= .venv
 JOBS ?= 2
 OUT ?= demo-out
 PEERS ?= .venv-peers
+WORK ?= reproduce-work
 
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo docs bench peers constraints clean
+.PHONY: help venv test lint format demo docs bench peers reproduce constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -44,6 +45,10 @@ docs: $(INSTALLED) ## build the documentation into the folder site
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench
 
+reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, RESULTS=folder elsewhere
+	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
+	  --peers $(PEERS)/bin/python $(if $(FORCE),--force)
+
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
 	$(PEERS)/bin/python -m experiments.peers
 
@@ -57,5 +62,5 @@ constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	@touch $(INSTALLED)
 
 clean: ## remove what make and the tests leave behind
-	rm -rf $(VENV) $(PEERS) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(PEERS) $(WORK) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

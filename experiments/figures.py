@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.record import RESULTS
+from experiments.record import COMMITTED
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 
@@ -26,7 +26,7 @@ KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "
 
 
 def result(name: str) -> Any:
-    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["result"]
+    return json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))["result"]
 
 
 def plain(ax: Axes) -> None:

@@ -1,13 +1,12 @@
 """Ten kills at random moments while trials are synthesised: the store must equal the uninterrupted one.
 
 Run by hand: python -m experiments.kill_resume [--trials 2000] [--kills 10] [--longest 3.0]
-Writes results/kill_resume.json beside this file. Trials are cut short, because physics is not what is tested.
+Trials are cut short, because physics is not what is tested.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import signal
 import subprocess
@@ -16,10 +15,10 @@ import tempfile
 import time
 from pathlib import Path
 
+from experiments.record import write_result
 from sim_mjx.shards import folder_of
 
 STARTING = 3.5  # s
-RESULT = Path(__file__).parent / "results" / "kill_resume.json"
 
 
 def main() -> None:
@@ -43,8 +42,8 @@ def main() -> None:
         "trials": options.trials, "longest": options.longest, "seconds_uninterrupted": round(seconds, 1),
         "shards_done_at_kills": moments, "same_bytes": same, "work_folder_removed": tidy,
     }  # fmt: skip
-    RESULT.write_text(json.dumps(result, indent=1) + "\n")
-    print(json.dumps(result))
+    command = f"python -m experiments.kill_resume --trials {options.trials} --kills {options.kills}"
+    write_result("kill_resume", command, result, options.seed)
     sys.exit(not (same and tidy and len(moments) == options.kills))
 
 

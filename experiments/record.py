@@ -13,7 +13,8 @@ import jax
 
 import rcbht_jax
 
-RESULTS = Path(__file__).parent / "results"
+COMMITTED = Path(__file__).resolve().parent / "results"
+RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
 
 
 def machine() -> str:
@@ -23,7 +24,7 @@ def machine() -> str:
 
 
 def write_result(name: str, command: str, result: Any, seed: int | None = None, show: bool = True) -> Path:
-    """Write ``experiments/results/<name>.json``, whole or not at all, and print it if ``show``."""
+    """Write ``<name>.json`` in ``RESULTS``, whole or not at all, and print it if ``show``."""
     record = {
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
@@ -32,7 +33,7 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None, 
         "seed": seed,
         "result": result,
     }
-    RESULTS.mkdir(exist_ok=True)
+    RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.json"
     draft = path.with_suffix(".partial")
     draft.write_text(json.dumps(record, indent=1) + "\n")

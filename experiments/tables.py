@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.record import RESULTS
+from experiments.record import COMMITTED
 from rcbht_jax.errors import InputError
 from rcbht_jax.report.results import Row, read_results
 
@@ -25,7 +25,7 @@ NONE = "–"
 
 
 def _result(name: str) -> Any:
-    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))["result"]
+    return json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))["result"]
 
 
 def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -52,7 +52,7 @@ def _grouped(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def results(way: str) -> str:
     """The README's table."""
-    rows = read_results(RESULTS).rows
+    rows = read_results(COMMITTED).rows
     lines = []
     for (group, what), title in SHOWN.items():
         row = _only([row for row in rows if row.group.startswith(group) and row.what.startswith(what)], what)

@@ -1,0 +1,138 @@
+"""``make reproduce`` names every experiment, skips what is there, goes on where it was interrupted, and compares."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rcbht_jax
+from experiments import reproduce, rows
+from experiments.reproduce import EXPERIMENTS, Experiment
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "experiments").glob("*.py")}
+SHARED = ("record", "rows")  # which hold the functions that write
+
+
+def test_the_table_names_every_module_that_writes_a_result() -> None:
+    writing = {name for name, text in MODULES.items() if re.search(r"\b(write_result|Rows)\(", text)} - set(SHARED)
+    assert {experiment.module for experiment in EXPERIMENTS} >= writing
+    assert {experiment.module for experiment in EXPERIMENTS} <= set(MODULES)
+    assert len({experiment.module for experiment in EXPERIMENTS}) == len(EXPERIMENTS)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "experiments" / "results").glob("*.json")), ids=lambda path: path.stem)
+def test_every_committed_result_has_a_command_that_exists(path: Path) -> None:
+    record = json.loads(path.read_text(encoding="utf-8"))
+    module = re.match(r"python -m experiments\.(\w+)", record["command"])
+    assert module is not None
+    assert module[1] in MODULES
+    (experiment,) = [experiment for experiment in EXPERIMENTS if experiment.module == module[1]]
+    assert path.stem in experiment.names or path.stem.startswith(experiment.module)
+
+
+def test_what_is_run_here_takes_less_than_two_hours() -> None:
+    assert sum(experiment.minutes for experiment in EXPERIMENTS if not experiment.elsewhere) <= 120
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder for results, and one experiment that writes there."""
+    for module in (reproduce, rows):
+        monkeypatch.setattr(module, "RESULTS", tmp_path)
+    monkeypatch.setattr(reproduce, "COMMITTED", tmp_path)
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", (Experiment("some", 1),))
+    return tmp_path
+
+
+def write(folder: Path, version: str = rcbht_jax.__version__, **result: Any) -> None:
+    record = {"rcbht_jax_version": version, "result": result}
+    (folder / "some.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def test_finished_is_of_this_version_complete_and_not_interrupted(place: Path) -> None:
+    some = Experiment("some", 1)
+    assert not reproduce.finished(some, place)
+    write(place, complete=False)
+    assert not reproduce.finished(some, place)
+    write(place, "0.0.1", complete=True)
+    assert not reproduce.finished(some, place)
+    write(place, rows={})
+    assert reproduce.finished(some, place)
+    reproduce.begun(some, place).touch()
+    assert not reproduce.finished(some, place)
+
+
+def call(monkeypatch: pytest.MonkeyPatch, place: Path, *words: str, status: int = 0) -> list[list[str]]:
+    """Run ``main`` with a process that only takes note, and fails with ``status``."""
+    called: list[list[str]] = []
+
+    def process(words: list[str], **_: Any) -> subprocess.CompletedProcess[bytes]:
+        called.append(words)
+        return subprocess.CompletedProcess(words, status)
+
+    monkeypatch.setattr(subprocess, "run", process)
+    monkeypatch.setattr(sys, "argv", ["reproduce", str(place / "work"), *words])
+    with pytest.raises(SystemExit) as end:
+        reproduce.main()
+    assert end.value.code == bool(status and called)
+    return called
+
+
+def test_what_is_there_is_skipped_and_forced_if_asked(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(place)
+    assert call(monkeypatch, place) == []
+    assert call(monkeypatch, place, "--force") == [[sys.executable, "-m", "experiments.some"]]
+    assert not (place / "some.json").exists()
+
+
+def test_a_failure_is_told_and_tried_again(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(call(monkeypatch, place, status=1)) == 1
+    write(place, rows={})
+    assert len(call(monkeypatch, place)) == 1  # the first run did not end
+    assert call(monkeypatch, place) == []
+
+
+def test_what_cannot_run_says_why(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(reproduce, "DATA", tmp_path / "none")
+    assert "RCBHT_DATA" in reproduce.lacking(Experiment("some", 1, needs=("data",)), None)
+    assert "make peers" in reproduce.lacking(Experiment("some", 1, needs=("peers",)), None)
+    assert reproduce.lacking(Experiment("some", 1, elsewhere="no"), None) == "no"
+    assert reproduce.lacking(Experiment("some", 1), None) == ""
+
+
+def test_differences() -> None:
+    first = {"a": [0.5, {"b": 1}], "seconds": 3}
+    assert reproduce.largest_difference(first, {"a": [0.75, {"b": 1}], "seconds": 9}) == (0.25, "a > 0")
+    assert reproduce.largest_difference(first, first) == (0.0, "")
+    assert reproduce.largest_difference(first, {"a": [0.5]})[0] == float("inf")
+
+
+def test_rows_go_on_and_start_anew_when_made_differently(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write_result(name: str, command: str, result: Any, seed: int, show: bool) -> None:
+        record = {"rcbht_jax_version": rcbht_jax.__version__, "seed": seed, "result": result}
+        (place / f"{name}.json").write_text(json.dumps(record))
+
+    monkeypatch.setattr(rows, "write_result", write_result)
+    made: list[str] = []
+
+    def make(row: str) -> Any:
+        return lambda: made.append(row) or {"score": len(made)}
+
+    def fill(wanted: list[str], about: int = 0, only: str = "") -> dict[str, Any]:
+        table = rows.Rows("some", "command", {"about": (about,)}, seed=0)
+        table.fill({row: make(row) for row in wanted}, lambda row: only in row)
+        return json.loads((place / "some.json").read_text())["result"]
+
+    assert fill(["a", "b"], only="a") == {"about": [0], "complete": False, "rows": {"a": {"score": 1}}}
+    assert fill(["b", "a"])["complete"]
+    assert list(fill(["b", "a"])["rows"]) == ["b", "a"]
+    assert made == ["a", "b"]
+    assert fill(["a"])["rows"] == {"a": {"score": 1}}
+    assert fill(["a"], about=1)["rows"] == {"a": {"score": 3}}
