@@ -138,6 +138,22 @@ def test_alarms_need_to_last():
     said = [alarm.update(p, 0.1 * t) for t, p in enumerate([0.8, 0.8, 0.6, 0.8, 0.8, 0.8, 0.6, 0.4, 0.4, 0.4, 0.4])]
     assert said == [None, None, None, None, None, True, None, None, None, False, None]
     assert Alarm(0.7, 0.0).update(0.8, 5.0) is True
+    low = Alarm(0.3, 0.0)  # one that is raised early is not cleared by what raised it
+    assert [low.update(p, float(t)) for t, p in enumerate([0.2, 0.35, 0.35, 0.25])] == [None, True, None, False]
+
+
+def test_a_head_may_have_an_alarm_level_of_its_own(tmp_path):
+    signal = trial(1, 81)
+    heads = tuple(replace(head, alarm_level=0.999 if head.alarm else 0.0) for head in model().heads)
+    strict = replace(model(), heads=heads)
+    model_files.save(tmp_path / "m", strict)
+    events = Introspector(model_files.load(tmp_path / "m"), k=0.6).push(signal)
+    seen = [e.probabilities[1] for e in events if isinstance(e, Belief) and e.head == "outcome"]
+    raised = any(isinstance(e, AnomalyRaised) for e in events)
+    assert raised == (max(min(pair) for pair in itertools.pairwise(seen)) > 0.999)
+    assert any(isinstance(e, AnomalyRaised) for e in Introspector(model(), k=0.6).push(signal))
+    with pytest.raises(InputError, match="alarm level"):
+        replace(heads[1], alarm_level=1.5)
 
 
 def test_model_file_keeps_everything(tmp_path):

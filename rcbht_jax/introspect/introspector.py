@@ -101,7 +101,8 @@ class Introspector:
         rate: beliefs per second; None = one per window. The clock is the number of samples received.
         k: probability above which a belief is certain (paper: 0.70 ... 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
-        hold: seconds for which an alarm must be certain before it is raised, and calm before it is cleared.
+        hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
+            and below 0.5 before it is cleared.
 
     Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
     gives the same bits.
@@ -125,7 +126,7 @@ class Introspector:
         self._limits = jax.device_put(np.asarray(model.limits, np.float32))
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
-        self._alarms = {h.name: Alarm(k, hold) for h in model.heads if h.alarm}
+        self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
         self._failure: tuple[str, str] | None = None  # label and level that were told last
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.

@@ -32,7 +32,8 @@ class Confidence:
 
 
 class Alarm:
-    """Raised when a probability stays above ``k`` for ``hold`` seconds, cleared when it stays below 0.5 as long."""
+    """Raised when a probability stays above ``k`` for ``hold`` seconds; cleared when it stays as long below 0.5, or
+    below ``k`` where that is less."""
 
     def __init__(self, k: float, hold: float) -> None:
         if not 0 <= hold < float("inf"):
@@ -47,7 +48,7 @@ class Alarm:
 
     def update(self, probability: float, time: float) -> bool | None:
         """True if the alarm is raised now, False if it is cleared now, None if nothing changes."""
-        against = probability < INADMISSIBLE if self.raised else probability > self._k
+        against = probability < min(INADMISSIBLE, self._k) if self.raised else probability > self._k
         if not against:
             self._since = None
             return None

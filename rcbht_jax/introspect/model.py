@@ -36,6 +36,7 @@ class Head:
         sight: features of that sentence.
         machine: answers with a probability per class.
         alarm: the class that raises an anomaly; "" = none does.
+        alarm_level: probability above which it does; 0 = the introspector's own threshold.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Head:
     sight: Sight
     machine: ProbabilisticSvm
     alarm: str = ""
+    alarm_level: float = 0.0
 
     def __post_init__(self) -> None:
         check_online(self.sight.spec)
@@ -50,6 +52,8 @@ class Head:
             raise InputError(f"head {self.name} has the scope {self.scope!r}; expected one of {', '.join(SCOPES)}.")
         if self.alarm and self.alarm not in self.classes:
             raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
+        if not 0 <= self.alarm_level < 1:
+            raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
         count = len(names(self.sight.spec))
         if self.machine.svm.center.size != count:
             raise InputError(
@@ -99,9 +103,8 @@ def save(path: Path, model: IntrospectionModel) -> None:
         prefix = f"{number}."
         members, described = svm_members(head.machine.svm, prefix)
         arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
-        heads.append(
-            {"name": head.name, "scope": head.scope, "alarm": head.alarm, "sight": asdict(head.sight), **described}
-        )
+        plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
+        heads.append({**plain, "sight": asdict(head.sight), **described})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
     write_archive(path, {"format": FORMAT, "encoder": asdict(model.encoder), "heads": heads, **rest}, arrays)
 
@@ -125,4 +128,6 @@ def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArra
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
     sight = Sight(spec, bool(meta["sight"]["provisional"]))
-    return Head(meta["name"], meta["scope"], sight, ProbabilisticSvm(svm, sigmoid), meta["alarm"])
+    machine = ProbabilisticSvm(svm, sigmoid)
+    # Files of before alarms had a level of their own lack it.
+    return Head(meta["name"], meta["scope"], sight, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))

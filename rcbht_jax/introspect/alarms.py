@@ -1,0 +1,88 @@
+"""When to raise an alarm: a threshold from nominal trials alone, for a rate of false alarms per trial.
+
+A trial raises an alarm if the probability of the alarming class stays above the threshold for the hold time; the
+highest level that it holds so long is its peak. The threshold is the conformal quantile of peaks of nominal trials
+that the machine did not see (Vovk, Gammerman and Shafer, *Algorithmic Learning in a Random World*, 2005, chapter 4):
+a new nominal trial exceeds it with at most the chosen probability, whatever the distribution of the peaks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.classify import Ints, Matrix, fit, grouped_folds
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspect.coupling import ProbabilisticSvm
+
+FOLDS = 5
+
+
+def held_peak(probability: NDArray[np.floating[Any]], looks: int) -> float:
+    """The highest level that ``probability [look]`` keeps for ``looks`` looks in a row; 0 if there are fewer."""
+    if len(probability) < looks:
+        return 0.0
+    return float(np.lib.stride_tricks.sliding_window_view(probability, looks).min(1).max())
+
+
+def conformal_level(peaks: NDArray[np.floating[Any]], share: float) -> float:
+    """Threshold that a new nominal trial's peak exceeds with a probability of at most ``share``.
+
+    Args:
+        peaks: of nominal trials ``[trial]`` that the machine did not see.
+        share: false alarms per nominal trial.
+
+    Raises:
+        InputError: there are too few trials to promise so small a share, which takes 1 / share - 1 of them.
+    """
+    if not 0 < share < 1:
+        raise InputError(f"{share:g} false alarms per trial were asked for; expected a number between 0 and 1.")
+    rank = int(np.ceil((len(peaks) + 1) * (1 - share) - 1e-9))
+    if rank > len(peaks):
+        raise InputError(
+            f"{len(peaks)} nominal trials cannot promise {share:g} false alarms per trial; "
+            f"it takes {int(np.ceil(1 / share - 1 - 1e-9))}."
+        )
+    return float(np.sort(peaks)[rank - 1])
+
+
+def held_out_peaks(
+    machine: ProbabilisticSvm,
+    x: Matrix,
+    y: Ints,
+    groups: NDArray[Any],
+    stream: Matrix,
+    stream_group: NDArray[Any],
+    alarm: int,
+    looks: int,
+    seed: int,
+) -> NDArray[np.float64]:
+    """Peaks of the nominal training trials, each streamed through a machine that saw nothing of it.
+
+    Args:
+        machine: trained on all of ``x``; gives hyper-parameters and sigmoids.
+        x: training features ``[item, feature]``.
+        y: class index ``[item]``.
+        groups: trial ``[item]``.
+        stream: features of the nominal trials' looks in order ``[look, feature]``.
+        stream_group: trial ``[look]``.
+        alarm: index of the class that alarms.
+        looks: for which an alarm must hold.
+        seed: of the folds.
+
+    Returns:
+        ``[nominal trial]``.
+    """
+    peaks: list[float] = []
+    for train, test in grouped_folds(y, groups, _folds(y, groups), seed):
+        held_out = ProbabilisticSvm(fit(x[train], y[train], machine.svm.classes, machine.svm.spec), machine.sigmoid)
+        for trial in np.intersect1d(groups[test], stream_group):
+            said = held_out.probability(stream[stream_group == trial])
+            peaks.append(held_peak(said[:, alarm], looks))
+    return np.array(peaks)
+
+
+def _folds(y: Ints, groups: NDArray[Any]) -> int:
+    return min(FOLDS, *(len(np.unique(groups[y == c])) for c in np.unique(y)))

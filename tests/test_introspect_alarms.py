@@ -1,0 +1,65 @@
+"""Alarm levels: the promise about false alarms holds, and nothing of a streamed trial trains its own machine."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.classify import SvmSpec, fit
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspect.alarms import conformal_level, held_out_peaks, held_peak
+from rcbht_jax.introspect.coupling import ProbabilisticSvm
+from rcbht_jax.introspect.levels import Alarm
+
+
+@given(st.lists(st.floats(0, 1), max_size=30), st.integers(1, 5))
+def test_a_peak_is_where_an_alarm_stops(values, looks):
+    """An alarm just below the peak is raised, one at the peak is not."""
+    said = np.array(values)
+    peak = held_peak(said, looks)
+    runs = [min(values[k : k + looks]) for k in range(len(values) - looks + 1)]
+    assert peak == max(runs, default=0.0)
+
+    def raised(level: float) -> bool:
+        alarm = Alarm(level, 0.1 * (looks - 1))
+        return any(alarm.update(p, 0.1 * t) for t, p in enumerate(values))
+
+    assert not raised(peak)
+    if peak > 1e-6:
+        assert raised(peak - 1e-9)
+
+
+def test_the_promise_holds():
+    rng = np.random.default_rng(0)
+    for share, count in itertools.product((0.02, 0.1, 0.25), (49, 60, 199)):
+        false = [np.mean(rng.beta(2, 5, 400) > conformal_level(rng.beta(2, 5, count), share)) for _ in range(300)]
+        # The mean over training sets is between share - 1 / (n + 1) and share; here with its sampling error.
+        assert share - 1 / (count + 1) - 0.004 < np.mean(false) < share + 0.004
+
+
+def test_too_few_trials_promise_nothing():
+    with pytest.raises(InputError, match="it takes 49"):
+        conformal_level(np.zeros(48), 0.02)
+    assert conformal_level(np.linspace(0, 1, 49), 0.02) == 1.0
+    with pytest.raises(InputError, match="between 0 and 1"):
+        conformal_level(np.zeros(9), 0.0)
+
+
+def test_peaks_are_held_out():
+    """Each trial has a column of its own that gives it away: a machine that saw the trial would know it."""
+    rng = np.random.default_rng(1)
+    groups = np.repeat([f"t{k:02d}" for k in range(40)], 6)
+    y = np.repeat(np.arange(40) % 2, 6)
+    x = np.concatenate([rng.normal(size=(240, 1)), 5.0 * (groups[:, None] == np.unique(groups))], 1)
+    svm = fit(x, y, ("failure", "success"), SvmSpec("linear", 1.0))
+    machine = ProbabilisticSvm(svm, np.array([[-2.0, 0.0]]))
+    calm = y == 1
+    peaks = held_out_peaks(machine, x, y, groups, x[calm], groups[calm], 0, 2, 0)
+    seen = [held_peak(machine.probability(x[groups == t])[:, 0], 2) for t in np.unique(groups[calm])]
+    assert len(peaks) == 20
+    assert max(seen) < 0.3  # the whole machine has learnt them by heart
+    assert np.mean(peaks) > 0.45  # those that did not see them are in doubt
