@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax import metrics
 from rcbht_jax.errors import InputError
+from rcbht_jax.scaling import Scale, fit_scale
 
 KERNELS = ("linear", "poly", "rbf")
 COSTS = tuple(10.0**p for p in range(-5, 5))
@@ -46,6 +47,7 @@ class SvmSpec:
     balanced: bool = False  # weigh classes by the inverse of their frequency
     features: str = ""  # which candidate feature matrix; "" = the only one
     floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not shout
+    ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not self.cost > 0:
@@ -53,6 +55,8 @@ class SvmSpec:
                 f"an SVM with kernel {self.kernel!r}, gamma {self.gamma!r} and cost {self.cost} does not exist; "
                 f"choose a kernel of {', '.join(KERNELS)}, gamma auto or scale, and a positive cost."
             )
+        if self.ranks and not self.scaling:
+            raise InputError("ranks are a way of scaling; choose scaling with them.")
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,12 @@ class Grid:
     balanced: bool = False  # balanced class weights, and selection by balanced accuracy
     inner: int = 5  # folds of the selection
     floor: float = 0.0  # see SvmSpec
+    ranks: bool = False  # scaled features are ranks, see SvmSpec
 
     def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
         """Every choice but the cost, which is set to the smallest."""
         return [
-            SvmSpec(kernel, self.costs[0], scaling, self.gamma, self.balanced, name, self.floor)
+            SvmSpec(kernel, self.costs[0], scaling, self.gamma, self.balanced, name, self.floor, self.ranks and scaling)
             for name in candidates
             for scaling in self.scalings
             for kernel in self.kernels
@@ -94,7 +99,8 @@ class SvmModel:
     classes: tuple[str, ...]  # [class]
     center: NDArray[np.float64]  # [feature] subtracted first
     width: NDArray[np.float64]  # [feature] divided by second
-    support: NDArray[np.float64]  # [vector, feature] after centring, sorted by class
+    knots: NDArray[np.float64]  # [knot, feature] quantiles of the training items for ranks; [0, feature] = no ranks
+    support: NDArray[np.float64]  # [vector, feature] after scaling, sorted by class
     support_count: NDArray[np.int64]  # [class] vectors per class
     dual: NDArray[np.float64]  # [class - 1, vector] signed dual coefficients, as in libsvm
     intercept: NDArray[np.float64]  # [pair]
@@ -107,7 +113,8 @@ class SvmModel:
         """
         if x.ndim != 2 or x.shape[1] != self.center.size:
             raise InputError(f"features of shape {x.shape} do not fit a model of {self.center.size} features.")
-        kernel = gram((x - self.center) / self.width, self.support, self.spec.kernel, self.gamma)
+        scaled = Scale(self.center, self.width, self.knots)(x)
+        kernel = gram(scaled, self.support, self.spec.kernel, self.gamma)
         return kernel @ self.pair_weights() + self.intercept
 
     def pair_weights(self) -> NDArray[np.float64]:
@@ -154,13 +161,6 @@ def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]
     return np.exp(-gamma * np.maximum(square, 0))
 
 
-def _scaler(x: Matrix, scaling: bool, floor: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    if not scaling:
-        return np.zeros(x.shape[1]), np.ones(x.shape[1])
-    deviation = x.std(0, dtype=np.float64)
-    return x.mean(0, dtype=np.float64), np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
-
-
 def _gamma(x: Matrix, kind: str) -> float:
     variance = float(x.var()) if kind == "scale" else 1.0
     return 1.0 / (x.shape[1] * (variance if variance > 0 else 1.0))
@@ -174,8 +174,8 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
     """
     _check(x, y, classes)
     x = np.asarray(x, np.float64)
-    center, width = _scaler(x, spec.scaling, spec.floor)
-    scaled = (x - center) / width
+    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks)
+    scaled = scale(x)
     gamma = _gamma(scaled, spec.gamma)
     machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
     # scikit-learn turns the sign around when there are two classes only.
@@ -184,8 +184,9 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
         spec=spec,
         gamma=gamma,
         classes=tuple(classes),
-        center=center,
-        width=width,
+        center=scale.center,
+        width=scale.width,
+        knots=scale.knots,
         support=machine.support_vectors_,
         support_count=machine.n_support_.astype(np.int64),
         dual=sign * machine.dual_coef_,
@@ -277,8 +278,7 @@ def predictions(
     x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
 ) -> list[NDArray[np.int64]]:
     """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
-    center, width = _scaler(x[train], spec.scaling, spec.floor)
-    scaled = (x - center) / width
+    scaled = fit_scale(x[train], spec.scaling, spec.floor, spec.ranks)(x)
     gamma = _gamma(scaled[train], spec.gamma)
     kernel = gram(scaled, scaled[train], spec.kernel, gamma)
     return predictions_of_kernel(kernel[train], y[train], kernel[test], costs, spec.balanced)

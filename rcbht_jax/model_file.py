@@ -23,10 +23,11 @@ import rcbht_jax
 from rcbht_jax.classify import SvmModel, SvmSpec
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.scaling import KNOTS
 
 FORMAT = "rcbht-model-1"
 
-_ARRAYS = ("center", "width", "support", "support_count", "dual", "intercept")
+_ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
 
 
 @dataclass(frozen=True)
@@ -86,11 +87,13 @@ def read_svm(
     Raises:
         InputError: the arrays do not fit each other or the number of features.
     """
+    arrays = {name: archive[prefix + name] for name in _ARRAYS if prefix + name in archive}
+    arrays.setdefault("knots", np.zeros((0, features)))  # files written before there were ranks
     svm = SvmModel(
         spec=SvmSpec(**meta["spec"]),
         gamma=float(meta["gamma"]),
         classes=tuple(meta["classes"]),
-        **{name: archive[prefix + name] for name in _ARRAYS},
+        **arrays,
     )
     _check(svm, features, path)
     return svm
@@ -141,6 +144,7 @@ def _check(svm: SvmModel, features: int, path: Path) -> None:
     expected = {
         "center": (features,),
         "width": (features,),
+        "knots": (KNOTS if svm.spec.ranks else 0, features),
         "support": (vectors, features),
         "support_count": (classes,),
         "dual": (classes - 1, vectors),

@@ -12,14 +12,14 @@ from rcbht_jax.batch import encode_recordings
 from rcbht_jax.benchmark import signal
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import FAMILIES, FeatureSpec, Intervals, features
+from rcbht_jax.grammar import FAMILIES, WHOLE, FeatureSpec, Intervals, features
 from rcbht_jax.introspect.features import _two_sum, check_online, names
 from rcbht_jax.introspect.observe import Sight, observe, observe_all
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 CONFIG = EncoderConfig()
-ONLINE = tuple(f for f in FAMILIES if f != "sentence")
+ONLINE = tuple(f for f in FAMILIES if f not in WHOLE)
 EVERYTHING = FeatureSpec(families=ONLINE)
 BEGIN = np.array([0] * 5 + [413] * 6 + [1077] * 3)
 NOW = np.array([5, 7, 100, 303, 413, 414, 416, 433, 500, 922, 1077, 1100, 1201, 1333])
@@ -133,7 +133,7 @@ def test_sums_stay_exact_over_ten_million_words():
 
 
 def test_errors():
-    with pytest.raises(InputError, match="sentence resamples"):
+    with pytest.raises(InputError, match="family sentence looks at the whole past"):
         check_online(FeatureSpec(families=("sentence",)))
     wrench = np.zeros((100, 6), np.float32)
     for begin, now in [([0, 0], [10, 10]), ([5], [5]), ([0], [101]), ([0, 9], [10, 20]), ([-1], [3])]:

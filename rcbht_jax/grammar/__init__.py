@@ -16,10 +16,39 @@ Families of features, each usable alone:
 * ``offset``: absolute mean level per label group, a family that gives away sensor bias;
 * ``edges``: first, last, highest and lowest value, absolute, which give it away as well.
 
+Families that read the sentence back from its primitives at equally spaced moments, and so need the whole of it:
+
+* ``parts``: level, slope, steepness, range and signs in three and in eight equal parts of the sentence;
+* ``spread``: quantiles of level and slope;
+* ``together``: what two axes say at the same time, and how their levels and slopes are correlated; scale-free;
+* ``order``: when the highest, steepest, first and last things happen; scale-free;
+* ``levels``: absolute level of each third, which gives away sensor bias.
+
+Labels of several encoders (other windows, other thresholds) may stand side by side, see ``side_by_side``.
+
 Host code, NumPy only; nothing here trains.
 """
 
-from rcbht_jax.grammar.features import FAMILIES, Features, FeatureSpec, both_arms, features, longest
+from rcbht_jax.grammar.features import (
+    FAMILIES,
+    WHOLE,
+    Features,
+    FeatureSpec,
+    both_arms,
+    features,
+    longest,
+    side_by_side,
+)
 from rcbht_jax.grammar.words import Intervals
 
-__all__ = ["FAMILIES", "FeatureSpec", "Features", "Intervals", "both_arms", "features", "longest"]
+__all__ = [
+    "FAMILIES",
+    "WHOLE",
+    "FeatureSpec",
+    "Features",
+    "Intervals",
+    "both_arms",
+    "features",
+    "longest",
+    "side_by_side",
+]

@@ -119,7 +119,7 @@ def _groups(words: Words) -> tuple[NDArray[np.int64], list[str]]:
     return words.code, [label.name for label in ALPHABETS[LAYERS.index(words.layer)]]
 
 
-def _compressed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def compressed(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed logarithm of ``[sentence, axis, column]`` in units of UNIT, so that peaks do not dominate."""
     scaled = x / UNIT[:, None]
     return np.asarray(np.sign(scaled) * np.log1p(np.abs(scaled)), np.float64)
@@ -151,7 +151,7 @@ def attributes(words: Words) -> Block:
     columns += [(f"grad.{x}", f"mean slope of {x} labels, signed log") for x in labels]
     columns += [(f"level.{x}", f"mean level of {x} labels minus the sentence's, signed log") for x in labels]
     columns += [("range", "highest minus lowest value in the sentence, signed log")]
-    return _compressed(values), columns
+    return compressed(values), columns
 
 
 def offset(words: Words) -> Block:
@@ -159,7 +159,7 @@ def offset(words: Words) -> Block:
     columns = [(f"avg.{x}", f"absolute mean level of {x} labels, signed log") for x in _groups(words)[1]]
     columns += [("avg", "absolute mean level of the sentence, signed log")]
     values = np.concatenate([_mean_per_group(words, words.value["avg"]), _mean_level(words)], -1)
-    return _compressed(values), columns
+    return compressed(values), columns
 
 
 def _edges(words: Words) -> NDArray[np.float64]:
@@ -181,10 +181,10 @@ def course(words: Words) -> Block:
     values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
     named = ("first", "last", "highest", "lowest")
     columns = [(x, f"{x} value minus the sentence's mean level, signed log") for x in named]
-    return _compressed(values), [*columns, ("change", "last minus first value, signed log")]
+    return compressed(values), [*columns, ("change", "last minus first value, signed log")]
 
 
 def edges(words: Words) -> Block:
     """First, last, highest and lowest value, absolute."""
     named = ("first", "last", "highest", "lowest")
-    return _compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]
+    return compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import families
+from rcbht_jax.grammar import families, lines
 from rcbht_jax.grammar.words import Intervals, clip
 from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-FAMILIES = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
+_OF_WORDS = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
+FAMILIES = (*_OF_WORDS, *lines.FAMILIES)
+WHOLE = ("sentence", *lines.FAMILIES)  # families that need the whole sentence at once
 
 _CHUNK = 64  # sentences handled at once, which bounds memory
 
@@ -36,6 +38,10 @@ class FeatureSpec:
             raise InputError(
                 f"feature families {self.families} of layers {self.layers} cannot be made; choose at least "
                 f"one family of {', '.join(FAMILIES)} and one layer of {', '.join(LAYERS)}."
+            )
+        if set(self.families) & set(lines.FAMILIES) and "primitive" not in self.layers:
+            raise InputError(
+                f"the families {', '.join(lines.FAMILIES)} describe primitives; add primitive to the layers."
             )
         if min(self.slots) < 1 or not 1 <= self.ngram <= 3:
             raise InputError(f"slots {self.slots} must be positive and ngram {self.ngram} must be 1, 2 or 3.")
@@ -67,6 +73,21 @@ class Features:
         return Features(values=self.values[:, keep], **pick)
 
 
+def side_by_side(grammars: Mapping[str, Features]) -> Features:
+    """Several grammars of the same sentences in one row each; where there are several, names get theirs as prefix.
+
+    Raises:
+        InputError: they do not have the same number of sentences.
+    """
+    rows = {name: made.values.shape[0] for name, made in grammars.items()}
+    if len(set(rows.values())) != 1:
+        said = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise InputError(f"grammars of different sentences cannot stand side by side: {said or 'none'} sentences.")
+    if len(grammars) == 1:
+        return next(iter(grammars.values()))
+    return _side_by_side([_prefixed(made, name, name) for name, made in grammars.items()])
+
+
 def features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Features:
     """Describe each sentence by the families of ``spec``.
 
@@ -94,7 +115,7 @@ def both_arms(right: Features, left: Features) -> Features:
             f"the right arm has {right.values.shape[0]} sentences and the left arm "
             f"{left.values.shape[0]}; both need one per trial, in the same order."
         )
-    return _side_by_side([_prefixed(right, "R", "right"), _prefixed(left, "L", "left")])
+    return _side_by_side([_prefixed(right, "R", "right arm"), _prefixed(left, "L", "left arm")])
 
 
 def longest(tracks: LabelTracks, intervals: Intervals) -> tuple[int, int, int]:
@@ -139,15 +160,22 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
     }
     chunks = [clip(track, part, layer) for part in _chunks(intervals)]
     parts = []
-    for family in FAMILIES:
+    for family in _OF_WORDS:
         if family in spec.families:
             made = [makers[family](words) for words in chunks]
-            parts.append(_flat(np.concatenate([m[0] for m in made]), made[0][1], family, layer))
+            parts.append(_flat(made, family, layer))
+    wanted = [family for family in lines.FAMILIES if family in spec.families and layer == "primitive"]
+    drawn = [lines.read_back(words, intervals.dt) for words in chunks if wanted]
+    for family in wanted:
+        over = lines.PAIRS if family == "together" else AXES
+        parts.append(_flat([lines.FAMILIES[family](drawing) for drawing in drawn], family, layer, over))
     return _side_by_side(parts)
 
 
-def _flat(values: NDArray[np.float64], columns: list[tuple[str, str]], family: str, layer: str) -> Features:
-    named = [(f"{family}.{layer}.{axis}.{what}", f"{axis} {layer}: {text}") for axis in AXES for what, text in columns]
+def _flat(made: list[families.Block], family: str, layer: str, over: Sequence[str] = AXES) -> Features:
+    """Chunks of one family side by side: columns of each axis, or pair of axes, in turn."""
+    values, columns = np.concatenate([m[0] for m in made]), made[0][1]
+    named = [(f"{family}.{layer}.{axis}.{what}", f"{axis} {layer}: {text}") for axis in over for what, text in columns]
     flat = values.reshape(values.shape[0], -1).astype(np.float32)
     return Features(flat, tuple(n for n, _ in named), (family,) * len(named), tuple(t for _, t in named))
 
@@ -161,6 +189,6 @@ def _side_by_side(parts: Sequence[Features]) -> Features:
     )
 
 
-def _prefixed(part: Features, letter: str, arm: str) -> Features:
-    names = tuple(f"{letter}.{n}" for n in part.names)
-    return replace(part, names=names, meanings=tuple(f"{arm} arm, {m}" for m in part.meanings))
+def _prefixed(part: Features, prefix: str, whose: str) -> Features:
+    names = tuple(f"{prefix}.{n}" for n in part.names)
+    return replace(part, names=names, meanings=tuple(f"{whose}, {m}" for m in part.meanings))

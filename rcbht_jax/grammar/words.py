@@ -36,7 +36,7 @@ class Words:
     code: NDArray[np.int64]  # [sentence, axis, word]
     start: NDArray[np.int64]  # [sentence, axis, word] samples from the start of the sentence
     end: NDArray[np.int64]  # [sentence, axis, word]
-    value: dict[str, NDArray[np.float64]]  # attributes [sentence, axis, word], N or Nm (per second)
+    value: dict[str, NDArray[np.float64]]  # [sentence, axis, word] attributes, N or Nm (per second); middle, samples
     length: NDArray[np.int64]  # [sentence] samples in the sentence
     size: int  # labels in the alphabet
     layer: str
@@ -64,6 +64,8 @@ def clip(track: LabelTrack, intervals: Intervals, layer: str) -> Words:
         return np.where(used, np.take_along_axis(x, order, -1), 0)
 
     value = {k: gather(np.asarray(getattr(track, k), np.float64)[rows]) for k in ("vmax", "vmin", "avg", "grad")}
+    # A line belongs to the whole span, so its middle stays where it was before the cut.
+    value["middle"] = gather((np.asarray(track.t0)[rows].astype(np.float64) + np.asarray(track.t1)[rows]) / 2 - start)
     size = LAYER_SIZES[LAYERS.index(layer)]
     return Words(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
 

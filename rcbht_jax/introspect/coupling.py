@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.classify import DEGREE, Ints, Matrix, SvmModel, SvmSpec, fit, grouped_folds, pairs
 from rcbht_jax.errors import InputError
+from rcbht_jax.scaling import SPREAD
 from rcbht_jax.types import Array
 
 CERTAIN = 1e-7  # pair probabilities are kept this far from 0 and 1, as in libsvm
@@ -204,6 +205,7 @@ class SvmArrays:
 
     center: Array  # float32 [feature]
     scale: Array  # float32 [feature], one over the width
+    knots: Array  # float32 [knot, feature], for ranks instead; [0, feature] = no ranks
     support: Array  # float32 [vector, feature]; [0, feature] for a linear kernel
     weight: Array  # float32 [vector, pair]; [feature, pair] for a linear kernel
     intercept: Array  # float32 [pair]
@@ -217,7 +219,7 @@ def to_arrays(model: ProbabilisticSvm) -> SvmArrays:
     support = svm.support
     if svm.spec.kernel == "linear":
         weight, support = support.T @ weight, support[:0]
-    arrays = (svm.center, 1 / svm.width, support, weight, svm.intercept, model.sigmoid)
+    arrays = (svm.center, 1 / svm.width, svm.knots, support, weight, svm.intercept, model.sigmoid)
     return SvmArrays(*(np.asarray(a, np.float32) for a in arrays))
 
 
@@ -231,10 +233,19 @@ def probability_jax(arrays: SvmArrays, kernel: str, gamma: float, classes: int, 
         classes: how many.
         x: float32 features.
     """
-    scaled = (x - arrays.center) * arrays.scale
+    scaled = _scaled_jax(arrays, x)
     decision = _kernel_jax(arrays, kernel, gamma, scaled) @ arrays.weight + arrays.intercept
     pair = jax.nn.sigmoid(-(decision * arrays.sigmoid[:, 0] + arrays.sigmoid[:, 1]))
     return couple_jax(jnp.clip(pair, CERTAIN, 1 - CERTAIN), classes)
+
+
+def _scaled_jax(arrays: SvmArrays, x: Array) -> Array:
+    if arrays.knots.shape[0] == 0:
+        return (x - arrays.center) * arrays.scale
+    low, high = arrays.knots[:-1], arrays.knots[1:]
+    ramp = jnp.clip((x[None] - low) / jnp.where(high > low, high - low, 1), 0, 1)
+    step = ((x[None] > low).astype(x.dtype) + (x[None] >= low).astype(x.dtype)) / 2
+    return (jnp.mean(jnp.where(high > low, ramp, step), axis=0) - 0.5) * SPREAD
 
 
 def _kernel_jax(arrays: SvmArrays, kernel: str, gamma: float, x: Array) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import FAMILIES, FeatureSpec, Intervals
+from rcbht_jax.grammar import FAMILIES, WHOLE, FeatureSpec, Intervals
 from rcbht_jax.grammar import features as grammar_features
 from rcbht_jax.grammar.families import UNIT
 from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
@@ -52,12 +52,13 @@ def check_online(spec: FeatureSpec) -> None:
     """Refuse families that cannot be kept up to date in constant time.
 
     Raises:
-        InputError: the resampled sentence is among the families.
+        InputError: one of the families needs the whole sentence at once.
     """
-    if "sentence" in spec.families:
+    whole = [family for family in spec.families if family in WHOLE]
+    if whole:
         raise InputError(
-            "the family sentence resamples the whole past at every step; choose from "
-            f"{', '.join(f for f in FAMILIES if f != 'sentence')} for a stream."
+            f"the family {whole[0]} looks at the whole past again at every step; choose from "
+            f"{', '.join(f for f in FAMILIES if f not in WHOLE)} for a stream."
         )
 
 

@@ -1,0 +1,64 @@
+"""Features on a common scale: by mean and deviation, or by ranks among the training items.
+
+Attributes of words have long tails: one snap is a hundred times as steep as the next, and a mean and a deviation
+follow the snap. Ranks do not; beyond the training items they stay at the lowest and highest rank.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+KNOTS = 21  # quantiles between which ranks are interpolated
+SPREAD = 12**0.5  # gives uniformly spread ranks the deviation 1
+
+Matrix = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How features are scaled, learnt from training items only."""
+
+    center: NDArray[np.float64]  # [feature] subtracted first
+    width: NDArray[np.float64]  # [feature] divided by second
+    knots: NDArray[np.float64]  # [knot, feature] increasing quantiles, for ranks instead; [0, feature] = none
+
+    def __call__(self, x: Matrix) -> NDArray[np.float64]:
+        """Scaled features ``[item, feature]``."""
+        if len(self.knots):
+            return ranks(x, self.knots)
+        return np.asarray((x - self.center) / self.width, np.float64)
+
+
+def fit_scale(x: Matrix, scaling: bool, floor: float = 0.0, ranked: bool = False) -> Scale:
+    """The scale of training items ``[item, feature]``.
+
+    Args:
+        x: training items.
+        scaling: False = leave the features as they are.
+        floor: least deviation to divide by.
+        ranked: by ranks instead of mean and deviation.
+    """
+    center, width = np.zeros(x.shape[1]), np.ones(x.shape[1])
+    none = np.zeros((0, x.shape[1]))
+    if not scaling:
+        return Scale(center, width, none)
+    if ranked:
+        return Scale(center, width, np.quantile(x, np.linspace(0, 1, KNOTS), axis=0).astype(np.float64))
+    deviation = x.std(0, dtype=np.float64)
+    width = np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
+    return Scale(x.mean(0, dtype=np.float64), width, none)
+
+
+def ranks(x: Matrix, knots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ranks ``[item, feature]`` between -SPREAD / 2 and SPREAD / 2: lines between knots, the middle of a step on it."""
+    total = np.zeros(x.shape)
+    for low, high in itertools.pairwise(knots):
+        gap = high - low
+        ramp = np.clip((x - low) / np.where(gap > 0, gap, 1), 0, 1)
+        total += np.where(gap > 0, ramp, ((x > low).astype(float) + (x >= low)) / 2)
+    return (total / (len(knots) - 1) - 0.5) * SPREAD
