@@ -1,8 +1,8 @@
 """Confidence while a sub-task runs: the belief in its true class over its course, per class, as in the paper's figure.
 
 Half of the trials train, the other half is streamed at 10 Hz, again and again with other halves, with the machinery of
-experiments.table2. Kept are the mean and the middle 80 % of the probability of the true class per twentieth of the
-sub-task, over all test sentences and repeats.
+experiments.table2. Kept are the mean and the middle 80 % of the probability of the true class at twenty moments of the
+sub-task, over all test sentences and repeats; a belief stands until the next one.
 
 Run: python -m experiments.confidence --repeats 10 --seed 0
 Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
@@ -49,24 +49,30 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
     items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
     length = items.intervals[0].end - items.intervals[0].start
-    classes, parts, found = [], [], []
+    parts = []
     for one in tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None):
         seen, p = beliefs(x, items, one)
-        classes.append(items.y[seen.sentence])
-        parts.append(np.minimum(((seen.now - seen.begin) * PARTS - 1) // length[seen.sentence], PARTS - 1))
-        found.append(p)
-    y, part, p = np.concatenate(classes), np.concatenate(parts), np.concatenate(found)
+        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.sentence)]
+    y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
     return {
         "seconds of a sub-task, median": [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)],
-        "belief": {name: course(p[y == c], part[y == c]) for c, name in enumerate(items.classes)},
+        "belief": {name: summary(p[y == c]) for c, name in enumerate(items.classes)},
     }
 
 
-def course(p: np.ndarray, part: np.ndarray) -> dict[str, list[float | None]]:
-    """Mean and middle 80 % per part; None where no look falls into it."""
-    cells = [p[part == i] for i in range(PARTS)]
+def held(looks: Looks, p: np.ndarray, sentence: int, length: int) -> np.ndarray:
+    """The belief that stands at each moment of one sentence; NaN before the first."""
+    mine = looks.sentence == sentence
+    moments = (np.arange(PARTS) + 0.5) / PARTS
+    last = np.searchsorted((looks.now[mine] - looks.begin[mine]) / length, moments, side="right") - 1
+    return np.where(last < 0, np.nan, p[mine][last])
+
+
+def summary(p: np.ndarray) -> dict[str, list[float | None]]:
+    """Mean and middle 80 % of ``[sentence, moment]``; None where less than half of the sentences have a belief."""
+    cells = [column[~np.isnan(column)] for column in p.T]
     kinds = {"mean": np.mean, "low": lambda v: np.quantile(v, 0.1), "high": lambda v: np.quantile(v, 0.9)}
-    return {kind: [float(f(cell)) if cell.size else None for cell in cells] for kind, f in kinds.items()}
+    return {kind: [float(f(v)) if 2 * v.size >= len(p) else None for v in cells] for kind, f in kinds.items()}
 
 
 def main() -> None:

@@ -51,10 +51,10 @@ def centred(segments: Segments) -> list[Floats]:
 
 
 def statistics(segments: Segments) -> Floats:
-    """``[item, channel x 12]``: moments, quantiles, ends, slope and roughness of each channel."""
+    """``[item, 13 x channel]``: moments, quantiles, ends, slope and roughness of each channel."""
     rows = []
     for x in segments:
-        time = np.linspace(-0.5, 0.5, len(x))[:, None]
+        time = np.linspace(-0.5, 0.5, len(x))[:, None] * (len(x) > 1)  # a single sample has no slope
         slope = (time * x).sum(0) / max(float((time**2).sum()), 1e-12)
         rough = np.abs(np.diff(x, axis=0)).mean(0) if len(x) > 1 else np.zeros(x.shape[1])
         quantiles = np.quantile(x, [0, 0.1, 0.25, 0.5, 0.75, 0.9, 1], axis=0)
