@@ -5,7 +5,6 @@ Run: python -m experiments.figures
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.record import COMMITTED
+from experiments import sim_to_real_figure
+from experiments.compared import compared, result
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 
@@ -25,10 +25,6 @@ LINES = ("#D55E00", "#0072B2", "#999999", "#009E73")
 KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
 
 
-def result(name: str) -> Any:
-    return json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))["result"]
-
-
 def plain(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(labelsize=8)
@@ -36,26 +32,20 @@ def plain(ax: Axes) -> None:
 
 def peers() -> Figure:
     """One panel per benchmark: accuracy of every method with its interval, best on top."""
-    found = result("peers")
-    benchmarks = list(found["benchmarks"])
-    figure = new_figure((12.5, 8.6), DPI)
-    for number, benchmark in enumerate(benchmarks):
-        ax = figure.add_subplot(2, len(benchmarks) // 2, number + 1)
-        rows = {
-            name.split(" | ")[1]: row
-            for name, row in found["rows"].items()
-            if name.startswith(f"{benchmark} | ") and not name.endswith("majority")
-        }
+    facts = result("peers")["benchmarks"]
+    figure = new_figure((12.5, 9.4), DPI)
+    for number, (benchmark, methods) in enumerate(compared().items()):
+        ax = figure.add_subplot(2, len(facts) // 2, number + 1)
+        rows = {method: row for method, row in methods.items() if method != "majority"}
         order = sorted(rows, key=lambda method: rows[method]["accuracy"]["mean"])
         for place, method in enumerate(order):
             bar(ax, place, rows[method])
         ax.set_yticks(range(len(order)), [short(method) for method in order])
-        chance = found["rows"].get(f"{benchmark} | majority")
-        if chance:
+        if chance := methods.get("majority"):
             ax.axvline(chance["accuracy"]["mean"], color="0.3", linestyle=":", linewidth=1)
         ax.set_xlim(0, 1.02)
-        facts = found["benchmarks"][benchmark]
-        ax.set_title(f"{benchmark}\n{len(facts['classes'])} classes, {facts['items']} items", fontsize=9)
+        about = facts[benchmark]
+        ax.set_title(f"{benchmark}\n{len(about['classes'])} classes, {about['items']} items", fontsize=9)
         plain(ax)
     handles = [figure.axes[0].barh(np.nan, 0, color=color, label=label) for color, label in KINDS.values()]
     figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=9)
@@ -148,7 +138,18 @@ def confidence() -> Figure:
     return figure
 
 
-FIGURES = {"peers": peers, "training-size": curves, "kernel-cost": grids, "confidence": confidence}
+def sim_to_real() -> Figure:
+    """What each choice does to the accuracy on recorded trials of a learner that saw simulated ones only."""
+    return sim_to_real_figure.draw(result("sim_to_real")["rows"])
+
+
+FIGURES = {
+    "peers": peers,
+    "training-size": curves,
+    "kernel-cost": grids,
+    "confidence": confidence,
+    "sim-to-real": sim_to_real,
+}
 
 
 def main() -> None:

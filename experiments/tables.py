@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import ast
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.compared import compared
+from experiments.compared import result as _result
 from experiments.record import COMMITTED
+from experiments.reproduce import EXPERIMENTS
 from rcbht_jax.errors import InputError
 from rcbht_jax.report.results import Row, read_results
 
@@ -20,12 +23,9 @@ SHOWN = {
     ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
     ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
 }
+NEEDS = {"data": "recorded trials", "golden": "reference results", "peers": "`make peers`"}
 FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")
 NONE = "–"
-
-
-def _result(name: str) -> Any:
-    return json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))["result"]
 
 
 def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -39,15 +39,6 @@ def _number(score: dict[str, float] | None, interval: bool = True) -> str:
         return NONE
     limits = f" ({score['low']:.3f} to {score['high']:.3f})" if interval and "low" in score else ""
     return f"{score['mean']:.3f}{limits}"
-
-
-def _grouped(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Rows called "first | second" as second -> first -> row."""
-    out: dict[str, dict[str, Any]] = {}
-    for name, row in rows.items():
-        first, second = name.split(" | ")
-        out.setdefault(second, {})[first] = row
-    return out
 
 
 def results(way: str) -> str:
@@ -69,13 +60,13 @@ def _only(rows: list[Row], what: str) -> Row:
 
 
 def _peers(benchmarks: Sequence[str]) -> str:
-    found = _grouped(_result("peers")["rows"])
+    found = compared()
+    kinds = {method: row["kind"] for rows in found.values() for method, row in rows.items()}
     lines = []
     for kind in ("peer", "ours", "probe"):
-        for method, row in found.items():
-            if next(iter(row.values()))["kind"] == kind:
-                said = (row.get(benchmark, {}).get("accuracy") for benchmark in benchmarks)
-                lines.append((f"*{method}*" if kind == "probe" else method, *map(_number, said)))
+        for method in (name for name, of in kinds.items() if of == kind):
+            said = (found[benchmark].get(method, {}).get("accuracy") for benchmark in benchmarks)
+            lines.append((f"*{method}*" if kind == "probe" else method, *map(_number, said)))
     return _markdown(("", *benchmarks), lines)
 
 
@@ -86,7 +77,7 @@ def peers_folds(way: str) -> str:
 
 def peers_sessions(way: str) -> str:
     """Other methods and words from one session to another."""
-    return _peers([name for name in _result("peers")["benchmarks"] if name not in FOLDED])
+    return _peers([name for name in compared() if name not in FOLDED])
 
 
 def table1(way: str) -> str:
@@ -161,6 +152,60 @@ def online(way: str) -> str:
     return _markdown(("", *head, "calibration error, steps / full"), lines)
 
 
+def sim_to_real(way: str) -> str:
+    """States of recorded trials by learners that saw simulated ones only."""
+    return _transfers(("main", "baseline", "one preset"))
+
+
+def sim_to_real_choices(way: str) -> str:
+    """What each choice does to it."""
+    return _transfers(("randomisation", "mating", "sensor", "amount", "features", "window", "tare"))
+
+
+def sim_to_real_thresholds(way: str) -> str:
+    """Thresholds calibrated on simulated trials only."""
+    return _transfers(("thresholds",))
+
+
+def _transfers(groups: tuple[str, ...]) -> str:
+    lines = []
+    for name, row in _worst_draws(_result("sim_to_real")["rows"]).items():
+        if name.split(" | ")[0] in groups:
+            scores = [row[states][sessions] for states in ("merged", "harmonised") for sessions in ("A", "B", "A+B")]
+            said = [f"{score['accuracy']:.3f}" for score in scores]
+            for place in (2, 5):
+                low, high = scores[place]["interval"]
+                said[place] += f" ({low:.3f} to {high:.3f})"
+            lines.append((name.replace(" | ", ": "), str(row["merged"]["trials"]), *said))
+    head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
+    return _markdown(head, lines)
+
+
+def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:
+    """Rows with scores on both sessions; of several draws of training trials the one that is worst at four states."""
+    groups: dict[str, list[Any]] = {}
+    for name, row in rows.items():
+        if "A+B" in row.get("merged", {}):
+            title, _, drawn = name.partition(", draw")
+            groups.setdefault(f"{title}, worst draw" if drawn else title, []).append(row)
+    return {name: min(found, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, found in groups.items()}
+
+
+def experiments(way: str) -> str:
+    """What ``make reproduce`` runs, and what it cannot."""
+    lines = []
+    for experiment in EXPERIMENTS:
+        text = (Path(__file__).parent / f"{experiment.module}.py").read_text(encoding="utf-8")
+        about = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
+        needs = ", ".join(NEEDS[need] for need in experiment.needs) or NONE
+        minutes = experiment.elsewhere or f"{experiment.minutes:g}"
+        files = ", ".join(f"[{n}]({way}{n}.json)" for n in experiment.names if (COMMITTED / f"{n}.json").is_file())
+        command = " ".join(("python -m", f"experiments.{experiment.module}", *experiment.options))
+        command = command.replace("{work}", "WORK")
+        lines.append((f"`{command}`", about, needs, minutes, files or NONE))
+    return _markdown(("command", "what", "needs", "about minutes", "results"), lines)
+
+
 TABLES: dict[str, Callable[[str], str]] = {
     "results": results,
     "peers-folds": peers_folds,
@@ -169,4 +214,8 @@ TABLES: dict[str, Callable[[str], str]] = {
     "probes": probes,
     "calibration": calibration,
     "online": online,
+    "experiments": experiments,
+    "sim-to-real": sim_to_real,
+    "sim-to-real-choices": sim_to_real_choices,
+    "sim-to-real-thresholds": sim_to_real_thresholds,
 }

@@ -196,13 +196,14 @@ def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report:
 def test_every_number_of_the_results_is_in_its_file() -> None:
     results = read_results(RESULTS)
     tabled = {"peers", "probes", "table1_ours", "table1_published", "table2", "two_arm_states"}
-    assert {row.source for row in results.rows} == {f"{name}.json" for name in tabled}
+    assert {row.source for row in results.rows} >= {f"{name}.json" for name in tabled}
     assert sum(row.peer is not None for row in results.rows) >= 8
     html = results_html(results)
+    peers = set(numbers(json.loads((RESULTS / "peers.json").read_text())["result"]))  # beside rows of other files too
     for row in results.rows:
         held = set(numbers(json.loads((RESULTS / row.source).read_text())["result"]))
         assert {row.ours, *(row.interval or ()), *([row.duration] if row.duration is not None else [])} <= held
-        assert row.peer is None or {row.peer.mean, *row.peer.interval} <= held
+        assert row.peer is None or {row.peer.mean, *row.peer.interval} <= held | peers
         assert f">{cells(row)[2]}</td>" in html
     assert len(results.files) == len(list(RESULTS.glob("*.json")))
 
