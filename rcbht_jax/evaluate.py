@@ -15,7 +15,7 @@ import rcbht_jax
 from rcbht_jax import crossval
 from rcbht_jax.classify import Grid, Split, fit, select
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.grammar import Features, FeatureSpec
 from rcbht_jax.model_file import TrainedModel
 from rcbht_jax.tasks import CONFOUNDS, Sentences, TaskSpec, describe, sentences
 from rcbht_jax.types import LabelTracks, Recordings
@@ -66,9 +66,26 @@ class Result:
         return asdict(self)
 
 
+# Choices of grammars by name, each the labels of one or several encoders (by name) that are put side by side.
+Grammars = Mapping[str, Mapping[str, LabelTracks]]
+
+
+def candidates(
+    tracks: LabelTracks | Grammars, items: Sentences, features: FeatureSpec | Mapping[str, FeatureSpec]
+) -> dict[str, Features]:
+    """Every grammar described by every specification; ``grammar specification`` -> features, in the order given."""
+    grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
+    specs = {"": features} if isinstance(features, FeatureSpec) else features
+    return {
+        " ".join(filter(None, (grammar, name))): describe(labels, items, spec)
+        for grammar, labels in grammars.items()
+        for name, spec in specs.items()
+    }
+
+
 def evaluate(
     recordings: Recordings,
-    tracks: LabelTracks,
+    tracks: LabelTracks | Grammars,
     task: TaskSpec,
     features: FeatureSpec | Mapping[str, FeatureSpec],
     protocol: Protocol,
@@ -78,9 +95,9 @@ def evaluate(
 
     Args:
         recordings: the data set.
-        tracks: its labels, arrays ``[recording, axis, slot]``.
+        tracks: its labels, arrays ``[recording, axis, slot]``, or several grammars of which the inner folds choose one.
         task: what to classify.
-        features: one specification, or several by name of which the inner folds choose one.
+        features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.
         label_attrs: how the labels were made; goes into the result.
 
@@ -89,26 +106,26 @@ def evaluate(
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = sentences(recordings, task)
-    candidates = {name: describe(tracks, items, spec).values for name, spec in specs.items()}
+    made = {name: found.values for name, found in candidates(tracks, items, features).items()}
     provenance = {
         "version": rcbht_jax.__version__,
         "labels": dict(label_attrs or {}),
         "features": {name: asdict(spec) for name, spec in specs.items()},
         "data_hash": data_hash(recordings),
     }
-    return score(items, candidates, protocol, asdict(task), provenance)
+    return score(items, made, protocol, asdict(task), provenance)
 
 
 def score(
     items: Sentences,
-    candidates: Mapping[str, NDArray[Any]],
+    matrices: Mapping[str, NDArray[Any]],
     protocol: Protocol,
     task: dict[str, Any],
     provenance: dict[str, Any],
 ) -> Result:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits."""
     learners = {
-        "svm": crossval.nested_svm(candidates, items.y, items.trial, protocol.grid),
+        "svm": crossval.nested_svm(matrices, items.y, items.trial, protocol.grid),
         "duration": crossval.forest(items.seconds, items.y),
         "majority": crossval.majority(items.y),
     }
@@ -159,7 +176,8 @@ def _split(items: Sentences, protocol: Protocol) -> Split:
 
 def _line(choice: dict[str, Any]) -> str:
     name = f"{choice['features']} " if choice["features"] else ""
-    return f"{name}{choice['kernel']} C={choice['cost']:g}{' scaled' if choice['scaling'] else ''}"
+    scaled = " ranks" if choice["ranks"] else " scaled" if choice["scaling"] else ""
+    return f"{name}{choice['kernel']} C={choice['cost']:g}{scaled}"
 
 
 def data_hash(recordings: Recordings) -> str:
@@ -175,7 +193,7 @@ def data_hash(recordings: Recordings) -> str:
 
 def train(
     recordings: Recordings,
-    tracks: LabelTracks,
+    tracks: LabelTracks | Grammars,
     task: TaskSpec,
     features: FeatureSpec,
     grid: Grid | None = None,
@@ -186,26 +204,32 @@ def train(
 
     Args:
         recordings: the data set.
-        tracks: its labels.
+        tracks: its labels, or several grammars of which one is chosen as well.
         task: what to classify.
         features: what to make of the labels.
         grid: what to choose from; None = everything.
-        encoder: how the labels were made, thresholds included (JSON values); stored in the model.
+        encoder: how the labels were made, thresholds included (JSON values), by the names of the labels where
+            grammars are given; stored in the model, by name only where the chosen grammar has several encoders.
         seed: of the folds.
 
     Raises:
         InputError: fewer than two classes, or a class with a single trial.
     """
     items = sentences(recordings, task)
-    made = describe(tracks, items, features)
-    chosen = select({"": made.values}, items.y, items.trial, grid or Grid(), seed)
-    svm = fit(made.values, items.y, items.classes, chosen)
+    made = candidates(tracks, items, features)
+    chosen = select({name: found.values for name, found in made.items()}, items.y, items.trial, grid or Grid(), seed)
+    best = made[chosen.features]
+    svm = fit(best.values, items.y, items.classes, chosen)
+    how = dict(encoder or {})
+    if not isinstance(tracks, LabelTracks):
+        used = {name: how.get(name, {}) for name in tracks[chosen.features]}
+        how = used if len(used) > 1 else next(iter(used.values()))
     return TrainedModel(
         svm=svm,
         feature_spec=features,
-        feature_names=made.names,
+        feature_names=best.names,
         task=asdict(task),
-        encoder=dict(encoder or {}),
+        encoder=how,
         data_hash=data_hash(recordings),
         extra={"items": len(items.y), "trials": len(np.unique(items.trial)), "seed": seed},
     )

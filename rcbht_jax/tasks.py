@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import Features, FeatureSpec, Intervals, both_arms, features
+from rcbht_jax.grammar import Features, FeatureSpec, Intervals, both_arms, features, side_by_side
 from rcbht_jax.types import LabelTracks, Recordings
 
 TASKS = ("states", "outcome", "failure-type")
@@ -124,10 +124,18 @@ def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
     return Sentences(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
 
 
-def describe(tracks: LabelTracks, items: Sentences, spec: FeatureSpec) -> Features:
-    """Features of every item, both arms side by side where the task has two."""
-    arms = [features(tracks, intervals, spec) for intervals in items.intervals]
-    return arms[0] if len(arms) == 1 else both_arms(arms[0], arms[1])
+def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences, spec: FeatureSpec) -> Features:
+    """Features of every item, both arms side by side where the task has two.
+
+    Args:
+        tracks: labels, or those of several encoders by name, which are put side by side.
+        items: from :func:`sentences`.
+        spec: what to make of the labels.
+    """
+    if isinstance(tracks, LabelTracks):
+        arms = [features(tracks, intervals, spec) for intervals in items.intervals]
+        return arms[0] if len(arms) == 1 else both_arms(arms[0], arms[1])
+    return side_by_side({name: describe(one, items, spec) for name, one in tracks.items()})
 
 
 def _chosen(recordings: Recordings, spec: TaskSpec) -> NDArray[np.bool_]:

@@ -57,7 +57,8 @@ def spans(track: LabelTrack, lane: tuple[int, int], start: int, end: int) -> lis
         t0, t1 = max(int(track.t0[at]), start), min(int(track.t1[at]), end)
         if track.label[at] > 0 and t1 > t0:
             values = {k: float(getattr(track, k)[at]) for k in ("vmax", "vmin", "avg", "grad")}
-            out.append({"label": int(track.label[at]), "t0": t0 - start, "t1": t1 - start, **values})
+            middle = (int(track.t0[at]) + int(track.t1[at])) / 2 - start
+            out.append({"label": int(track.label[at]), "t0": t0 - start, "t1": t1 - start, "middle": middle, **values})
     return out
 
 

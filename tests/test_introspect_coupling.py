@@ -96,10 +96,11 @@ def test_jax_coupling_equals_numpy(classes, seed, spread):
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("scaling", [False, True])
-def test_jax_probabilities_equal_numpy(kernel, scaling):
+@pytest.mark.parametrize(("scaling", "ranks"), [(False, False), (True, False), (True, True)])
+def test_jax_probabilities_equal_numpy(kernel, scaling, ranks):
     x, y = blobs(4, 200)
-    model = coupling.fit_probabilistic(x, y, np.arange(200) // 4, list("abcd"), SvmSpec(kernel, 1.0, scaling))
+    spec = SvmSpec(kernel, 1.0, scaling, ranks=ranks)
+    model = coupling.fit_probabilistic(x, y, np.arange(200) // 4, list("abcd"), spec)
     other = np.random.default_rng(1).normal(size=(100, 5)) * 2
     arrays = coupling.to_arrays(model)
     said = jax.jit(jax.vmap(lambda row: coupling.probability_jax(arrays, kernel, model.svm.gamma, 4, row)))(

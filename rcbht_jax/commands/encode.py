@@ -45,6 +45,8 @@ class Encode(Command):
     """Whose gradient thresholds to use."""
     thresholds: Path | None = None
     """Calibrated thresholds to use instead, a file of "rcbht calibrate" (online)."""
+    scale: float = 1.0
+    """Factor on all thresholds; small ones hear what happens before contact (online)."""
     gate: bool = True
     """Pair only primitives of similar size (online)."""
     adj_exempt: bool = True
@@ -66,8 +68,12 @@ class Encode(Command):
 
     def run(self) -> dict[str, Any]:
         name = self.name or self._default_name()
-        if self.thresholds is not None and self.mode == "offline":
-            raise InputError("--thresholds are for the online encoder; leave them out, or choose --mode online.")
+        if (self.thresholds is not None or self.scale != 1) and self.mode == "offline":
+            raise InputError(
+                "--thresholds and --scale are for the online encoder; leave them out, or use --mode online."
+            )
+        if not 0 < self.scale < float("inf"):
+            raise InputError(f"--scale is {self.scale}; expected a positive number.")
         if name in list_tracks(self.store):
             raise InputError(f"{self.store} has label tracks {name} already; choose another --name.")
         recordings = read_recordings(self.store)
@@ -95,6 +101,7 @@ class Encode(Command):
         words += [] if self.latency_cap is None else [f"cap{self.latency_cap:g}"]
         words += [] if self.robot == "hiro" else [self.robot]
         words += [] if self.thresholds is None else [self.thresholds.stem]
+        words += [] if self.scale == 1 else [f"x{self.scale:g}"]
         return "-".join([f"online-W{self.window}", *words])
 
     def _online(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
@@ -113,8 +120,12 @@ class Encode(Command):
 
     def _thresholds(self) -> tuple[Thresholds, dict[str, Any]]:
         if self.thresholds is None:
-            return preset(self.robot), {"method": "preset", "robot": self.robot}
-        return read_thresholds(self.thresholds)
+            chosen, source = preset(self.robot), {"method": "preset", "robot": self.robot}
+        else:
+            chosen, source = read_thresholds(self.thresholds)
+        if self.scale == 1:
+            return chosen, source
+        return Thresholds(np.asarray(chosen.limits) * self.scale), {**source, "scale": self.scale}
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         def bar(indices: Iterable[int]) -> Iterable[int]:

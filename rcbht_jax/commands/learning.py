@@ -13,10 +13,15 @@ from rcbht_jax.classify import Grid
 from rcbht_jax.commands import Command
 from rcbht_jax.data.store import read_recordings
 from rcbht_jax.data.tracks import choose_tracks
-from rcbht_jax.evaluate import Protocol, evaluate, train
+from rcbht_jax.evaluate import Grammars, Protocol, evaluate, train
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.model_file import save
 from rcbht_jax.tasks import TaskSpec
+
+Family = Literal[
+    "sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges",
+    "parts", "spread", "together", "order", "levels",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,8 @@ class _Learning(Command):
     """Store with label tracks, made by "rcbht encode"."""
     task: Literal["states", "outcome", "failure-type"] = "states"
     """What to tell apart."""
-    tracks: str = ""
-    """Label tracks to use, where the store has several."""
+    tracks: tuple[str, ...] = ()
+    """Label tracks to use; "A+B" puts two side by side, and of several choices ("A B+C") the inner folds take one."""
     boundaries: Literal["recorded", "harmonised", "merged"] = "harmonised"
     """States: where rotation ends; merged joins rotation and insertion."""
     arms: Literal["R", "L", "both"] = "R"
@@ -35,10 +40,10 @@ class _Learning(Command):
     """Data sets; default all."""
     session: tuple[str, ...] = ()
     """Recording sessions, for example A B; default all."""
-    features: tuple[
-        Literal["sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges"], ...
-    ] = ("histogram", "ngram", "attributes")
-    """Feature families; duration, offset and edges tell data sets apart that words would not."""
+    features: tuple[Family, ...] = ("histogram", "ngram", "attributes")
+    """Feature families; duration, offset, edges and levels tell data sets apart that words would not."""
+    ranks: bool = False
+    """Always scale features, by their ranks among the training sentences; recommended with parts, spread and order."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
     """Kernels to choose from."""
     costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))
@@ -52,7 +57,17 @@ class _Learning(Command):
 
     @property
     def grid(self) -> Grid:
+        if self.ranks:
+            return Grid(kernels=self.kernels, costs=self.costs, scalings=(True,), ranks=True)
         return Grid(kernels=self.kernels, costs=self.costs)
+
+    def read_tracks(self) -> tuple[Grammars, dict[str, dict[str, Any]]]:
+        """The grammars asked for, and how the labels of each name were made."""
+        choices = [choice.split("+") for choice in self.tracks or ("",)]
+        found = {wanted: choose_tracks(self.store, wanted) for choice in choices for wanted in choice}
+        grammars = [{found[wanted][0]: found[wanted][1] for wanted in choice} for choice in choices]
+        how = {name: attrs for name, _, attrs in found.values()}
+        return {"+".join(grammar): grammar for grammar in grammars}, how
 
 
 @dataclass(frozen=True)
@@ -75,11 +90,11 @@ class Evaluate(_Learning):
     """Repetitions of the cross-validation with other folds."""
 
     def run(self) -> dict[str, Any]:
-        name, tracks, attrs = choose_tracks(self.store, self.tracks)
+        grammars, how = self.read_tracks()
         protocol = Protocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features)
-        result = evaluate(read_recordings(self.store), tracks, self.spec, families, protocol, attrs)
-        return {"tracks": name, **result.to_json()}
+        result = evaluate(read_recordings(self.store), grammars, self.spec, families, protocol, how)
+        return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
         items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
@@ -108,14 +123,14 @@ class Train(_Learning):
     """Model file to write: arrays and JSON, no code."""
 
     def run(self) -> dict[str, Any]:
-        name, tracks, attrs = choose_tracks(self.store, self.tracks)
+        grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features)
-        model = train(read_recordings(self.store), tracks, self.spec, families, self.grid, attrs, self.seed)
+        model = train(read_recordings(self.store), grammars, self.spec, families, self.grid, how, self.seed)
         save(self.out, model)
         chosen = model.svm.spec
         return {
             "model": str(self.out),
-            "tracks": name,
+            "tracks": chosen.features,
             "classes": list(model.svm.classes),
             "kernel": chosen.kernel,
             "cost": chosen.cost,

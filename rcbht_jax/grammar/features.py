@@ -101,7 +101,7 @@ def features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Fe
     """
     recordings = int(np.asarray(tracks.primitive.label).shape[0])
     _check(intervals, recordings)
-    blocks = [_layer(getattr(tracks, layer), intervals, layer, spec) for layer in spec.layers]
+    blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec)]
     if "duration" in spec.families:
         seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
         blocks.append(Features(seconds, ("duration.total",), ("duration",), ("length of the sentence, s",)))
@@ -147,7 +147,7 @@ def _chunks(intervals: Intervals) -> list[Intervals]:
     return [intervals.take(slice(i, i + _CHUNK)) for i in range(0, max(len(intervals), 1), _CHUNK)]
 
 
-def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec) -> Features:
+def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec) -> list[Features]:
     makers = {
         "sentence": families.resampled(spec.slots[LAYERS.index(layer)], spec.one_hot),
         "histogram": families.histogram,
@@ -169,7 +169,7 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
     for family in wanted:
         over = lines.PAIRS if family == "together" else AXES
         parts.append(_flat([lines.FAMILIES[family](drawing) for drawing in drawn], family, layer, over))
-    return _side_by_side(parts)
+    return parts
 
 
 def _flat(made: list[families.Block], family: str, layer: str, over: Sequence[str] = AXES) -> Features:

@@ -20,7 +20,7 @@ from rcbht_jax.labels import AXES, PRIMITIVE_GROUP, Group
 MOMENTS = 120  # at which a sentence is read
 PARTS = (3, 8)  # equal parts in which a sentence is described, coarse and fine
 QUANTILES = 11
-NEAR = 1e-6  # of the range: how close to the highest value counts as highest, so that rounding decides no order
+NEAR = 1e-6  # of the range or the level: smaller differences are rounding and decide nothing
 
 _FIRST, _SECOND = np.triu_indices(len(AXES), 1)
 PAIRS = tuple(f"{AXES[i]}-{AXES[j]}" for i, j in zip(_FIRST, _SECOND, strict=True))
@@ -39,7 +39,7 @@ class Lines:
     @property
     def relative(self) -> Values:
         """Level minus the sentence's mean level."""
-        return self.level - self.level.mean(-1, keepdims=True)
+        return _centred(self.level)
 
     @property
     def range(self) -> Values:
@@ -63,13 +63,21 @@ def read_back(words: Words, dt: float) -> Lines:
 
     offset = (moment[:, None] - said(words.value["middle"])) * dt
     level = said(words.value["avg"]) + said(words.value["grad"]) * offset
+    level = np.clip(level, said(words.value["vmin"]), said(words.value["vmax"]))
+    flat = np.ptp(level, axis=-1) <= NEAR * np.abs(level).max(-1)
     group = PRIMITIVE_GROUP[np.take_along_axis(words.code, index, -1)]
     rising, falling = (np.isin(group, pair) for pair in ((Group.P, Group.PIMP), (Group.N, Group.NIMP)))
     return Lines(
         rising.astype(np.int64) - falling,
-        np.clip(level, said(words.value["vmin"]), said(words.value["vmax"])),
+        np.where(flat[..., None], level[..., :1], level),
         said(words.value["grad"]),
     )
+
+
+def _centred(values: Values) -> Values:
+    """Values minus their mean over the moments, exactly zero where they are all the same."""
+    change = values - values[..., :1]
+    return change - change.mean(-1, keepdims=True)
 
 
 def _means(values: NDArray[Any], parts: int) -> Values:
@@ -132,11 +140,9 @@ def together(lines: Lines) -> Block:
 
 def _correlation(x: Values) -> Values:
     """Correlation of every pair of axes ``[sentence, pair]``; 0 where one of them does not change."""
-    centred = x - x.mean(-1, keepdims=True)
+    centred = _centred(x)
     product = centred @ np.swapaxes(centred, 1, 2)
     size = np.sqrt(np.einsum("sii->si", product))
-    # What is left of a constant after rounding is no change.
-    size = np.where(size > NEAR * np.abs(x).max(-1), size, 0)
     return np.clip(ratio(product[:, _FIRST, _SECOND], size[:, _FIRST] * size[:, _SECOND]), -1, 1)
 
 
