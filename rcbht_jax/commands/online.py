@@ -39,8 +39,8 @@ class Source(Command):
     """Trials of a store; default all, one after the other."""
     arm: Literal["R", "L"] = "R"
     """Arm of a recorded trial."""
-    starts: Literal["harmonised", "recorded", "none"] = "harmonised"
-    """Where the sub-tasks of a recorded trial begin."""
+    starts: Literal["harmonised", "recorded", "none", "detected"] = "harmonised"
+    """Where the sub-tasks of a recorded trial begin; detected = the model finds out (train-online --detect)."""
     topic: str = ""
     """Topic of a bag, where several carry wrenches."""
     rate: float = 10.0
@@ -66,7 +66,7 @@ class Source(Command):
             raise InputError(f"A stream cannot be replayed at {self.speed} times its pace; give zero or more.")
         messages = self._messages()
         compile_cache.use(self.compile_cache)
-        introspector = Introspector(load(self.model), self.rate or None, self.k)
+        introspector = Introspector(load(self.model), self.rate or None, self.k, detect=self.starts == "detected")
         session = Session(introspector, self.bridge)
         introspector.warm_up()
         return session, messages
@@ -75,12 +75,13 @@ class Source(Command):
         if self.source == "-":
             return read_live(sys.stdin.buffer, self.silent)
         path = Path(self.source)
+        starts = "none" if self.starts == "detected" else self.starts
         if is_bag(path):
             return read_bag(path, self.topic)
         if (path / "zarr.json").is_file():
-            return read_store(path, self.trial, self.arm, self.starts)
+            return read_store(path, self.trial, self.arm, starts)
         if path.is_dir():
-            return read_folder(path, self.arm, self.starts)
+            return read_folder(path, self.arm, starts)
         raise InputError(f"{path} is no store, trial, bag or MCAP file; give - to read JSON lines on standard input.")
 
 

@@ -30,6 +30,8 @@ class TrainOnline(Command):
     """Store of recordings; no label tracks are needed."""
     tasks: tuple[Literal["states", "outcome", "failure-type"], ...] = ("states",)
     """Heads to train."""
+    detect: bool = False
+    """Also learn when a sub-task begins, for streams in which nobody says so."""
     source: tuple[str, ...] = ()
     """Data sets; default all."""
     session: tuple[str, ...] = ()
@@ -48,8 +50,10 @@ class TrainOnline(Command):
     def run(self) -> dict[str, Any]:
         recordings = read_recordings(self.store)
         families = FAMILIES if self.features == "all" else RELATIVE
+        tasks = [(task, False) for task in self.tasks] + [("states", True)] * self.detect
         specs = tuple(
-            HeadSpec(TaskSpec(task, sources=self.source, sessions=self.session), families) for task in self.tasks
+            HeadSpec(TaskSpec(task, sources=self.source, sessions=self.session), families, phase=phase)
+            for task, phase in tasks
         )
         config = EncoderConfig(window=self.window, dt=recordings.dt)
         with tqdm(desc="watch", unit=" looks", file=sys.stderr, disable=None) as bar:
@@ -66,9 +70,9 @@ class TrainOnline(Command):
                 "kernel": head.machine.svm.spec.kernel,
                 "cost": head.machine.svm.spec.cost,
                 "features": int(head.machine.svm.center.size),
-                "confounds": CONFOUNDS[head.name],
+                "confounds": CONFOUNDS[spec.task.task],
             }
-            for head in model.heads
+            for spec, head in zip(specs, model.heads, strict=True)
         }
         return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
 

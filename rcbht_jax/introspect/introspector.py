@@ -13,13 +13,14 @@ from rcbht_jax.encoder import EncoderConfig, Published
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.coupling import SvmArrays, probability_jax, to_arrays
 from rcbht_jax.introspect.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
-from rcbht_jax.introspect.levels import Alarm, Confidence
+from rcbht_jax.introspect.levels import Alarm, Confidence, Phases
 from rcbht_jax.introspect.model import Head, IntrospectionModel
 from rcbht_jax.introspect.observe import Progress, Sight, begin_stream, tick
 from rcbht_jax.metrics import THRESHOLDS
 from rcbht_jax.types import Array
 
 FAILURE_TYPE = "failure-type"  # the head whose belief is told as the kind of failure
+PHASE = "phase"  # the head that tells from the whole trial which sub-task goes on, for those who are not told
 
 
 @dataclass(frozen=True)
@@ -102,13 +103,15 @@ class Introspector:
         k: probability above which a belief is certain (paper: 0.70 ... 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
-            and below 0.5 before it is cleared.
+            and below 0.5 before it is cleared; for which a sub-task must be certain before it is said to have begun.
+        detect: nobody says when a sub-task begins; the model's head "phase" does. The sentence begins when it is
+            noticed, not when it began.
 
     Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
     gives the same bits.
 
     Raises:
-        InputError: a rate faster than the samples, or thresholds that make no sense.
+        InputError: a rate faster than the samples, thresholds that make no sense, or no head to detect with.
     """
 
     def __init__(
@@ -118,6 +121,7 @@ class Introspector:
         k: float = THRESHOLDS[0],
         margin: float = 0.05,
         hold: float = 0.1,
+        detect: bool = False,
     ) -> None:
         self.model = model
         self._chain = Chain.of(model)
@@ -127,6 +131,7 @@ class Introspector:
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
+        self._phases = Phases(_head(model, PHASE).classes, hold) if detect else None
         self._failure: tuple[str, str] | None = None  # label and level that were told last
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -168,6 +173,8 @@ class Introspector:
             confidence.reset()
         for alarm in self._alarms.values():
             alarm.reset()
+        if self._phases is not None:
+            self._phases.reset()
         self._failure = None
         self.latest = {}
 
@@ -239,7 +246,15 @@ class Introspector:
             events.append(belief)
             if head.alarm:
                 events += self._alarm(head, float(p[head.classes.index(head.alarm)]), sample, time)
-        return events + self._failure_type(sample, time)
+        return events + self._failure_type(sample, time) + self._detected()
+
+    def _detected(self) -> list[Event]:
+        """A sub-task that begins without anybody saying so."""
+        if self._phases is None:
+            return []
+        belief = self.latest[PHASE]
+        began = self._phases.update(belief.label, belief.certain_for, belief.level == "certain")
+        return self.begin(detected=True) if began else []
 
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
         change = self._alarms[head.name].update(probability, time)
@@ -256,6 +271,15 @@ class Introspector:
             return []
         self._failure = belief.label, belief.level
         return [FailureType(sample, time, belief.label, belief.probability, belief.level)]
+
+
+def _head(model: IntrospectionModel, name: str) -> Head:
+    for head in model.heads:
+        if head.name == name:
+            return head
+    raise InputError(
+        f'the model has no head "{name}" to tell sub-tasks by; train one with: rcbht train-online --detect.'
+    )
 
 
 def _samples_between(rate: float | None, config: EncoderConfig) -> int | None:

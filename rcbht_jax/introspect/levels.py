@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.events import Level
 from rcbht_jax.metrics import INADMISSIBLE
@@ -58,3 +60,28 @@ class Alarm:
             return None
         self.raised, self._since = not self.raised, None
         return self.raised
+
+
+class Phases:
+    """Which sub-task goes on, from beliefs alone: the next one begins when a later class has been certain long enough.
+
+    Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back.
+    """
+
+    def __init__(self, classes: Sequence[str], hold: float) -> None:
+        if not 0 <= hold < float("inf"):
+            raise InputError(f"the beginning of a sub-task cannot be held for {hold} s; expected zero or more.")
+        self._classes, self._hold = tuple(classes), hold
+        self.reset()
+
+    def reset(self) -> None:
+        """The first sub-task goes on."""
+        self.current = 0
+
+    def update(self, label: str, certain_for: float, certain: bool) -> bool:
+        """Whether a new sub-task begins now, given the likeliest class and how long it has been certain."""
+        number = self._classes.index(label)
+        if number <= self.current or not certain or certain_for < self._hold - 1e-9:
+            return False
+        self.current = number
+        return True

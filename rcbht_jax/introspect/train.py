@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.evaluate import data_hash
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.introspector import PHASE
 from rcbht_jax.introspect.model import Head, IntrospectionModel, Scope
 from rcbht_jax.introspect.observe import Sight, observe_all
 from rcbht_jax.tasks import OUTCOMES, Sentences, TaskSpec, sentences
@@ -89,6 +90,12 @@ def watch(
     )
 
 
+def from_the_beginning(looks: Looks) -> Looks:
+    """The same moments, seen as parts of the whole trial: its sentence begins with the record."""
+    order = np.lexsort((looks.now, looks.recording))
+    return replace(looks, begin=np.zeros_like(looks.begin)).take(order)
+
+
 @dataclass(frozen=True)
 class HeadSpec:
     """What a head is to learn, and from which features."""
@@ -97,11 +104,17 @@ class HeadSpec:
     families: tuple[str, ...] = FAMILIES
     grid: Grid = GRID
     rate: float = 10.0  # looks per second
+    phase: bool = False  # tell the states from the trial's sentence, to find out when a sub-task begins
 
     @property
     def scope(self) -> Scope:
-        """States are told from the sub-task's sentence, everything else from the trial's."""
-        return "subtask" if self.task.task == "states" else "trial"
+        """States are told from the sub-task's sentence unless it is to be found, everything else from the trial's."""
+        return "subtask" if self.task.task == "states" and not self.phase else "trial"
+
+    @property
+    def name(self) -> str:
+        """Of the head."""
+        return PHASE if self.phase else self.task.task
 
 
 def train_head(
@@ -120,7 +133,8 @@ def train_head(
         InputError: fewer than two classes, or a class with a single trial.
     """
     items = sentences(recordings, spec.task)
-    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.scope == "subtask")
+    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
+    looks = from_the_beginning(looks) if spec.phase else looks
     sight = Sight(FeatureSpec(families=spec.families))
     total = len(looks)
     x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
@@ -128,7 +142,7 @@ def train_head(
     chosen = select({"": x}, y, groups, spec.grid, seed)
     machine = fit_probabilistic(x, y, groups, items.classes, chosen, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
-    return Head(spec.task.task, spec.scope, sight, machine, alarm)
+    return Head(spec.name, spec.scope, sight, machine, alarm)
 
 
 def train_model(
