@@ -67,6 +67,7 @@ EXPERIMENTS = (
     Experiment("sim_success", 6, needs=("data",)),
     Experiment("recovery", 5, ("--trials", "16")),
     Experiment("engines", 6),
+    Experiment("parity_floor", 2),
     Experiment("kill_resume", 2),
     Experiment("bench", 1),
     Experiment("stream_speed", 3, (MODEL, *SHORTER), ("data",)),

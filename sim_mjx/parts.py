@@ -233,7 +233,7 @@ def add_female(
     _add_box(mount, "SEAT", (0.035, 0.045, 0.004), _seat(usual))
 
 
-def _add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
+def _add_box(body: mujoco.MjsBody, name: str, size: Vector, place: NDArray[np.float64]) -> None:
     # a geom compiled at its body's origin would stay there: MuJoCo then never reads its position
     body.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
