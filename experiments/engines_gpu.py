@@ -129,7 +129,7 @@ class _stopwatch:
     """Seconds spent in the parts of a synthesis."""
 
     PARTS = ((labelled, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
-             (labelled, "encode_on_device"), (synth, "_shard_arrays"), (synth.shards, "save"), (synth, "_assemble"),
+             (labelled, "encode_on_device"), (synth.trial_arrays, "of_trials"), (synth.shards, "save"), (synth, "_assemble"),
              (synth.store, "write_recordings"), (synth, "write_tracks"))  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8192)
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
     parser.add_argument("--trials", type=int, default=10000)
-    parser.add_argument("--shard", type=int, default=5000)
+    parser.add_argument("--shard", type=int, default=10000)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     parser.add_argument("--scratch", type=Path, default=None)
     options = parser.parse_args()

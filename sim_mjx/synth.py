@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax import thresholds
-from rcbht_jax.data import hiro_onsets, store
+from rcbht_jax.data import store
 from rcbht_jax.data.tracks import write_tracks
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
-from sim_mjx import engines, kinematics, labelled, shards
+from sim_mjx import engines, labelled, shards, trial_arrays
+from sim_mjx.engines.common import blocks
 from sim_mjx.kinds import kind
 from sim_mjx.presets import CONTROL_PERIOD, STATES
 from sim_mjx.randomize import Fault, Randomisation
@@ -38,12 +39,8 @@ from sim_mjx.rollout import Rollouts
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
 # Trials per shard, unless said otherwise: what a kill costs at most. A GPU needs many to be busy.
-SHARD = {"native": 256, "mjx": 8192, "warp": 8192}
+SHARD = {"native": 256, "mjx": 8192, "warp": 16384}
 ROBOT = "hiro"  # whose thresholds label the trials
-FIELDS_OF_LABELS = tuple(field.name for field in fields(LabelTrack))
-TILTS = 2**16  # angles that are computed at once
-# No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
-MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 CREATED = "undated"  # a date would make every store different
 
 
@@ -204,7 +201,7 @@ def _simulate_missing(
 def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.Arrays:
     """Simulate a batch and label it, if that is wanted."""
     if job.window is None:
-        return _shard_arrays((simulate or engine(job.engine, job.preset))(params))
+        return trial_arrays.of_trials((simulate or engine(job.engine, job.preset))(params))
     limits = np.asarray(thresholds.preset(ROBOT).limits)
     if simulate is None:
         scene = kind(job.preset).scene()
@@ -212,80 +209,7 @@ def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.
     else:
         out = simulate(params)
         tracks = labelled.label(out, _encoder(job), limits)
-    return _shard_arrays(out) | _label_arrays(tracks, len(out.length))
-
-
-def _label_arrays(tracks: LabelTracks, trials: int) -> shards.Arrays:
-    """Labels as arrays [trial, wrist, 6, slot] with plain names."""
-    return {
-        f"{layer}.{name}": np.asarray(getattr(getattr(tracks, layer), name)).reshape(trials, -1, 6, width)
-        for layer in LAYERS
-        for name in FIELDS_OF_LABELS
-        for width in (getattr(tracks, layer).label.shape[-1],)
-    }
-
-
-def _diverged(out: Rollouts) -> NDArray[np.bool_]:
-    """Trials [trial] that are not data: marked by the engine, or with a wrench or a motion that cannot be.
-
-    An engine may reset a trial that came apart, whose values are then finite again.
-    """
-    inside = np.arange(out.wrench.shape[1]) < out.length[:, None]
-    wild = (~(np.abs(out.wrench) <= MOST_WRENCH).all(2) & inside).any(1)
-    step = np.abs(np.diff(out.joints, axis=1)).max(2)
-    jumped = (~(step <= MOST_STEP) & inside[:, 1:]).any(1)
-    return out.diverged | wild | jumped
-
-
-def _shard_arrays(out: Rollouts) -> shards.Arrays:
-    """What is kept of a batch of trials; of a diverged one nothing but its mark."""
-    diverged = _diverged(out)
-    # a trial that was stopped has "entered" all later states with its last sample
-    last = (out.length - 1)[:, None] * CONTROL_PERIOD
-    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
-    better, notes = _harmonised(onset, out, diverged)
-    longest = int(out.length.max())
-    return {
-        "wrench": np.where(diverged[:, None, None], np.float32(0), out.wrench[:, :longest]), "length": out.length,
-        "onset": onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
-        "diverged": diverged,
-    }  # fmt: skip
-
-
-def _harmonised(
-    onset: NDArray[np.float64], out: Rollouts, diverged: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Onsets [trial, 4] with the end of a rotation that lasted one sample moved, as in recorded trials; and notes."""
-    better, notes = onset.copy(), [""] * len(onset)
-    rows = [
-        row for row in np.flatnonzero(~diverged).tolist()
-        if hiro_onsets.needs_harmonising(onset[row], CONTROL_PERIOD)
-    ]  # fmt: skip
-    ends = np.where(np.isfinite(onset[:, 3]), np.round(onset[:, 3] / CONTROL_PERIOD), out.length).astype(np.int64)
-    spans = [slice(int(np.round(onset[row, 1] / CONTROL_PERIOD)), int(ends[row])) for row in rows]
-    tilts = _tilts([out.joints[row, span, :6] for row, span in zip(rows, spans, strict=True)])
-    for row, span, tilt in zip(rows, spans, tilts, strict=True):
-        times = np.arange(span.start, span.stop, dtype=np.float64) * CONTROL_PERIOD
-        better[row], notes[row] = hiro_onsets.harmonised(onset[row], times, tilt)
-    return better, np.array(notes, np.str_)
-
-
-def _tilts(joints: list[NDArray[np.float32]]) -> list[NDArray[np.float64]]:
-    """Angles [n] in degrees between hand and vertical, for each array of joint angles [n, 6]."""
-    if not joints:
-        return []
-    flat = np.concatenate(joints)
-    angles = np.empty(-(-len(flat) // TILTS) * TILTS)
-    for start in range(0, len(flat), TILTS):
-        block = np.zeros((TILTS, 6), np.float32)  # always full: a compiler may round the last lanes differently
-        block[: len(flat) - start] = flat[start : start + TILTS]
-        angles[start : start + TILTS] = _tilt(block)
-    return np.split(np.degrees(angles[: len(flat)]), np.cumsum([len(part) for part in joints])[:-1])
-
-
-@jax.jit
-def _tilt(joints: jax.Array) -> jax.Array:
-    return kinematics.tilt(kinematics.fk(joints)[1])
+    return trial_arrays.of_trials(out) | trial_arrays.of_labels(tracks, len(out.length))
 
 
 def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any]) -> None:
@@ -319,12 +243,17 @@ def _write_labels(draft: Path, job: Synthesis, parts: list[shards.Arrays], kept:
     """Add the labels of the kept trials to the store, under the name and with the attributes of ``rcbht encode``."""
 
     def joined(name: str) -> NDArray[Any]:
-        width = max(part[name].shape[-1] for part in parts)
-        wide = [np.pad(part[name], ((0, 0),) * 3 + ((0, width - part[name].shape[-1]),)) for part in parts]
-        whole = np.concatenate(wide)[kept]
-        return whole.reshape(-1, 6, width)
+        shapes = [part[name].shape for part in parts]
+        out = np.zeros((len(kept), *shapes[0][1:-1], max(shape[-1] for shape in shapes)), parts[0][name].dtype)
+        row = 0
+        for rows, part in _kept_of(parts, kept):
+            out[row : row + len(rows), ..., : part[name].shape[-1]] = part[name][rows]
+            row += len(rows)
+        return out.reshape(-1, 6, out.shape[-1])
 
-    layers = {layer: LabelTrack(**{name: joined(f"{layer}.{name}") for name in FIELDS_OF_LABELS}) for layer in LAYERS}
+    layers = {
+        layer: LabelTrack(**{name: joined(f"{layer}.{name}") for name in trial_arrays.LABEL_FIELDS}) for layer in LAYERS
+    }
     config = _encoder(job)
     limits = np.asarray(thresholds.preset(ROBOT).limits)
     how = {"semantics": "online", "window": config.window, "config": asdict(config), "thresholds": limits.tolist()}
@@ -342,13 +271,23 @@ def _report(target: Path, job: Synthesis, resumed: int) -> Report:
 
 def _wrench(parts: list[shards.Arrays], kept: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.float32]:
     """All kept trials [trial, time, 6K], padded to the longest of them."""
-    rows = (trial for part in parts for trial in part["wrench"])
-    wanted = set(kept.tolist())
     out = np.zeros((len(kept), int(length.max()), parts[0]["wrench"].shape[2]), np.float32)
-    kept_rows = (trial for index, trial in enumerate(rows) if index in wanted)
-    for row, (trial, samples) in enumerate(zip(kept_rows, length, strict=True)):
-        out[row, :samples] = trial[:samples]
+    row = 0
+    for rows, part in _kept_of(parts, kept):
+        samples = min(out.shape[1], part["wrench"].shape[1])
+        for block in blocks(len(rows)):
+            out[row + block.start : row + block.stop, :samples] = part["wrench"][rows[block], :samples]
+        row += len(rows)
     return out
+
+
+def _kept_of(parts: list[shards.Arrays], kept: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], shards.Arrays]]:
+    """Each shard with the rows of its trials that are kept."""
+    start = 0
+    for part in parts:
+        stop = start + len(part["diverged"])
+        yield kept[(kept >= start) & (kept < stop)] - start, part
+        start = stop
 
 
 def _recordings(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +19,7 @@ SETTLING = 200  # physics steps before time zero, in which the tool's weight ben
 # JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 
+BLOCK = 16  # trials
 LARGEST = 1e5  # N or Nm; beyond it the physics has diverged, whatever it says next
 
 
@@ -70,16 +72,20 @@ def collect(
     at = phases[:, :, None] == np.arange(task.ENDED)
     entered = np.where(at.any(1), np.maximum(at.argmax(1) - 1, 0), -1)
     length = (phases < task.ENDED).sum(1).astype(np.int32)
-    wrench, joints = wrench[:, : length.max()], joints[:, : length.max()]
-    inside = np.arange(wrench.shape[1])[None] < length[:, None]
-    holds = sane(wrench) & np.isfinite(joints).all(2)
-    diverged = (~holds & inside).any(1)
-    keep = (inside & ~diverged[:, None])[..., None]
-    return Rollouts(
-        np.where(keep, wrench, 0).astype(np.float32),
-        np.where(keep, joints, 0).astype(np.float32),
-        length,
-        task.onsets(entered),
-        seated & ~diverged[:, None],
-        diverged,
-    )
+    count, longest = len(length), int(length.max())
+    kept = [np.zeros((count, longest, log.shape[2]), np.float32) for log in (wrench, joints)]
+    diverged = np.zeros(count, np.bool_)
+    for rows in blocks(count):
+        logs = [log[rows, :longest] for log in (wrench, joints)]
+        inside = np.arange(longest)[None] < length[rows, None]
+        holds = sane(logs[0]) & np.isfinite(logs[1]).all(2)
+        diverged[rows] = (~holds & inside).any(1)
+        keep = (inside & ~diverged[rows, None])[..., None]
+        for out, log in zip(kept, logs, strict=True):
+            np.copyto(out[rows], log, where=keep)
+    return Rollouts(kept[0], kept[1], length, task.onsets(entered), seated & ~diverged[:, None], diverged)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Rows of a large array by the few, whose temporaries stay in a core's cache."""
+    return (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))
