@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments import sim_to_real_figure
+from experiments import calibration_figure, sim_to_real_figure
 from experiments.compared import compared, result
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
@@ -61,7 +61,10 @@ def bar(ax: Axes, place: int, row: dict[str, Any]) -> None:
 
 
 def short(method: str) -> str:
-    long = {", without duration and offset": ",\nno duration, no offset", ", offset removed": ",\nno offset"}
+    long = {
+        ", without duration and offset": ",\nno duration, no offset", ", offset removed": ",\nno offset",
+        ", choice of encoder and families": ", choice", ", choice of encoder": ", choice",
+    }  # fmt: skip
     for part, shorter in long.items():
         method = method.replace(part, shorter)
     return method
@@ -143,12 +146,18 @@ def sim_to_real() -> Figure:
     return sim_to_real_figure.draw(result("sim_to_real")["rows"])
 
 
+def calibration() -> Figure:
+    """What each way of calibrating reaches in how much time."""
+    return calibration_figure.draw(result("calibration_curves")["rows"])
+
+
 FIGURES = {
     "peers": peers,
     "training-size": curves,
     "kernel-cost": grids,
     "confidence": confidence,
     "sim-to-real": sim_to_real,
+    "calibration-curves": calibration,
 }
 
 

@@ -16,7 +16,8 @@ from rcbht_jax.errors import InputError
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "experiments" / "results"
 SCORE = re.compile(r"(?<![\d.])[01]?\.\d{2,}")
-BY_HAND = ("README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md")  # pages of scores
+# Pages of scores.
+BY_HAND = ("README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md")
 
 
 def test_every_table_is_shown_somewhere() -> None:

@@ -195,7 +195,7 @@ def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report:
 
 def test_every_number_of_the_results_is_in_its_file() -> None:
     results = read_results(RESULTS)
-    tabled = {"peers", "probes", "table1_ours", "table1_published", "table2", "two_arm_states"}
+    tabled = {"peers", "probes", "sim_to_real", "table1_ours", "table1_published", "table2", "two_arm_states"}
     assert {row.source for row in results.rows} >= {f"{name}.json" for name in tabled}
     assert sum(row.peer is not None for row in results.rows) >= 8
     html = results_html(results)
