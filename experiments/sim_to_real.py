@@ -64,6 +64,10 @@ class Pool:
     def rows(self, names: tuple[str, ...]) -> Ints:
         return np.flatnonzero(np.isin(self.place, names))
 
+    def take(self, rows: Ints) -> Pool:
+        x = {name: matrix[rows] for name, matrix in self.x.items()}
+        return Pool(x, self.y[rows], self.trial[rows], self.place[rows], self.classes)
+
 
 class Experiment:
     """The sets, and what makes each row."""
@@ -74,6 +78,7 @@ class Experiment:
     def row(self, spec: Row) -> Callable[[], Any]:
         return lambda: {"train": list(spec.train)} | {b: self.measure(spec, b) for b in BOUNDARIES}
 
+    @cache  # noqa: B019 (one object lives as long as the program)
     def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
         """Accuracy on every test set, of a learner that saw the training sets only."""
         how = Labelling(spec.window, spec.tare, self.limits(spec))
@@ -119,12 +124,15 @@ class Experiment:
         """Class index of every test item, and what was chosen on the training items."""
         if spec.learner != "words":
             return raw_learners.forest(pool.x[""], pool.y)(train, test, SEED)[0], {}
-        best, score = choose(pool, train[np.isin(pool.trial[train], some_trials(pool, train, SELECTING, spec.draw))])
-        said = predictions(pool.x[best.features], pool.y, train, test, best, [best.cost])[0]
+        few = train[np.isin(pool.trial[train], some_trials(pool, train, SELECTING, spec.draw))]
+        best, score = choose(pool.take(few))
+        both = pool.take(np.concatenate([train, test]))
+        learn, rest = np.split(np.arange(len(both.y)), [len(train)])
+        said = predictions(both.x[best.features], both.y, learn, rest, best, [best.cost])[0]
         chosen = {"features": best.features, "kernel": best.kernel, "cost": best.cost, "simulated": score}
         return said, chosen
 
-    @cache  # noqa: B019 (one object lives as long as the program)
+    @cache  # noqa: B019
     def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
         """Thresholds chosen on the training sets; None = the preset's."""
         if spec.thresholds == "preset":
@@ -184,22 +192,21 @@ def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_
     return np.concatenate(chosen)
 
 
-def choose(pool: Pool, rows: Ints) -> tuple[SvmSpec, float | None]:
+def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
     """The grid's best choice for sets that are not trained on, and its mean accuracy there.
 
     With a single set, by grouped folds inside it; its score says nothing of other sets and is not given.
     """
-    places = np.unique(pool.place[rows])
+    places = np.unique(pool.place)
     if len(places) == 1:
-        inside = {name: x[rows] for name, x in pool.x.items()}
-        return select(inside, pool.y[rows], pool.trial[rows], GRID, SEED), None
+        return select(pool.x, pool.y, pool.trial, GRID, SEED), None
     paths = GRID.paths(list(pool.x))
     scores = np.zeros((len(paths), len(GRID.costs)))
     for place in places:
-        held = pool.place[rows] == place
+        held, rest = (np.flatnonzero(side) for side in (pool.place == place, pool.place != place))
         for path, spec in zip(scores, paths, strict=True):
-            said = predictions(pool.x[spec.features], pool.y, rows[~held], rows[held], spec, GRID.costs)
-            path += [metrics.accuracy(pool.y[rows[held]], one) / len(places) for one in said]
+            said = predictions(pool.x[spec.features], pool.y, rest, held, spec, GRID.costs)
+            path += [metrics.accuracy(pool.y[held], one) / len(places) for one in said]
     best = int(scores.round(9).argmax())
     found = replace(paths[best // len(GRID.costs)], cost=GRID.costs[best % len(GRID.costs)])
     return found, float(scores.max())
@@ -225,7 +232,7 @@ def about(experiment: Experiment) -> dict[str, Any]:
         "chance": {"merged": round(1 / 3, 4), "harmonised": 0.25},
         "sets": {name: asdict(one) | {"seed": SEED_OF_SETS} for name, one in SETS.items()},
         "candidates": {name: list(families) for name, families in CANDIDATES.items()},
-        "grid": asdict(GRID),
+        "grid": {"kernels": GRID.kernels, "costs": GRID.costs, "scaled": True, "least deviation": GRID.floor},
         "trials of each set that select": SELECTING,
     }
 

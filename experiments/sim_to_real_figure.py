@@ -1,20 +1,13 @@
-"""The figure of ``experiments.sim_to_real``: what each choice does to the accuracy on recorded trials.
-
-Run: python -m experiments.sim_to_real_figure docs/images/sim-to-real.png
-"""
+"""The figure of ``experiments.sim_to_real``: what each choice does to the accuracy on recorded trials."""
 
 from __future__ import annotations
 
-import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.record import RESULTS
-from rcbht_jax.plots.canvas import new_figure, save
+from rcbht_jax.plots.canvas import new_figure
 
 TITLES = {"merged": "three states (rotation and insertion merged)", "harmonised": "four states"}
 GOALS = {"merged": 0.92, "harmonised": 0.80}
@@ -65,15 +58,3 @@ def draw(rows: dict[str, Any]) -> Figure:
     figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
     figure.tight_layout(rect=(0, 0.5 / figure.get_figheight(), 1, 1))
     return figure
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("target", type=Path)
-    given = parser.parse_args()
-    record = json.loads((RESULTS / "sim_to_real.json").read_text(encoding="utf-8"))
-    save(draw(record["result"]["rows"]), given.target)
-
-
-if __name__ == "__main__":
-    main()

@@ -6,18 +6,23 @@ from dataclasses import dataclass, replace
 
 from sim_mjx.presets import PRESETS
 
+_WORDS = ("histogram", "ngram", "attributes")
+_LINES = ("parts", "spread", "together", "order")
+_ABSOLUTE = ("offset", "edges", "levels")
 # Families of features that selection may choose from, simple ones first: ties go to the earlier.
 CANDIDATES = {
     "histogram": ("histogram",),
-    "words": ("histogram", "ngram", "attributes"),
     "course": ("course",),
     "edges": ("edges",),
-    "levels": ("attributes", "course", "offset", "edges"),
-    "all but duration": ("histogram", "ngram", "attributes", "course", "offset", "edges"),
-    "words and course": ("histogram", "ngram", "attributes", "course"),
-    "all": ("histogram", "ngram", "attributes", "course", "offset", "edges", "duration"),
+    "words": _WORDS,
+    "lines": _LINES,
+    "values": ("attributes", "course", "offset", "edges"),
+    "words and course": (*_WORDS, "course"),
+    "all but duration and absolute level": (*_WORDS, "course", *_LINES),
+    "all but duration": (*_WORDS, "course", *_LINES, *_ABSOLUTE),
+    "all": (*_WORDS, "course", *_LINES, *_ABSOLUTE, "duration"),
 }
-CHOICE = ("histogram", "words", "course", "edges", "levels", "all but duration")  # not duration, a confound
+CHOICE = tuple(name for name in CANDIDATES if name != "all")  # duration is a confound
 FIXED = ("all but duration",)  # where a single set is trained on, which cannot tell what carries over
 EVERY = 10_000  # trials: all
 
@@ -54,6 +59,8 @@ def _rows() -> dict[str, Row]:
         "baseline | recorded OpenHRP trials": Row(("SIM1",), candidates=FIXED),
         "baseline | duration alone": replace(ALL, learner="duration"),
         "baseline | statistics of the raw wrench, random forest": replace(ALL, learner="statistics"),
+        "baseline | the same, without presets A and B": Row(_of("wide", "C", "openhrp"), learner="statistics"),
+        "baseline | the same, recorded OpenHRP trials": Row(("SIM1",), learner="statistics"),
     }
     rows |= {f"one preset | {preset}": Row(_of("wide", preset), candidates=FIXED) for preset in PRESETS}
     for level in ("none", "mild", "wide"):
@@ -70,7 +77,9 @@ def _rows() -> dict[str, Row]:
         for draw in range(draws):
             name = f"amount | {trials * len(PRESETS)} trials" + f", draw {draw + 1}" * (draws > 1)
             rows[name] = replace(ALL, trials=trials, draw=draw)
+    others = replace(FEW, train=_of("wide", "C", "openhrp"))
     rows |= {f"features | {name}": replace(FEW, candidates=(name,)) for name in CANDIDATES}
+    rows |= {f"features, without A and B | {name}": replace(others, candidates=(name,)) for name in CANDIDATES}
     rows |= {f"window | {samples} samples": replace(FEW, window=samples) for samples in (5, 10, 20)}
     rows |= {f"tare | {word}": replace(FEW, tare=tare) for word, tare in (("first second", True), ("none", False))}
     for thresholds in ("preset", "context", "context, own axes", "search"):

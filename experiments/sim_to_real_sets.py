@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.data.store import read_recordings
 from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.grammar import FAMILIES, WHOLE, Features, FeatureSpec
+from rcbht_jax.grammar import FAMILIES, Features, FeatureSpec
 from rcbht_jax.tasks import Sentences, TaskSpec, describe, sentences
 from rcbht_jax.thresholds import Thresholds, preset
 from rcbht_jax.types import LabelTracks, Recordings
@@ -58,7 +58,7 @@ RECORDED = {
     "SIM1": TaskSpec(sessions=("SIM1",)),
 }
 TARE_SECONDS = 1.0  # of free space at the beginning of every trial
-SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family not in WHOLE))
+SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
 
 SETS = {
     "none": SimulatedSet(NONE, 64),

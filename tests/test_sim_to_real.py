@@ -36,11 +36,11 @@ def pool() -> Pool:
 
 def test_what_carries_over_to_another_set_is_chosen() -> None:
     some = pool()
-    spec, score = choose(some, np.arange(len(some.y)))
+    spec, score = choose(some)
     assert spec.features == "steady"
     assert score is not None
     assert 0.8 < score < 1.0
-    inside, unknown = choose(some, some.rows(("wide A",)))
+    inside, unknown = choose(some.take(some.rows(("wide A",))))
     assert inside.features == "shifting"  # nothing in one set says that it shifts
     assert unknown is None
 
