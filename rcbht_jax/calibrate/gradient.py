@@ -71,6 +71,7 @@ class Trained:
     thresholds: Thresholds  # [6, 4]
     parameters: Parameters
     history: list[tuple[float, float, float]]  # per step: seconds, training loss, held-out loss (NaN without)
+    path: NDArray[np.float64]  # [step, 6, 4] thresholds after each step
 
 
 def batch_of(corpus: Corpus, config: EncoderConfig) -> Batch:
@@ -143,20 +144,22 @@ def calibrate(
     state = _optimizer(fixed).init(parameters)
     batch = batch_of(corpus, config)
     other = None if held_out is None else batch_of(held_out, config)
-    history, began = [], time.perf_counter()
+    history: list[tuple[float, float, float]] = []
+    path, began = [], time.perf_counter()
     temperatures = np.geomspace(*options.temperature, options.steps).astype(np.float32)
     for temperature, rows in zip(temperatures, _orders(len(corpus), options), strict=False):
         # copies are explicit: a transfer guard can show that nothing else leaves the device
         warmth, chosen = jax.device_put((temperature, rows.astype(np.int32)))
         outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, warmth)))
         parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, warmth)
-        history.append((time.perf_counter() - began, float(jax.device_get(inside)), outside))
+        value, found = jax.device_get((inside, _limits(parameters.free)))
+        history.append((time.perf_counter() - began, float(value), outside))
+        path.append(found.astype(np.float64))
         if not np.isfinite(history[-1][1]):
             raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
         if progress is not None:
             progress(1)
-    found = jax.device_get(_limits(parameters.free))
-    return Trained(Thresholds(found.astype(np.float64)), parameters, history)
+    return Trained(Thresholds(path[-1]), parameters, history, np.stack(path))
 
 
 def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) -> Parameters:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from rcbht_jax.calibrate.corpus import Corpus
 from rcbht_jax.labels import AXES
@@ -23,7 +24,8 @@ def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | No
         base: limits to compare with, dotted lines.
 
     Returns:
-        a figure with a row per axis and a column per class of sentences.
+        a figure with a row per axis and a column per class of sentences; each panel says which share of the windows
+        the limits make constant, small, medium, big and impulse.
     """
     figure = new_figure((3.2 * len(data.classes), 9.5), 110)
     panels = figure.subplots(len(AXES), len(data.classes), squeeze=False, sharex="row")
@@ -36,7 +38,9 @@ def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | No
         bins = np.geomspace(low, high, 50)
         for column, name in enumerate(data.classes):
             panel = panels[row, column]
-            panel.hist(np.maximum(_inside(data, column, slopes), low), bins=bins, color="0.8")
+            shown = _inside(data, column, slopes)
+            panel.hist(np.maximum(shown, low), bins=bins, color="0.8")
+            panel.text(0.02, 0.96, _zones(shown, limits), transform=panel.transAxes, fontsize=6, va="top", color="0.25")
             for k, limit in enumerate(limits):
                 label = _NAMES[k] if (row, column) == (0, 0) else None
                 panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
@@ -57,7 +61,7 @@ def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | No
     return figure
 
 
-def _inside(data: Corpus, label: int, slopes: np.ndarray[tuple[int, int], np.dtype[np.floating]]) -> np.ndarray:
+def _inside(data: Corpus, label: int, slopes: NDArray[np.floating]) -> NDArray[np.floating]:
     """Slopes of all windows that begin in a sentence of the class, over the recordings."""
     found = []
     window = _window(data)
@@ -66,6 +70,13 @@ def _inside(data: Corpus, label: int, slopes: np.ndarray[tuple[int, int], np.dty
             first, last = data.edges[recording, sentence : sentence + 2]
             found.append(slopes[recording, -(-first // window) : -(-last // window)])
     return np.concatenate(found) if found else np.zeros(0)
+
+
+def _zones(slopes: NDArray[np.floating], limits: NDArray[np.floating]) -> str:
+    """Percent of the windows between the limits, one line per zone from the smallest slopes on."""
+    zone = (slopes[:, None] >= limits[::-1]).sum(1)
+    share = 100 * np.bincount(zone, minlength=5) / max(len(zone), 1)
+    return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *_NAMES[::-1]), strict=True))
 
 
 def _window(data: Corpus) -> int:
