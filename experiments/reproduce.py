@@ -75,9 +75,11 @@ EXPERIMENTS = (
     Experiment("faults_online", 60, ("--folder", "{work}/faults", "--preset", "B", "C"), elsewhere=HOURS),
     Experiment("calibration", 180, (STORE,), ("data",), elsewhere=HOURS),
     Experiment("calibration_curves", 120, (STORE,), ("data",), elsewhere=HOURS),
-    Experiment("calibration_gradient", 120, (STORE,), ("data",), elsewhere=HOURS),
+    Experiment("calibration_near", 6, (STORE,), ("data",)),
     Experiment("calibration_speed", 5, (STORE,), ("data",), ("calibration_speed_gpu",), GPU),
-    Experiment("calibration_device", 10, ("--engine", "warp"), elsewhere=GPU),
+    Experiment(
+        "calibration_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU
+    ),
     Experiment("engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"), elsewhere=GPU),
 )  # fmt: skip
 
