@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -191,6 +192,54 @@ def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:
     return {name: min(found, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, found in groups.items()}
 
 
+def _engine_runs(part: str) -> dict[str, Any]:
+    """One part of the measurements on a GPU, by engine, and of those on a CPU where they have it."""
+    gpu = json.loads((COMMITTED / "engines_gpu.json").read_text(encoding="utf-8"))  # two runs in one file
+    found = {f"`{engine}`, one H200": gpu[engine][part] for engine in ("warp", "mjx") if part in gpu[engine]}
+    cpu = _result("engines")["mjx"]
+    return found | ({"`mjx`, 2 CPU cores": cpu[part]} if part in cpu else {})
+
+
+def parity(way: str) -> str:
+    """The device engines against C MuJoCo."""
+    lines = []
+    for engine, found in _engine_runs("parity").items():
+        wrench = [found[f"{what}_until_contact"] for what in ("force", "moment")]
+        words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
+        contact = f"{wrench[0]:.3f} N, {wrench[1]:.4f} Nm"
+        rest = (f"{found['force_after_contact']:.3f} N", words, f"{100 * found['states']:.2f}")
+        lines.append((engine, str(found["trials"]), contact, *rest, f"{100 * found['same_outcome']:.1f}"))
+    words = "same primitive / composition / behaviour, % of time"
+    head = ("engine", "trials", "largest difference until contact", "median force difference after it", words)
+    return _markdown((*head, "same state, % of time", "same outcome, % of trials"), lines)
+
+
+def speed(way: str) -> str:
+    """Physics steps per second with everything inside, by engine and batch."""
+    lines = []
+    for kind in ("speed", "sweep"):
+        for engine, found in _engine_runs(kind).items():
+            for run in found if isinstance(found, list) else [found]:
+                millions, memory = run["steps_per_s"] / 1e6, run["memory_peak_GB"]
+                lines.append(
+                    (engine, f"{run['batch']:,}", f"{millions:.2f}", f"{run['compile_s']:.0f}", f"{memory:.1f}")
+                )
+    return _markdown(("engine", "trials at once", "million steps per second", "compilation, s", "memory, GB"), lines)
+
+
+def synthesis(way: str) -> str:
+    """A store of labelled trials from a GPU, from the command to the last byte."""
+    lines = []
+    for engine, run in _engine_runs("synthesis").items():
+        parts = run["seconds_by_part"]
+        seconds = (run["seconds"], run["with_compilation_s"], parts["run"], parts["encode_on_device"])
+        counts = (f"{run['trials']:,}", f"{run['physics_steps_per_trial']:,}")
+        rest = (f"{run['store_GB']:.1f}", str(run["diverged"]))
+        lines.append((engine, *counts, *(f"{value:.0f}" for value in seconds), *rest))
+    head = ("engine", "trials", "physics steps each", "seconds", "with compilation", "of them physics", "labels")
+    return _markdown((*head, "store, GB", "diverged, left out"), lines)
+
+
 def experiments(way: str) -> str:
     """What ``make reproduce`` runs, and what it cannot."""
     lines = []
@@ -214,6 +263,9 @@ TABLES: dict[str, Callable[[str], str]] = {
     "probes": probes,
     "calibration": calibration,
     "online": online,
+    "parity": parity,
+    "speed": speed,
+    "synthesis": synthesis,
     "experiments": experiments,
     "sim-to-real": sim_to_real,
     "sim-to-real-choices": sim_to_real_choices,
