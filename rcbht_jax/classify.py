@@ -29,6 +29,7 @@ DEGREE = 3
 
 Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
+Weight = NDArray[np.float64] | None  # positive [feature] by which scaled features are multiplied; None = ones
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
 # Bound on the solver's iterations while selecting, reached only by costs that are hopeless for overlapping classes.
@@ -166,15 +167,15 @@ def _gamma(x: Matrix, kind: str) -> float:
     return 1.0 / (x.shape[1] * (variance if variance > 0 else 1.0))
 
 
-def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec) -> SvmModel:
-    """Train on ``[item, feature]`` with class indices ``[item]``.
+def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weight = None) -> SvmModel:
+    """Train on ``[item, feature]`` with class indices ``[item]``; ``weight`` ``[feature]`` follows the scaling.
 
     Raises:
         InputError: a class has no item, or a feature is not finite.
     """
     _check(x, y, classes)
     x = np.asarray(x, np.float64)
-    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks)
+    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks, weight)
     scaled = scale(x)
     gamma = _gamma(scaled, spec.gamma)
     machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
@@ -247,7 +248,14 @@ def _fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
     return min(len(np.unique(groups[y == c])) for c in np.unique(y))
 
 
-def select(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], grid: Grid, seed: int) -> SvmSpec:
+def select(
+    candidates: Mapping[str, Matrix],
+    y: Ints,
+    groups: NDArray[Any],
+    grid: Grid,
+    seed: int,
+    weights: Mapping[str, Weight] | None = None,
+) -> SvmSpec:
     """The grid's best choice by grouped cross-validation on the items given (training items).
 
     Args:
@@ -256,6 +264,7 @@ def select(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], grid
         groups: trial ``[item]``.
         grid: choices; fewer inner folds are used when a class has fewer trials than ``grid.inner``.
         seed: of the folds.
+        weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
     """
     paths = grid.paths(list(candidates))
     if grid.single and len(paths) == 1:
@@ -263,8 +272,11 @@ def select(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], grid
     splits = grouped_folds(y, groups, min(grid.inner, _fewest_groups(y, groups)), seed)
     scores = np.zeros((len(paths), len(grid.costs)))
     for train, test in splits:
-        for i, spec in enumerate(paths):
-            said = predictions(candidates[spec.features], y, train, test, spec, grid.costs)
+        scaled, made_for = np.zeros((0, 0)), None
+        for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, and share its scaling
+            if made_for != (made_for := (spec.features, spec.scaling)):
+                scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
+            said = _said(scaled, y, train, test, spec, grid.costs)
             scores[i] += [_score(y[test], s, grid.balanced) for s in said]
     best = int(scores.round(9).argmax())
     return replace(paths[best // len(grid.costs)], cost=grid.costs[best % len(grid.costs)])
@@ -275,10 +287,19 @@ def _score(truth: Ints, said: Ints, balanced: bool) -> float:
 
 
 def predictions(
-    x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
+    x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], weight: Weight = None
 ) -> list[NDArray[np.int64]]:
     """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
-    scaled = fit_scale(x[train], spec.scaling, spec.floor, spec.ranks)(x)
+    return _said(_scaled(x, train, spec, weight), y, train, test, spec, costs)
+
+
+def _scaled(x: Matrix, train: Ints, spec: SvmSpec, weight: Weight) -> NDArray[np.float64]:
+    return fit_scale(x[train], spec.scaling, spec.floor, spec.ranks, weight)(x)
+
+
+def _said(
+    scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
+) -> list[NDArray[np.int64]]:
     gamma = _gamma(scaled[train], spec.gamma)
     kernel = gram(scaled, scaled[train], spec.kernel, gamma)
     return predictions_of_kernel(kernel[train], y[train], kernel[test], costs, spec.balanced)

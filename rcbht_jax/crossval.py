@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 
 from rcbht_jax import metrics
-from rcbht_jax.classify import Grid, Split, grouped_folds, predictions, select
+from rcbht_jax.classify import Grid, Split, Weight, grouped_folds, predictions, select
 from rcbht_jax.errors import InputError
 
 Ints = NDArray[np.integer[Any]]
@@ -27,7 +27,13 @@ _TREES = 50
 _RESAMPLES = 2000
 
 
-def nested_svm(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], grid: Grid) -> Learner:
+def nested_svm(
+    candidates: Mapping[str, Matrix],
+    y: Ints,
+    groups: NDArray[Any],
+    grid: Grid,
+    weights: Mapping[str, Weight] | None = None,
+) -> Learner:
     """SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
@@ -35,6 +41,7 @@ def nested_svm(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], 
         y: class index ``[item]``.
         groups: trial ``[item]``.
         grid: what to choose from.
+        weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
 
     Raises:
         InputError: a matrix has another number of items or a value that is not finite.
@@ -49,8 +56,9 @@ def nested_svm(candidates: Mapping[str, Matrix], y: Ints, groups: NDArray[Any], 
 
     def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
         inside = {name: x[train] for name, x in doubles.items()}
-        spec = select(inside, y[train], groups[train], grid, seed)
-        said = predictions(doubles[spec.features], y, train, test, spec, [spec.cost])[0]
+        spec = select(inside, y[train], groups[train], grid, seed, weights)
+        weight = (weights or {}).get(spec.features)
+        said = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         return said, asdict(spec)
 
     return learn

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax import crossval
-from rcbht_jax.classify import Grid, Split, fit, select
+from rcbht_jax.classify import Grid, Split, Weight, fit, select
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import Features, FeatureSpec
 from rcbht_jax.model_file import TrainedModel
@@ -72,15 +72,16 @@ Grammars = Mapping[str, Mapping[str, LabelTracks]]
 
 def candidates(
     tracks: LabelTracks | Grammars, items: Sentences, features: FeatureSpec | Mapping[str, FeatureSpec]
-) -> dict[str, Features]:
-    """Every grammar described by every specification; ``grammar specification`` -> features, in the order given."""
+) -> dict[str, tuple[Features, Weight]]:
+    """Every grammar described by every specification, in the order given: features and their weights by name."""
     grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
     specs = {"": features} if isinstance(features, FeatureSpec) else features
-    return {
-        " ".join(filter(None, (grammar, name))): describe(labels, items, spec)
-        for grammar, labels in grammars.items()
-        for name, spec in specs.items()
-    }
+    made: dict[str, tuple[Features, Weight]] = {}
+    for grammar, labels in grammars.items():
+        for name, spec in specs.items():
+            found = describe(labels, items, spec)
+            made[" ".join(filter(None, (grammar, name)))] = found, found.weights(spec)
+    return made
 
 
 def evaluate(
@@ -106,14 +107,16 @@ def evaluate(
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = sentences(recordings, task)
-    made = {name: found.values for name, found in candidates(tracks, items, features).items()}
+    made = candidates(tracks, items, features)
     provenance = {
         "version": rcbht_jax.__version__,
         "labels": dict(label_attrs or {}),
         "features": {name: asdict(spec) for name, spec in specs.items()},
         "data_hash": data_hash(recordings),
     }
-    return score(items, made, protocol, asdict(task), provenance)
+    matrices = {name: found.values for name, (found, _) in made.items()}
+    weights = {name: weight for name, (_, weight) in made.items()}
+    return score(items, matrices, protocol, asdict(task), provenance, weights)
 
 
 def score(
@@ -122,10 +125,11 @@ def score(
     protocol: Protocol,
     task: dict[str, Any],
     provenance: dict[str, Any],
+    weights: Mapping[str, Weight] | None = None,
 ) -> Result:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits."""
     learners = {
-        "svm": crossval.nested_svm(matrices, items.y, items.trial, protocol.grid),
+        "svm": crossval.nested_svm(matrices, items.y, items.trial, protocol.grid, weights),
         "duration": crossval.forest(items.seconds, items.y),
         "majority": crossval.majority(items.y),
     }
@@ -217,9 +221,11 @@ def train(
     """
     items = sentences(recordings, task)
     made = candidates(tracks, items, features)
-    chosen = select({name: found.values for name, found in made.items()}, items.y, items.trial, grid or Grid(), seed)
-    best = made[chosen.features]
-    svm = fit(best.values, items.y, items.classes, chosen)
+    matrices = {name: found.values for name, (found, _) in made.items()}
+    weights = {name: weight for name, (_, weight) in made.items()}
+    chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights)
+    best, weight = made[chosen.features]
+    svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})
     if not isinstance(tracks, LabelTracks):
         used = {name: how.get(name, {}) for name in tracks[chosen.features]}

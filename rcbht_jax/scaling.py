@@ -25,16 +25,17 @@ class Scale:
 
     center: NDArray[np.float64]  # [feature] subtracted first
     width: NDArray[np.float64]  # [feature] divided by second
-    knots: NDArray[np.float64]  # [knot, feature] increasing quantiles, for ranks instead; [0, feature] = none
+    knots: NDArray[np.float64]  # [knot, feature] increasing quantiles: ranks instead of values; [0, feature] = none
 
     def __call__(self, x: Matrix) -> NDArray[np.float64]:
         """Scaled features ``[item, feature]``."""
-        if len(self.knots):
-            return ranks(x, self.knots)
-        return np.asarray((x - self.center) / self.width, np.float64)
+        values = ranks(x, self.knots) if len(self.knots) else x
+        return np.asarray((values - self.center) / self.width, np.float64)
 
 
-def fit_scale(x: Matrix, scaling: bool, floor: float = 0.0, ranked: bool = False) -> Scale:
+def fit_scale(
+    x: Matrix, scaling: bool, floor: float = 0.0, ranked: bool = False, weight: NDArray[np.float64] | None = None
+) -> Scale:
     """The scale of training items ``[item, feature]``.
 
     Args:
@@ -42,16 +43,15 @@ def fit_scale(x: Matrix, scaling: bool, floor: float = 0.0, ranked: bool = False
         scaling: False = leave the features as they are.
         floor: least deviation to divide by.
         ranked: by ranks instead of mean and deviation.
+        weight: positive ``[feature]``, multiplied by last, so that many features of one kind do not outvote few of another.
     """
-    center, width = np.zeros(x.shape[1]), np.ones(x.shape[1])
-    none = np.zeros((0, x.shape[1]))
-    if not scaling:
-        return Scale(center, width, none)
-    if ranked:
-        return Scale(center, width, np.quantile(x, np.linspace(0, 1, KNOTS), axis=0).astype(np.float64))
-    deviation = x.std(0, dtype=np.float64)
-    width = np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
-    return Scale(x.mean(0, dtype=np.float64), width, none)
+    center, width, knots = np.zeros(x.shape[1]), np.ones(x.shape[1]), np.zeros((0, x.shape[1]))
+    if scaling and ranked:
+        knots = np.quantile(x, np.linspace(0, 1, KNOTS), axis=0).astype(np.float64)
+    elif scaling:
+        center, deviation = x.mean(0, dtype=np.float64), x.std(0, dtype=np.float64)
+        width = np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
+    return Scale(center, width if weight is None else width / weight, knots)
 
 
 def ranks(x: Matrix, knots: NDArray[np.float64]) -> NDArray[np.float64]:

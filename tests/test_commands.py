@@ -82,11 +82,35 @@ def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, capsys: py
     assert model.encoder["config"]["window"] == 5
 
 
+def test_grammars_stand_side_by_side_or_are_chosen_from(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = run(capsys, "encode", store, "--window", 20, "--scale", 0.0625)
+    assert made["name"] == "online-W20-x0.0625"
+    assert made["thresholds"][0][3] == 0.0625
+    quick = ("--kernels", "linear", "--costs", 1, "--features", "parts", "levels", "--ranks", "--balance")
+    both = f"online-W5+{made['name']}"
+    folds = ("--folds", 2, "--repeats", 1)
+    result = run(capsys, "evaluate", store, "--tracks", made["name"], both, *folds, *quick)
+    assert result["tracks"] == f"{made['name']} {both}"
+    assert all(line.split()[0] in (made["name"], both) and line.endswith("ranks") for line in result["chosen"])
+    assert set(result["provenance"]["labels"]) == {"online-W5", made["name"]}
+    trained = run(capsys, "train", store, "--tracks", both, *quick, "--out", tmp_path / "m")
+    model = load(tmp_path / "m")
+    assert trained["tracks"] == both
+    assert set(model.encoder) == {"online-W5", made["name"]}
+    assert model.feature_names[0].startswith("online-W5.parts.primitive.Fx.")
+    assert model.feature_spec.balance
+    assert model.svm.spec.ranks
+
+
 @pytest.mark.parametrize(
     "words",
     [
         ("encode", "nowhere.zarr"), ("encode", "STORE"), ("encode", "STORE", "--window", "1"),
         ("encode", "STORE", "--window", "x"), ("encode", "STORE", "--latency-cap", "-1"),
+        ("encode", "STORE", "--scale", "0", "--name", "none"), ("evaluate", "STORE", "--tracks", "online-W5+none"),
+        ("encode", "STORE", "--scale", "2", "--mode", "offline"),
         ("evaluate", "STORE", "--session", "Z"), ("evaluate", "STORE", "--tracks", "none"),
         ("evaluate", "STORE", "--train-on", "A"), ("evaluate", "STORE", "--folds", "1"),
         ("evaluate", "STORE", "--task", "failure-type"), ("evaluate", "STORE", "--costs", "-1"),

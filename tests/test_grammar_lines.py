@@ -13,7 +13,7 @@ from test_grammar import column, intervals, make_tracks, one_lane, spans
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
-from rcbht_jax.grammar import WHOLE, Features, FeatureSpec, features, lines, side_by_side
+from rcbht_jax.grammar import ABSOLUTE, WHOLE, Features, FeatureSpec, features, lines, side_by_side
 from rcbht_jax.labels import AXES, PRIMITIVE_GROUP
 from rcbht_jax.thresholds import Thresholds, preset
 from rcbht_jax.types import LabelTrack, LabelTracks
@@ -154,6 +154,18 @@ def test_names_are_unique_and_cover_axes_or_pairs():
     assert {name.split(".")[2] for name in made.select(FAMILIES[:2]).names} == set(AXES)
     assert all(name.startswith(f"{family}.primitive.") for name, family in zip(made.names, made.families, strict=True))
     assert set(FAMILIES) < set(WHOLE)
+
+
+def test_absolute_families_weigh_as_much_as_the_others():
+    spec = FeatureSpec(families=("histogram", "parts", "levels", "edges"), balance=True)
+    made = features(make_tracks(0), intervals((0, 0, 40)), spec)
+    weight = made.weights(spec)
+    absolute = np.isin(made.families, ABSOLUTE)
+    assert np.sum(weight[absolute] ** 2) == pytest.approx(np.sum(weight[~absolute] ** 2))
+    assert np.mean(weight**2) == pytest.approx(1)
+    assert made.weights(replace(spec, balance=False)) is None
+    assert made.select(["levels", "edges"]).weights(spec) is None
+    assert made.select(["parts"]).weights(spec) is None
 
 
 def test_lines_need_primitives():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rcbht_jax import model_file
 from rcbht_jax.classify import Grid, SvmSpec, fit, predictions, select
+from rcbht_jax.crossval import nested_svm
 from rcbht_jax.errors import InputError
 from rcbht_jax.evaluate import TrainedModel
 from rcbht_jax.grammar import FeatureSpec
@@ -103,6 +104,36 @@ def test_a_file_from_before_there_were_ranks_is_read(tmp_path):
     np.testing.assert_array_equal(back.decision(x), svm.decision(x))
     with pytest.raises(InputError, match="knots"):
         model_file.read_svm(tmp_path, described | {"spec": described["spec"] | {"ranks": True}}, arrays, 5)
+
+
+@pytest.mark.parametrize(
+    "spec", [SvmSpec("rbf", 1.0), SvmSpec("rbf", 1.0, True), SvmSpec("rbf", 1.0, True, ranks=True)]
+)
+def test_weights_are_those_of_scaled_features(spec, tmp_path):
+    x, y = tailed(4)
+    weight = np.array([2.0, 0.5, 0.01, 1, 0.1])
+    train, test = np.arange(60), np.arange(60, 90)
+    said = predictions(x, y, train, test, spec, [1.0], weight)[0]
+    scaled = fit_scale(x[train], spec.scaling, 0, spec.ranks)(x) * weight
+    np.testing.assert_array_equal(said, predictions(scaled, y, train, test, SvmSpec("rbf", 1.0), [1.0])[0])
+    model = fit(x[train], y[train], "abc", spec, weight)
+    np.testing.assert_array_equal(model.predict_index(x[test]), said)
+
+
+def test_selection_and_nested_learning_use_the_weights_of_the_chosen_matrix():
+    x, y = tailed(5)
+    noise = np.random.default_rng(0).normal(size=(90, 200))
+    both = np.column_stack([np.log(x[:, :1]), noise])
+    heavy = np.r_[10.0, np.full(200, 0.1)]
+    grid = Grid(kernels=("rbf",), costs=(1.0,), scalings=(True,))
+    chosen = select({"even": both, "heavy": both}, y, np.arange(90), grid, 0, {"heavy": heavy})
+    assert chosen.features == "heavy"
+    train, test = np.arange(60), np.arange(60, 90)
+    known = {"even": both, "heavy": both}
+    said, choice = nested_svm(known, y, np.arange(90), grid, {"heavy": heavy})(train, test, 0)
+    assert choice["features"] == "heavy"
+    np.testing.assert_array_equal(said, predictions(both, y, train, test, chosen, [1.0], heavy)[0])
+    assert (said == y[test]).mean() > 0.9
 
 
 def test_ranks_without_scaling_are_refused():

@@ -44,6 +44,8 @@ class _Learning(Command):
     """Feature families; duration, offset, edges and levels tell data sets apart that words would not."""
     ranks: bool = False
     """Always scale features, by their ranks among the training sentences; recommended with parts, spread and order."""
+    balance: bool = False
+    """Let offset, edges and levels together weigh as much as all other families together."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
     """Kernels to choose from."""
     costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))
@@ -92,7 +94,7 @@ class Evaluate(_Learning):
     def run(self) -> dict[str, Any]:
         grammars, how = self.read_tracks()
         protocol = Protocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
-        families = FeatureSpec(families=self.features)
+        families = FeatureSpec(families=self.features, balance=self.balance)
         result = evaluate(read_recordings(self.store), grammars, self.spec, families, protocol, how)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
@@ -124,7 +126,7 @@ class Train(_Learning):
 
     def run(self) -> dict[str, Any]:
         grammars, how = self.read_tracks()
-        families = FeatureSpec(families=self.features)
+        families = FeatureSpec(families=self.features, balance=self.balance)
         model = train(read_recordings(self.store), grammars, self.spec, families, self.grid, how, self.seed)
         save(self.out, model)
         chosen = model.svm.spec

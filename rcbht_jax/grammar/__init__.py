@@ -30,6 +30,7 @@ Host code, NumPy only; nothing here trains.
 """
 
 from rcbht_jax.grammar.features import (
+    ABSOLUTE,
     FAMILIES,
     WHOLE,
     Features,
@@ -42,6 +43,7 @@ from rcbht_jax.grammar.features import (
 from rcbht_jax.grammar.words import Intervals
 
 __all__ = [
+    "ABSOLUTE",
     "FAMILIES",
     "WHOLE",
     "FeatureSpec",

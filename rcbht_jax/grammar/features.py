@@ -19,6 +19,8 @@ _OF_WORDS = ("sentence", "histogram", "ngram", "duration", "attributes", "offset
 FAMILIES = (*_OF_WORDS, *lines.FAMILIES)
 WHOLE = ("sentence", *lines.FAMILIES)  # families that need the whole sentence at once
 
+ABSOLUTE = ("offset", "edges", "levels")  # families that a constant added to the wrench changes
+
 _CHUNK = 64  # sentences handled at once, which bounds memory
 
 
@@ -31,6 +33,7 @@ class FeatureSpec:
     slots: tuple[int, int, int] = (64, 32, 16)  # L of the resampled sentence: primitive, mc, llb
     one_hot: bool = False  # resampled sentence as one column per slot and label, not one code per slot
     ngram: int = 2  # labels in a run
+    balance: bool = False  # the absolute families together weigh as much as all the others together
 
     def __post_init__(self) -> None:
         known = set(self.families) <= set(FAMILIES) and set(self.layers) <= set(LAYERS)
@@ -65,6 +68,17 @@ class Features:
     def meaning(self, i: int) -> str:
         """What column ``i`` says, in one line."""
         return self.meanings[i]
+
+    def weights(self, spec: FeatureSpec) -> NDArray[np.float64] | None:
+        """What scaled columns are multiplied by, ``[feature]``, mean square 1; None = all weigh the same.
+
+        With ``spec.balance`` where the force is (few columns) and how it moves (many) count the same, if both are told.
+        """
+        absolute = np.isin(self.families, ABSOLUTE)
+        if not spec.balance or absolute.all() or not absolute.any():
+            return None
+        share = np.where(absolute, absolute.sum(), (~absolute).sum())
+        return np.asarray(np.sqrt(absolute.size / 2 / share), np.float64)
 
     def select(self, families: Sequence[str]) -> Features:
         """Only the columns of these families."""

@@ -205,7 +205,7 @@ class SvmArrays:
 
     center: Array  # float32 [feature]
     scale: Array  # float32 [feature], one over the width
-    knots: Array  # float32 [knot, feature], for ranks instead; [0, feature] = no ranks
+    knots: Array  # float32 [knot, feature], ranks instead of values; [0, feature] = no ranks
     support: Array  # float32 [vector, feature]; [0, feature] for a linear kernel
     weight: Array  # float32 [vector, pair]; [feature, pair] for a linear kernel
     intercept: Array  # float32 [pair]
@@ -240,12 +240,12 @@ def probability_jax(arrays: SvmArrays, kernel: str, gamma: float, classes: int, 
 
 
 def _scaled_jax(arrays: SvmArrays, x: Array) -> Array:
-    if arrays.knots.shape[0] == 0:
-        return (x - arrays.center) * arrays.scale
-    low, high = arrays.knots[:-1], arrays.knots[1:]
-    ramp = jnp.clip((x[None] - low) / jnp.where(high > low, high - low, 1), 0, 1)
-    step = ((x[None] > low).astype(x.dtype) + (x[None] >= low).astype(x.dtype)) / 2
-    return (jnp.mean(jnp.where(high > low, ramp, step), axis=0) - 0.5) * SPREAD
+    if arrays.knots.shape[0] > 0:
+        low, high = arrays.knots[:-1], arrays.knots[1:]
+        ramp = jnp.clip((x[None] - low) / jnp.where(high > low, high - low, 1), 0, 1)
+        step = ((x[None] > low).astype(x.dtype) + (x[None] >= low).astype(x.dtype)) / 2
+        x = (jnp.mean(jnp.where(high > low, ramp, step), axis=0) - 0.5) * SPREAD
+    return (x - arrays.center) * arrays.scale
 
 
 def _kernel_jax(arrays: SvmArrays, kernel: str, gamma: float, x: Array) -> Array:
