@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("rcbht_jax.commands.report:Report", "one HTML page: results, trials, words and beliefs"),
     "info": ("rcbht_jax.commands.info:Info", "summarise and check a store"),
     "plot trial": ("rcbht_jax.commands.plot:PlotTrial", "draw one trial with its labels"),
+    "plot beliefs": ("rcbht_jax.commands.plot:PlotBeliefs", "draw what a stream believed about one trial"),
     "plot map": ("rcbht_jax.commands.plot:PlotMap", "draw the label map of a store"),
 }
 

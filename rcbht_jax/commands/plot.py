@@ -1,4 +1,4 @@
-"""``rcbht plot trial`` and ``rcbht plot map``."""
+"""``rcbht plot trial``, ``rcbht plot map`` and ``rcbht plot beliefs``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from rcbht_jax.commands import Command
 from rcbht_jax.data.store import read_recordings
 from rcbht_jax.data.tracks import choose_tracks
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspect.events import Belief
+from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.introspect.model import load
 from rcbht_jax.plots import label_map, save, trial_figure
+from rcbht_jax.plots.beliefs import belief_map
+from rcbht_jax.streams.recordings import read_store
+from rcbht_jax.streams.session import Session
+from rcbht_jax.tasks import STATES
 from rcbht_jax.types import Recordings
 
 
@@ -92,6 +99,44 @@ class PlotMap(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         return f"{result['figure']}: {result['layer']} labels {result['tracks']} of {result['recordings']} recordings"
+
+
+@dataclass(frozen=True)
+class PlotBeliefs(Command):
+    """Draw what a stream would have believed about one trial: a row per class, a column per look.
+
+    The beliefs are worth what the trial was to the model: nothing if it was trained on it.
+
+    Example: rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-05 --model states.model -o beliefs.png
+    """
+
+    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    """Store of recordings."""
+    trial: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")]
+    """Name of the trial."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT.png")]
+    """Figure to write: .png, .svg or .pdf; an existing one is replaced."""
+    model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL")] = Path("online.model")
+    """Model file made by "rcbht train-online"."""
+    arm: Literal["R", "L"] = "R"
+    """Which arm, where a trial has both."""
+    starts: Literal["harmonised", "recorded", "detected"] = "harmonised"
+    """Where the sub-tasks begin; detected = the model finds out (train-online --detect)."""
+    rate: float = 10.0
+    """Beliefs per second."""
+
+    def run(self) -> dict[str, Any]:
+        detect = self.starts == "detected"
+        session = Session(Introspector(load(self.model), self.rate, detect=detect))
+        messages = read_store(self.store, (self.trial,), self.arm, "none" if self.starts == "detected" else self.starts)
+        events = list(session.run(messages))
+        beliefs = sum(isinstance(event, Belief) for event in events)
+        names = () if detect else STATES[1:]  # the first sub-task begins with the trial, and nobody says so
+        save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
+        return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
+
+    def text(self, result: dict[str, Any]) -> str:
+        return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:
