@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rcbht_jax.classify import SvmSpec, fit
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspect.alarms import conformal_level, held_out_peaks, held_peak
+from rcbht_jax.introspect.alarms import conformal_level, held_out, held_peak, peaks
 from rcbht_jax.introspect.coupling import ProbabilisticSvm
 from rcbht_jax.introspect.levels import Alarm
 
@@ -58,8 +58,11 @@ def test_peaks_are_held_out():
     svm = fit(x, y, ("failure", "success"), SvmSpec("linear", 1.0))
     machine = ProbabilisticSvm(svm, np.array([[-2.0, 0.0]]))
     calm = y == 1
-    peaks = held_out_peaks(machine, x, y, groups, x[calm], groups[calm], 0, 2, 0)
-    seen = [held_peak(machine.probability(x[groups == t])[:, 0], 2) for t in np.unique(groups[calm])]
-    assert len(peaks) == 20
+    said = held_out(machine, x, y, groups, x[calm], groups[calm], 0)[:, 0]
+    highest = peaks(said, groups[calm], 2)
+    seen = peaks(machine.probability(x[calm])[:, 0], groups[calm], 2)
+    assert len(highest) == 20
     assert max(seen) < 0.3  # the whole machine has learnt them by heart
-    assert np.mean(peaks) > 0.45  # those that did not see them are in doubt
+    assert np.mean(highest) > 0.45  # those that did not see them are in doubt
+    with pytest.raises(InputError, match="held out"):
+        held_out(machine, x, y, groups, x[:1], np.array(["other"]), 0)

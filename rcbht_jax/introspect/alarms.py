@@ -48,40 +48,46 @@ def conformal_level(peaks: NDArray[np.floating[Any]], share: float) -> float:
     return float(np.sort(peaks)[rank - 1])
 
 
-def held_out_peaks(
+def peaks(probability: NDArray[np.floating[Any]], groups: NDArray[Any], looks: int) -> NDArray[np.float64]:
+    """:func:`held_peak` of every trial, in the order of their names: ``[look]`` and trial ``[look]`` to ``[trial]``."""
+    return np.array([held_peak(probability[groups == trial], looks) for trial in np.unique(groups)])
+
+
+def held_out(
     machine: ProbabilisticSvm,
     x: Matrix,
     y: Ints,
     groups: NDArray[Any],
     stream: Matrix,
     stream_group: NDArray[Any],
-    alarm: int,
-    looks: int,
     seed: int,
 ) -> NDArray[np.float64]:
-    """Peaks of the nominal training trials, each streamed through a machine that saw nothing of it.
+    """Class probabilities of training trials as they are streamed, each by a machine that saw nothing of the trial.
 
     Args:
         machine: trained on all of ``x``; gives hyper-parameters and sigmoids.
         x: training features ``[item, feature]``.
         y: class index ``[item]``.
         groups: trial ``[item]``.
-        stream: features of the nominal trials' looks in order ``[look, feature]``.
+        stream: features of looks at training trials ``[look, feature]``.
         stream_group: trial ``[look]``.
-        alarm: index of the class that alarms.
-        looks: for which an alarm must hold.
         seed: of the folds.
 
     Returns:
-        ``[nominal trial]``.
+        ``[look, class]``.
+
+    Raises:
+        InputError: a streamed trial is not among those that train.
     """
-    peaks: list[float] = []
+    out = np.full((len(stream), len(machine.svm.classes)), np.nan)
     for train, test in grouped_folds(y, groups, _folds(y, groups), seed):
-        held_out = ProbabilisticSvm(fit(x[train], y[train], machine.svm.classes, machine.svm.spec), machine.sigmoid)
+        one = ProbabilisticSvm(fit(x[train], y[train], machine.svm.classes, machine.svm.spec), machine.sigmoid)
         for trial in np.intersect1d(groups[test], stream_group):
-            said = held_out.probability(stream[stream_group == trial])
-            peaks.append(held_peak(said[:, alarm], looks))
-    return np.array(peaks)
+            rows = stream_group == trial
+            out[rows] = one.probability(stream[rows])
+    if np.isnan(out).any():
+        raise InputError("A streamed trial is not among those that train, so that nothing is held out for it.")
+    return out
 
 
 def _folds(y: Ints, groups: NDArray[Any]) -> int:
