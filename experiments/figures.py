@@ -63,7 +63,6 @@ def bar(ax: Axes, place: int, row: dict[str, Any]) -> None:
 def short(method: str) -> str:
     long = {
         ", without duration and offset": ",\nno duration, no offset", ", offset removed": ",\nno offset",
-        ", choice of encoder and families": ", choice", ", choice of encoder": ", choice",
     }  # fmt: skip
     for part, shorter in long.items():
         method = method.replace(part, shorter)

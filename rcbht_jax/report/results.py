@@ -120,10 +120,9 @@ def _two_arm(result: dict[str, Any], source: str) -> Iterator[Row]:
 WORDS = "Words and other methods on the same folds"
 # Rows of the experiment "grammar" that stand beside the peers, and what they are called there.
 RICHER = {
-    "richer words": "richer words + SVM, without duration and offset",
-    "richer words, choice of grammar": "richer words + SVM, without duration and offset, choice of encoder",
-    "everything": "richer words + SVM, all",
-    "everything, choice of grammar and families": "richer words + SVM, all, choice of encoder and families",
+    "richer words, choice of grammar": "richer words + SVM, without duration and offset",
+    "richer words and levels, choice of grammar": "richer words and levels + SVM",
+    "all families": "richer words + SVM, all",
 }
 _PRINTED = {"REAL states": "0.97 (0.93 to 1.00)", "SIM1 states": "0.89 (0.84 to 0.94)", "SIM2 states": "1.00"}
 
