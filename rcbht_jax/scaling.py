@@ -43,7 +43,7 @@ def fit_scale(
         scaling: False = leave the features as they are.
         floor: least deviation to divide by.
         ranked: by ranks instead of mean and deviation.
-        weight: positive ``[feature]``, multiplied by last, so that many features of one kind do not outvote few of another.
+        weight: positive ``[feature]``, multiplied by last, so that many features do not outvote few.
     """
     center, width, knots = np.zeros(x.shape[1]), np.ones(x.shape[1]), np.zeros((0, x.shape[1]))
     if scaling and ranked:

@@ -114,7 +114,7 @@ def test_weights_are_those_of_scaled_features(spec, tmp_path):
     weight = np.array([2.0, 0.5, 0.01, 1, 0.1])
     train, test = np.arange(60), np.arange(60, 90)
     said = predictions(x, y, train, test, spec, [1.0], weight)[0]
-    scaled = fit_scale(x[train], spec.scaling, 0, spec.ranks)(x) * weight
+    scaled = fit_scale(x[train], spec.scaling, 0.0, spec.ranks)(x) * weight
     np.testing.assert_array_equal(said, predictions(scaled, y, train, test, SvmSpec("rbf", 1.0), [1.0])[0])
     model = fit(x[train], y[train], "abc", spec, weight)
     np.testing.assert_array_equal(model.predict_index(x[test]), said)
