@@ -2,6 +2,7 @@
 
 Run: python -m experiments.calibration_device --engine warp (GPU; or mjx). On a CPU, to see it work: --engine mjx
 --trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
+--agreement-trials 8
 Tasks: types of simulated failures (default), and the states of simulated successes, which are easy. A fifth of the
 trials is held out of everything that chooses. The result is written after each part, so that an interrupted run
 keeps what it has. Parts: rollouts, agreement, search, gradient, storage, svm.
@@ -142,7 +143,8 @@ def agreement(run: Run) -> dict[str, Any]:
     options = SearchOptions(space=SPACE, candidates=run.given.agreement, seed=SEED)
     limits, weights = options.space.limits(options.points()), Objective().weights()
     out: dict[str, Any] = {"candidates": len(limits), "device": jax.devices()[0].device_kind}
-    for name, data in (("simulated", _rows(run.parts()[0], slice(run.given.agreement))), ("walks", walks(256))):
+    trials = run.given.agreement_trials
+    for name, data in (("simulated", _rows(run.parts()[0], slice(trials))), ("walks", walks(trials))):
         here = evaluate(data, CONFIG, limits)
         with jax.default_device(jax.devices("cpu")[0]):
             wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
@@ -298,7 +300,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--batch", type=int, default=512, help="trials per step of the training")
     parser.add_argument("--svm-trials", type=int, default=512, help="on each side")
-    parser.add_argument("--agreement", type=int, default=256, help="candidates, and simulated trials")
+    parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
+    parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
     parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
     given = parser.parse_args()
     run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
