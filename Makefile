@@ -47,7 +47,7 @@ bench: $(INSTALLED) ## measure the encoders on this machine
 
 reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, RESULTS=folder elsewhere
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
-	  --peers $(PEERS)/bin/python $(if $(FORCE),--force)
+	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force)
 
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
 	$(PEERS)/bin/python -m experiments.peers

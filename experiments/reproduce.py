@@ -1,6 +1,6 @@
 """Every experiment, one after the other: what is there and complete is skipped, what was interrupted goes on.
 
-Run: make reproduce [FORCE=1] [RESULTS=FOLDER], or python -m experiments.reproduce WORK [--force] [--only NAME ...]
+Run: make reproduce [FORCE=1] [RESULTS=FOLDER] [JOBS=2], or python -m experiments.reproduce WORK [--force] [--jobs 2]
 WORK keeps what experiments share (the imported trials, simulated sets, a model) and what each said. A result that is
 there, of this version and complete is not made again, unless --force is given. With RESULTS (RCBHT_RESULTS) results go
 to another folder, from nothing, and are compared with the committed ones at the end.
@@ -15,9 +15,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 import rcbht_jax
 from experiments.record import COMMITTED, RESULTS
@@ -42,6 +45,7 @@ class Experiment:
     needs: tuple[str, ...] = ()  # "data", "golden", "peers"
     results: tuple[str, ...] = ()  # names of the files; empty = that of the module
     elsewhere: str = ""  # why it is not run here
+    alone: bool = False  # it measures speed, so nothing else may run meanwhile
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -52,7 +56,7 @@ SHORTER = ("--samples", "1000000", "--messages", "200000", "--requests", "2000")
 GPU, HOURS = "needs a GPU", "takes hours on 2 CPU cores"
 EXPERIMENTS = (
     Experiment("table1_published", 1, needs=("golden",)),
-    Experiment("table1_ours", 15, (SETS,), ("data",)),
+    Experiment("table1_ours", 12, (SETS,), ("data",)),
     Experiment("peers", 12, needs=("data", "peers")),
     Experiment("grammar", 15, needs=("data",)),
     Experiment("probes", 3, needs=("data",)),
@@ -60,17 +64,19 @@ EXPERIMENTS = (
     Experiment("table2", 20, needs=("data",)),
     Experiment("confidence", 2, needs=("data",)),
     Experiment("abnormal_real", 6, needs=("data",)),
+    Experiment("failure_types_online", 4, needs=("data",)),
+    Experiment("detected_starts", 4, needs=("data",)),
     Experiment("online_agreement", 2, needs=("data", "golden")),
     Experiment("two_arm", 8, needs=("data",)),
     Experiment("two_arm_states", 3, needs=("data",)),
     Experiment("sim_sessions", 3, needs=("golden",)),
     Experiment("sim_success", 6, needs=("data",)),
     Experiment("recovery", 5, ("--trials", "16")),
-    Experiment("engines", 6),
+    Experiment("engines", 6, alone=True),
     Experiment("parity_floor", 2),
-    Experiment("kill_resume", 2),
-    Experiment("bench", 1),
-    Experiment("stream_speed", 3, (MODEL, *SHORTER), ("data",)),
+    Experiment("kill_resume", 2, alone=True),
+    Experiment("bench", 1, alone=True),
+    Experiment("stream_speed", 3, (MODEL, *SHORTER), ("data",), alone=True),
     Experiment("sim_to_real", 60, (SETS,), ("data",), elsewhere=HOURS),
     Experiment("faults_online", 60, ("--folder", "{work}/faults", "--preset", "B", "C"), elsewhere=HOURS),
     Experiment("calibration", 180, (STORE,), ("data",), elsewhere=HOURS),
@@ -119,21 +125,27 @@ def lacking(experiment: Experiment, peers: Path | None) -> str:
     return next((reasons[need] for need in experiment.needs if reasons[need]), "")
 
 
-def run(experiment: Experiment, work: Path, peers: Path | None, force: bool) -> bool:
-    """Run one experiment with what it shares; what it prints goes to WORK, its progress to the terminal."""
+def prepare(chosen: list[Experiment], work: Path) -> None:
+    """Make what the chosen experiments share and is not there; each tells for itself what it then lacks."""
     for target, command in SHARED.items():
-        if target in experiment.options and not Path(target.format(work=work)).exists():
+        users = (STORE, MODEL) if target == STORE else (MODEL,)  # the model is made from the store
+        wanted = any(user in experiment.options for experiment in chosen for user in users)
+        if wanted and not Path(target.format(work=work)).exists():
             words = ["-c", "import sys; from rcbht_jax.cli import main; sys.exit(main(sys.argv[1:]))", *command[1:]]
-            if subprocess.run([sys.executable, *(word.format(work=work) for word in words)], check=False).returncode:
-                return False
+            subprocess.run([sys.executable, *(word.format(work=work) for word in words)], check=False)
+
+
+def run(experiment: Experiment, work: Path, peers: Path | None, force: bool, quiet: bool) -> bool:
+    """Run one experiment; what it prints goes to WORK, its progress to the terminal unless ``quiet``."""
     python = str(peers) if "peers" in experiment.needs else sys.executable
     options = [option.format(work=work) for option in experiment.options]
     if force and not begun(experiment, work).exists():
         for name in experiment.names:
             (RESULTS / f"{name}.json").unlink(missing_ok=True)
     begun(experiment, work).touch()
+    command = [python, "-m", f"experiments.{experiment.module}", *options]
     with (work / f"{experiment.module}.log").open("w", encoding="utf-8") as log:
-        done = subprocess.run([python, "-m", f"experiments.{experiment.module}", *options], stdout=log, check=False)
+        done = subprocess.run(command, stdout=log, stderr=log if quiet else None, check=False)
     if done.returncode == 0:
         begun(experiment, work).unlink()
     return done.returncode == 0
@@ -175,22 +187,37 @@ def main() -> None:
     parser.add_argument("--force", action="store_true", help="make results again that are there")
     parser.add_argument("--only", nargs="+", choices=[e.module for e in EXPERIMENTS], help="these experiments")
     parser.add_argument("--peers", type=Path, help="Python of the environment that has the libraries of the peers")
+    parser.add_argument("--jobs", type=int, default=1, help="experiments at a time; those that measure speed run alone")
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
-    chosen = [e for e in EXPERIMENTS if not args.only or e.module in args.only]
-    failed, began = [], time.perf_counter()
-    for number, experiment in enumerate(chosen, 1):
-        title = f"[{number}/{len(chosen)}] {experiment.module}"
+    todo = []
+    for experiment in (e for e in EXPERIMENTS if not args.only or e.module in args.only):
         if reason := lacking(experiment, args.peers):
-            print(f"{title}: not run here, {reason}", flush=True)
+            print(f"{experiment.module}: not run here, {reason}", flush=True)
         elif finished(experiment, args.work) and not args.force:
-            print(f"{title}: is there", flush=True)
+            print(f"{experiment.module}: is there", flush=True)
         else:
-            print(f"{title}: about {experiment.minutes:g} minutes", flush=True)
-            start = time.perf_counter()
-            if not run(experiment, args.work, args.peers, args.force):
-                failed.append(experiment.module)
-            print(f"{title}: took {(time.perf_counter() - start) / 60:.1f} minutes", flush=True)
+            todo.append(experiment)
+    prepare(todo, args.work)
+    began, failed = time.perf_counter(), []
+
+    def timed(experiment: Experiment) -> None:
+        start = time.perf_counter()
+        ok = run(experiment, args.work, args.peers, args.force, quiet=args.jobs > 1)
+        minutes = (time.perf_counter() - start) / 60
+        if not ok:
+            failed.append(experiment.module)
+        bar.write(
+            f"{experiment.module}: {'done' if ok else 'failed'}, {minutes:.1f} of about {experiment.minutes:g} min"
+        )
+        bar.update(experiment.minutes)
+
+    total = sum(experiment.minutes for experiment in todo)
+    with tqdm(total=total, unit="min", desc="reproduce", file=sys.stdout) as bar:
+        with ThreadPoolExecutor(max(1, args.jobs)) as pool:
+            list(pool.map(timed, [experiment for experiment in todo if not experiment.alone]))
+        for experiment in (experiment for experiment in todo if experiment.alone):
+            timed(experiment)
     if RESULTS != COMMITTED:
         compare()
     print(f"{(time.perf_counter() - began) / 60:.0f} minutes; failed: {', '.join(failed) or 'none'}")
@@ -198,4 +225,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:  # map leaves out what has not begun; what ran got the interruption too
+        sys.exit("Interrupted; the same command goes on from here.")
