@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from introspect_models import CONFIG, trial
 
 from rcbht_jax.classify import SvmSpec, fit
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.alarms import conformal_level, held_out, held_peak, peaks
 from rcbht_jax.introspect.coupling import ProbabilisticSvm
+from rcbht_jax.introspect.events import AnomalyRaised
+from rcbht_jax.introspect.introspector import Introspector
 from rcbht_jax.introspect.levels import Alarm
+from rcbht_jax.introspect.model import IntrospectionModel
+from rcbht_jax.introspect.train import HeadSpec, train_head
+from rcbht_jax.tasks import TaskSpec
+from rcbht_jax.thresholds import preset
+from rcbht_jax.types import Recordings
 
 
 @given(st.lists(st.floats(0, 1), max_size=30), st.integers(1, 5))
@@ -66,3 +74,33 @@ def test_peaks_are_held_out():
     assert np.mean(highest) > 0.45  # those that did not see them are in doubt
     with pytest.raises(InputError, match="held out"):
         held_out(machine, x, y, groups, x[:1], np.array(["other"]), 0)
+
+
+def made_up(kinds: list[int]) -> Recordings:
+    """Calm trials succeed, pushed ones fail; half a second each."""
+    count = len(kinds)
+    text = {name: np.full(count, "") for name in ("failure_type", "note")}
+    return Recordings(
+        wrench=np.stack([trial(kind, 500 + k, 100) for k, kind in enumerate(kinds)]),
+        length=np.full(count, 100, np.int32), dt=CONFIG.dt, onset=np.zeros((count, 4)),
+        onset_harmonised=np.zeros((count, 4)), trial=np.array([f"t{k}" for k in range(count)]),
+        arm=np.full(count, "R"), source=np.full(count, "made"), session=np.full(count, "up"),
+        outcome=np.where(np.array(kinds) == 0, "success", "failure"), deviation=np.zeros((count, 3)), **text,
+    )  # fmt: skip
+
+
+def test_a_head_learns_its_level():
+    data = made_up([0] * 20 + [1] * 8)
+    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05)
+    learnt = train_head(data, spec, CONFIG, preset())
+    assert 0 < learnt.alarm_level < 1
+    model = IntrospectionModel(CONFIG, np.asarray(preset().limits), (learnt,), "")
+    introspector, raised = Introspector(model, rate=20.0), []
+    for kind in (0, 1):
+        for seed in range(12):
+            introspector.reset()
+            raised.append(any(isinstance(e, AnomalyRaised) for e in introspector.push(trial(kind, 900 + seed, 100))))
+    assert sum(raised[:12]) <= 2
+    assert sum(raised[12:]) >= 10
+    with pytest.raises(InputError, match="it takes 99"):
+        train_head(data, HeadSpec(TaskSpec("outcome"), ("histogram",), false_alarms=0.01), CONFIG, preset())

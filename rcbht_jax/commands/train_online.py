@@ -32,6 +32,8 @@ class TrainOnline(Command):
     """Heads to train."""
     detect: bool = False
     """Also learn when a sub-task begins, for streams in which nobody says so."""
+    false_alarms: float = 0.0
+    """Set the outcome's alarm so that nominal trials raise it at most so often, such as 0.02; 0 = above k."""
     source: tuple[str, ...] = ()
     """Data sets; default all."""
     session: tuple[str, ...] = ()
@@ -52,7 +54,12 @@ class TrainOnline(Command):
         families = FAMILIES if self.features == "all" else RELATIVE
         tasks = [(task, False) for task in self.tasks] + [("states", True)] * self.detect
         specs = tuple(
-            HeadSpec(TaskSpec(task, sources=self.source, sessions=self.session), families, phase=phase)
+            HeadSpec(
+                TaskSpec(task, sources=self.source, sessions=self.session),
+                families,
+                phase=phase,
+                false_alarms=self.false_alarms,
+            )
             for task, phase in tasks
         )
         config = EncoderConfig(window=self.window, dt=recordings.dt)

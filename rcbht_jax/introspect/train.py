@@ -13,7 +13,8 @@ from rcbht_jax.classify import Grid, select
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.evaluate import data_hash
 from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.alarms import conformal_level, held_out, peaks
+from rcbht_jax.introspect.coupling import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.introspect.introspector import PHASE
 from rcbht_jax.introspect.model import Head, IntrospectionModel, Scope
 from rcbht_jax.introspect.observe import Sight, observe_all
@@ -105,6 +106,8 @@ class HeadSpec:
     grid: Grid = GRID
     rate: float = 10.0  # looks per second
     phase: bool = False  # tell the states from the trial's sentence, to find out when a sub-task begins
+    false_alarms: float = 0.0  # per nominal trial, for the head that alarms; 0 = leave its level to the introspector
+    hold: float = 0.1  # s, for which that alarm must last
 
     @property
     def scope(self) -> Scope:
@@ -130,7 +133,7 @@ def train_head(
     ``progress`` is called with the number of looks done since the last call and the total.
 
     Raises:
-        InputError: fewer than two classes, or a class with a single trial.
+        InputError: fewer than two classes, a class with a single trial, or too few nominal trials for ``false_alarms``.
     """
     items = sentences(recordings, spec.task)
     looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
@@ -142,7 +145,30 @@ def train_head(
     chosen = select({"": x}, y, groups, spec.grid, seed)
     machine = fit_probabilistic(x, y, groups, items.classes, chosen, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
-    return Head(spec.name, spec.scope, sight, machine, alarm)
+    level = 0.0
+    if alarm and spec.false_alarms:
+        level = _alarm_level(recordings, spec, config, thresholds, items, machine, (x, y, groups), seed)
+    return Head(spec.name, spec.scope, sight, machine, alarm, level)
+
+
+def _alarm_level(
+    recordings: Recordings,
+    spec: HeadSpec,
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    items: Sentences,
+    machine: ProbabilisticSvm,
+    training: tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.str_]],
+    seed: int,
+) -> float:
+    """Level of the alarm from the successes, each streamed through a machine that did not see it."""
+    alarm = items.classes.index(OUTCOMES[0])
+    looks = streamed(items, max(1, round(1 / (spec.rate * config.dt))))
+    looks = looks.take(np.flatnonzero(items.y[looks.sentence] != alarm))
+    x = watch(recordings, looks, Sight(FeatureSpec(families=spec.families)), config, thresholds)
+    groups = items.trial[looks.sentence]
+    said = held_out(machine, *training, x, groups, seed)[:, alarm]
+    return conformal_level(peaks(said, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
 
 
 def train_model(
