@@ -12,7 +12,8 @@ from rcbht_jax.plots.canvas import new_figure
 WAYS = {
     "random": ("#999999", "random search, vectorised"),
     "halving": ("#0072B2", "halving, then CMA-ES"),
-    "gradient": ("#D55E00", "gradient"),
+    "gradient": ("#D55E00", "gradient of a classifier's loss"),
+    "gradient of the fit": ("#CC79A7", "gradient of the objective's smooth part"),
     "optuna": ("#009E73", "Optuna's TPE, NumPy encoder"),
 }
 CURVE = "curve (seconds, objective, held-out accuracy, held-out log-loss)"

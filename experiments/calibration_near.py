@@ -4,17 +4,20 @@ A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, 
 small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no
 duration, no offset), scaled by ranks, a linear kernel per candidate. Everything is chosen inside the training side, by
 repeated grouped folds: the best candidate, the one nearest to the preset within a standard error of it, the best by
-margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged.
+margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated,
+the folder of sets that experiments.sim_to_real makes, candidates are ranked by how well states learnt on one simulated
+session are told on another one; the preset that was identified from the tested session takes no part in that.
 
-Run: python -m experiments.calibration_near STORE.zarr
+Run: python -m experiments.calibration_near STORE.zarr [--simulated FOLDER]
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ from sklearn.svm import SVC
 
 from experiments.calibration import REAL, SIM1, WORDS, part_of
 from experiments.rows import Rows
+from experiments.sim_to_real_sets import taken
 from rcbht_jax import crossval
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.classify import grouped_folds
@@ -40,6 +44,8 @@ COSTS = (1.0, 10.0, 100.0)  # of the SVM, for kernels whose diagonal is about 1
 INNER, INNER_REPEATS = 4, 2
 TOP = 8
 SEED = 0
+SIMULATED = ("A", "B", "C", "openhrp")
+SIMULATED_TRIALS = 40  # of each
 METHODS = ("preset", "best inside", "one standard error", "best margin inside", "average of the best", "average of all")
 
 Floats = NDArray[np.float64]
@@ -64,6 +70,34 @@ def words(recordings: Recordings, items: Sentences, limits: Floats) -> NDArray[n
     return np.stack([describe(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
+def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Linear kernel ``[item, item]`` of ranks among the training items, its diagonal about 1."""
+    varies = np.ptp(x[train], axis=0) > 0
+    z = fit_scale(x[train][:, varies], True, ranked=True)(x[:, varies])
+    return (z @ z.T / z.shape[1]).astype(np.float32)
+
+
+def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Floats]:
+    """Accuracy ``[candidate]`` of states learnt on one simulated session and told on another one."""
+    parts = {}
+    for name in SIMULATED:
+        store = read_recordings(folder / f"mild-{name}.zarr")
+        recordings = taken(store, np.arange(min(SIMULATED_TRIALS, len(store))))
+        items = sentences(recordings, TaskSpec())
+        parts[name] = words(recordings, items, limits), items.y
+    out = {}
+    for one, other in itertools.permutations(SIMULATED, 2):
+        (x, y), (test, truth) = parts[one], parts[other]
+        train = np.arange(len(y))
+        right = []
+        for k in range(len(limits)):
+            kernel = kernel_of(np.concatenate([x[k], test[k]]), train)
+            model = SVC(C=COSTS[1], kernel="precomputed").fit(kernel[: len(y), : len(y)], y)
+            right.append((model.predict(kernel[len(y) :, : len(y)]) == truth).mean())
+        out[one, other] = np.array(right)
+    return out
+
+
 @dataclass
 class Near:
     """Learners that share the kernels of a training side."""
@@ -72,6 +106,7 @@ class Near:
     y: NDArray[np.int64]
     groups: NDArray[np.str_]
     distance: Floats  # [candidate] octaves
+    ranked: dict[str, Floats] = field(default_factory=dict)  # method -> [candidate], on simulated trials
     _kernels: dict[bytes, NDArray[np.float32]] = field(default_factory=dict)
     _inside: dict[bytes, tuple[Floats, Floats]] = field(default_factory=dict)
 
@@ -95,6 +130,10 @@ class Near:
         """Candidates and the index of a cost, from scores ``[candidate, cost, fold]``; ties to the nearest."""
         order = np.argsort(self.distance, kind="stable")
         mean = accuracy.mean(-1)
+        if method.startswith("simulated"):
+            ranked = order[np.argsort(-self.ranked[method][order], kind="stable")]
+            several = method.endswith("average")
+            return (ranked[:TOP], 0) if several else (ranked[:1], int(mean[ranked[0]].argmax()))
         value = (margin if method == "best margin inside" else accuracy).mean(-1).max(-1)
         best = order[value[order].argmax()]
         if method == "preset":
@@ -110,14 +149,9 @@ class Near:
         return np.array([best]), int(mean[best].argmax())
 
     def _kernels_of(self, train: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Linear kernels of ranks among the training items, ``[candidate, item, item]``."""
+        """Kernels ``[candidate, item, item]``, scaled by the training items."""
         if train.tobytes() not in self._kernels:
-            made = []
-            for x in self.x:
-                varies = np.ptp(x[train], axis=0) > 0
-                z = fit_scale(x[train][:, varies], True, ranked=True)(x[:, varies])
-                made.append(z @ z.T / z.shape[1])
-            self._kernels[train.tobytes()] = np.stack(made).astype(np.float32)
+            self._kernels[train.tobytes()] = np.stack([kernel_of(x, train) for x in self.x])
         return self._kernels[train.tobytes()]
 
     def _inside_of(self, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
@@ -146,12 +180,21 @@ class Near:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("store", type=Path)
+    parser.add_argument("--simulated", type=Path, help="folder with mild-A.zarr, mild-B.zarr, mild-C.zarr, ...")
     parser.add_argument("--candidates", type=int, default=64)
     parser.add_argument("--repeats", type=int, default=3, help="of the five outer folds of SIM1")
     given = parser.parse_args()
     store = read_recordings(given.store)
     limits, distance = candidates(given.candidates)
     made: dict[str, tuple[Near, Sentences]] = {}
+
+    @cache
+    def told() -> dict[tuple[str, str], Floats]:
+        return simulated_transfer(given.simulated, limits)
+
+    def without(preset_of_test: str) -> Floats:
+        pairs = [value for pair, value in told().items() if preset_of_test not in pair]
+        return np.asarray(np.mean(pairs, axis=0), np.float64)
 
     def near(source: str) -> tuple[Near, Sentences]:
         if source not in made:
@@ -165,6 +208,8 @@ def main() -> None:
 
     def sim1(method: str) -> dict[str, Any]:
         learners, items = near(SIM1)
+        if method.startswith("simulated"):
+            learners.ranked[method] = without("openhrp")
         splits = crossval.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
         found = crossval.cross_validate(learners.learner(method), items.y, splits, SEED)
         chosen = [choice["candidates"][0] for repeat in found.chosen for choice in repeat]
@@ -172,15 +217,18 @@ def main() -> None:
 
     def transfer(one: str, other: str, method: str) -> dict[str, Any]:
         learners, items = near(REAL)
+        if method.startswith("simulated"):
+            learners.ranked[method] = without(other)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
         found = crossval.transfer(learners.learner(method), items.y, items.trial, (train, test), SEED)
         return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": found.chosen["candidates"][:1]}
 
     wanted: dict[str, Callable[[], Any]] = {}
-    for method in METHODS:
+    methods = (*METHODS, *(("simulated, best", "simulated, average") if given.simulated else ()))
+    for method in methods:
         wanted[f"REAL A -> B | {method}"] = partial(transfer, "A", "B", method)
         wanted[f"REAL B -> A | {method}"] = partial(transfer, "B", "A", method)
-    wanted |= {f"SIM1 | {method}": partial(sim1, method) for method in METHODS}
+    wanted |= {f"SIM1 | {method}": partial(sim1, method) for method in methods}
     about = {
         "features": "words, scaled by ranks; states, harmonised",
         "candidates": given.candidates, "repeats": given.repeats, "octaves": OCTAVES, "costs": COSTS,

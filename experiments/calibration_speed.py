@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -51,16 +52,16 @@ def load(path: Path) -> Corpus:
         return Corpus(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
 
 
-def numpy_rate(data: Corpus, trials: int = 6) -> float:
+def numpy_rate(data: Corpus, trials: int = 6, clock: Callable[[], float] = time.perf_counter) -> float:
     """Samples (one axis, one time) per second of the NumPy taxonomy, trial after trial."""
     rows = np.linspace(0, len(data) - 1, trials).astype(int)
-    samples, start = 0, time.perf_counter()
+    samples, start = 0, clock()
     for row in rows:
         length = int(data.windows.length[row])
         wrench = data.wrench[row, :length].astype(np.float64)
         offline.encode(offline.sample_times(length, DT), wrench, (data.edges[row, :-1] * DT).tolist())
         samples += 6 * length
-    return samples / (time.perf_counter() - start)
+    return samples / (clock() - start)
 
 
 def measure(data: Corpus, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import optax  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from rcbht_jax.calibrate.corpus import Corpus
+from rcbht_jax.calibrate.objective import left_out
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
@@ -23,6 +24,7 @@ from rcbht_jax.thresholds import Thresholds, from_free, to_free
 from rcbht_jax.types import Array
 
 _FEATURES = 6 * sum(LAYER_SIZES)
+_FLOOR = 1e-4  # of a share under the root, whose slope at 0 is infinite
 _GAIN = 4.0  # shares are small numbers; this gives the classifier's weights a handy scale
 
 
@@ -34,7 +36,7 @@ class GradientOptions:
     rate: float = 0.05  # of Adam, for the logarithms of the thresholds
     rate_weights: float = 0.05  # of Adam, for the classifier
     temperature: tuple[float, float] = (1.0, 0.1)  # first and last, geometric in between
-    loss: Literal["logistic", "hinge"] = "logistic"
+    loss: Literal["logistic", "hinge", "fit"] = "logistic"  # fit: that of the search's objective, without a classifier
     decay: float = 1e-3  # penalty of the classifier's squared weights
     batch: int = 0  # trials per step, the next ones of a shuffled order; 0 = all
     straight_through: bool = False  # hard labels forward, gradients of the soft ones
@@ -43,8 +45,8 @@ class GradientOptions:
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch < 0 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
             raise InputError("training needs steps, positive temperatures and positive rates.")
-        if self.loss not in ("logistic", "hinge"):
-            raise InputError(f"the loss {self.loss!r} is not known; expected logistic or hinge.")
+        if self.loss not in ("logistic", "hinge", "fit"):
+            raise InputError(f"the loss {self.loss!r} is not known; expected logistic, hinge or fit.")
 
 
 class Parameters(NamedTuple):
@@ -98,12 +100,20 @@ def _orders(trials: int, options: GradientOptions) -> Iterator[NDArray[np.int64]
 def loss(
     config: EncoderConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
 ) -> Array:
-    """Mean loss of the linear classifier on soft label shares, without its penalty."""
+    """Mean loss of the linear classifier on soft label shares, without its penalty.
+
+    With ``fit`` it is the share of the variance of the classes that a ridge classifier does not explain when each trial
+    is left out in turn (:func:`rcbht_jax.calibrate.objective.left_out`).
+    """
     limits = from_free(parameters.free).limits
     labels = soft_encode(
         config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through
     )
     x = soft_shares(labels, batch.weights)
+    if options.loss == "fit":
+        flat = x.reshape(-1, x.shape[-1])
+        target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0])
+        return 1 - left_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
     said = _GAIN * x @ parameters.weights + parameters.bias[None, None]
     if options.loss == "logistic":
         return optax.softmax_cross_entropy_with_integer_labels(said, batch.y).mean()

@@ -88,7 +88,7 @@ def score_block(times: Array, y: Array, *, classes: int) -> Array:
 
     def one(candidate: Array) -> Array:
         x = shares(candidate.reshape(-1, *candidate.shape[2:]))
-        accuracy, fit = _left_out(jnp.sqrt(x), target, y.shape[1])
+        accuracy, fit = left_out(jnp.sqrt(x), target, y.shape[1])
         return jnp.stack([accuracy, fit, _fisher(x, target), _information(x, target), _agreement(x, target)])
 
     with jax.default_matmul_precision("highest"):  # a GPU would round the factors to ten bits
@@ -110,11 +110,11 @@ def _blocks(times: Array) -> list[Array]:
     return [padded[start : start + _BLOCK] for start in range(0, count, _BLOCK)]
 
 
-def _left_out(x: Array, target: Array, per_trial: int) -> tuple[Array, Array]:
+def left_out(x: Array, target: Array, per_trial: int) -> tuple[Array, Array]:
     """Accuracy and explained variance of ridge regression on the classes, each trial left out in turn.
 
     The residuals of a left-out block are (I - H)^-1 times those of the full fit, H the block of the hat matrix,
-    so one factorisation serves all trials.
+    so one factorisation serves all trials. Smooth in ``x [sentence, feature]``, except for the accuracy.
     """
     items = x.shape[0]
     x = jnp.concatenate([x - x.mean(0)[None], jnp.ones((items, 1))], 1)
