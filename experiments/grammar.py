@@ -81,6 +81,7 @@ BATCHES = {
     "failure types, other batch (at rest to loaded)": (AT_REST, LOADED),
     "failure types, other batch (loaded to at rest)": (LOADED, AT_REST),
 }
+FEWEST = 2  # items of a class in a batch: selection needs two folds
 _REST = 1.0  # N along x in the first sample: the batches have 0.04 and 2 or more
 
 
@@ -174,13 +175,13 @@ def by_batch(recordings: Recordings) -> Recordings:
 
 
 def of_both(items: Sentences, sessions: tuple[str, str]) -> Sentences:
-    """Only the classes that occur on both sides."""
-    sides = [set(items.y[items.session == session].tolist()) for session in sessions]
-    kept = sorted(sides[0] & sides[1])
+    """Only the classes with at least FEWEST items on each side."""
+    counts = [np.bincount(items.y[items.session == side], minlength=len(items.classes)) for side in sessions]
+    kept = np.flatnonzero(np.min(counts, axis=0) >= FEWEST).tolist()
     rows = np.flatnonzero(np.isin(items.y, kept))
     number = np.full(len(items.classes), -1)
     number[kept] = np.arange(len(kept))
-    dropped = {**items.dropped, "class in one batch only": len(items.y) - len(rows)}
+    dropped = {**items.dropped, "class not in both batches": len(items.y) - len(rows)}
     return Sentences(
         tuple(items.classes[c] for c in kept),
         number[items.y[rows]],

@@ -25,17 +25,17 @@ from rcbht_jax.types import Recordings
 
 
 def test_only_classes_of_both_batches_are_left():
-    y = np.array([0, 1, 2, 0, 2, 3, 3, 2])
-    session = np.array([AT_REST] * 4 + [LOADED] * 4)
-    rows = np.arange(8)
+    y = np.array([0, 1, 2, 2, 0, 2, 3, 3, 2, 1, 1])
+    session = np.array([AT_REST] * 4 + [LOADED] * 7)
+    rows = np.arange(11)
     spans = Intervals(rows, rows * 0, rows + 1, 0.005)
     items = Sentences(tuple("abcd"), y, rows.astype(str), session, (spans,), {"no arm R": 1})
     made = of_both(items, (AT_REST, LOADED))
     assert made.classes == ("c",)
-    assert made.y.tolist() == [0, 0, 0]
-    assert made.trial.tolist() == ["2", "4", "7"]
-    assert made.intervals[0].recording.tolist() == [2, 4, 7]
-    assert made.dropped == {"no arm R": 1, "class in one batch only": 5}
+    assert made.y.tolist() == [0, 0, 0, 0]
+    assert made.trial.tolist() == ["2", "3", "5", "8"]
+    assert made.intervals[0].recording.tolist() == [2, 3, 5, 8]
+    assert made.dropped == {"no arm R": 1, "class not in both batches": 7}
 
 
 def test_what_is_said_to_know_no_offset_and_no_duration_does_not():
