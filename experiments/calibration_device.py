@@ -293,7 +293,7 @@ def main() -> None:
     parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
     parser.add_argument("--task", choices=["failure-type", "states"], default="failure-type")
     parser.add_argument("--preset", choices=["openhrp", "A"], default="openhrp", help="B and C rotate for one sample")
-    parser.add_argument("--trials", type=int, default=8192, help="four fifths of the usable ones calibrate")
+    parser.add_argument("--trials", type=int, default=10240, help="four fifths of the usable ones calibrate")
     parser.add_argument("--longest", type=float, default=12.0, help="s, cuts every trial")
     parser.add_argument("--candidates", type=int, default=2048)
     parser.add_argument("--generations", type=int, default=16)
