@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ assert introspector.push([[0.0] * 6] * introspector.model.encoder.window)
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(time.perf_counter() - start, used.ru_utime + used.ru_stime)
 """
+PARTS = ("start", "latency", "long stream", "fuzzed messages", "fuzzed page")
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "largest": 1.0}
 
 
@@ -196,24 +198,29 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=10_000_000)
     parser.add_argument("--messages", type=int, default=1_000_000)
     parser.add_argument("--requests", type=int, default=20_000)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     wrench = signal(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
     head = load(args.model).heads[0].machine.svm
-    load_before = os.getloadavg()[0]
+    parts: dict[str, Callable[[], Any]] = {
+        "start": lambda: start_up(args.model),
+        "latency": lambda: latency(args.model, wrench, args.pushes),
+        "long stream": lambda: long_stream(args.model, wrench, args.samples),
+        "fuzzed messages": lambda: fuzz_stream(args.model, args.messages, args.seed),
+        "fuzzed page": lambda: fuzz_page(args.model, args.requests, args.seed),
+    }
     result = {
         "model": {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)},
-        "load of the machine before, processes": round(load_before, 1),
-        "start": start_up(args.model),
-        "latency": latency(args.model, wrench, args.pushes),
-        "long stream": long_stream(args.model, wrench, args.samples),
-        "fuzzed messages": fuzz_stream(args.model, args.messages, args.seed),
-        "fuzzed page": fuzz_page(args.model, args.requests, args.seed),
+        "load of the machine before, processes": round(os.getloadavg()[0], 1),
+        **{part: parts[part]() for part in args.parts},
     }
     sizes = f"--pushes {args.pushes} --samples {args.samples} --messages {args.messages} --requests {args.requests}"
-    write_result(
-        "stream_speed", f"python -m experiments.stream_speed MODEL {sizes} --seed {args.seed}", result, args.seed
-    )
+    command = f"python -m experiments.stream_speed MODEL {sizes} --seed {args.seed}"
+    if len(args.parts) == len(PARTS):
+        write_result("stream_speed", command, result, args.seed)
+    else:  # a part of the measurement does not replace the whole
+        print(json.dumps(result, indent=1))
 
 
 if __name__ == "__main__":
