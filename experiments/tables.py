@@ -81,6 +81,25 @@ def peers_sessions(way: str) -> str:
     return _peers([name for name in compared() if name not in FOLDED])
 
 
+def _grammar(benchmarks: Sequence[str]) -> str:
+    found: dict[str, dict[str, Any]] = {}
+    for name, row in _result("grammar")["rows"].items():
+        benchmark, method = name.split(" | ")
+        found.setdefault(method, {})[benchmark] = row["accuracy"]
+    lines = [(method, *(_number(row.get(benchmark)) for benchmark in benchmarks)) for method, row in found.items()]
+    return _markdown(("", *benchmarks), lines)
+
+
+def grammar_folds(way: str) -> str:
+    """Words of several kinds by cross-validation."""
+    return _grammar(FOLDED)
+
+
+def grammar_sessions(way: str) -> str:
+    """Words of several kinds from one session or batch to another."""
+    return _grammar([name for name in _result("grammar")["benchmarks"] if name not in FOLDED])
+
+
 def table1(way: str) -> str:
     """Table I of the paper on our labels."""
     lines = []
@@ -192,6 +211,9 @@ def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:
     return {name: min(found, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, found in groups.items()}
 
 
+WORDS_SAME = "same primitive / composition / behaviour, % of time"
+
+
 def _engine_runs(part: str) -> dict[str, Any]:
     """One part of the measurements on a GPU, by engine, and of those on a CPU where they have it."""
     gpu = json.loads((COMMITTED / "engines_gpu.json").read_text(encoding="utf-8"))  # two runs in one file
@@ -209,9 +231,29 @@ def parity(way: str) -> str:
         contact = f"{wrench[0]:.3f} N, {wrench[1]:.4f} Nm"
         rest = (f"{found['force_after_contact']:.3f} N", words, f"{100 * found['states']:.2f}")
         lines.append((engine, str(found["trials"]), contact, *rest, f"{100 * found['same_outcome']:.1f}"))
-    words = "same primitive / composition / behaviour, % of time"
-    head = ("engine", "trials", "largest difference until contact", "median force difference after it", words)
+    head = ("engine", "trials", "largest difference until contact", "median force difference after it", WORDS_SAME)
     return _markdown((*head, "same state, % of time", "same outcome, % of trials"), lines)
+
+
+def parity_floor(way: str) -> str:
+    """C MuJoCo against itself when next to nothing changes."""
+    lines = []
+    for change, found in _result("parity_floor")["rows"].items():
+        words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
+        lines.append((change, f"{found['force_until_contact']:.3f} N", words))
+    return _markdown(("change", "largest difference until contact", WORDS_SAME), lines)
+
+
+def solver(way: str) -> str:
+    """How far the solver of the device engines must go."""
+    lines = []
+    for engine, rows in _engine_runs("solver").items():
+        for row in sorted(rows, key=lambda row: -row["steps_per_s"]):
+            middle, most = (row[f"{what}_force_difference_after_contact"] for what in ("median", "p99"))
+            limits = "/".join(str(limit) for limit in row["solver"])
+            lines.append((engine, limits, f"{middle:.4f} N", f"{most:.2f} N", f"{row['steps_per_s'] / 1e6:.2f}"))
+    head = ("engine", "iterations / line search", "median force difference", "99 %", "million steps per second")
+    return _markdown(head, lines)
 
 
 def speed(way: str) -> str:
@@ -259,11 +301,15 @@ TABLES: dict[str, Callable[[str], str]] = {
     "results": results,
     "peers-folds": peers_folds,
     "peers-sessions": peers_sessions,
+    "grammar-folds": grammar_folds,
+    "grammar-sessions": grammar_sessions,
     "table1": table1,
     "probes": probes,
     "calibration": calibration,
     "online": online,
     "parity": parity,
+    "parity-floor": parity_floor,
+    "solver": solver,
     "speed": speed,
     "synthesis": synthesis,
     "experiments": experiments,
