@@ -59,8 +59,8 @@ def _rows() -> dict[str, Row]:
         "baseline | recorded OpenHRP trials": Row(("SIM1",), candidates=FIXED),
         "baseline | duration alone": replace(ALL, learner="duration"),
         "baseline | statistics of the raw wrench, random forest": replace(ALL, learner="statistics"),
-        "baseline | the same, without presets A and B": Row(_of("wide", "C", "openhrp"), learner="statistics"),
-        "baseline | the same, recorded OpenHRP trials": Row(("SIM1",), learner="statistics"),
+        "baseline | statistics, without presets A and B": Row(_of("wide", "C", "openhrp"), learner="statistics"),
+        "baseline | statistics, recorded OpenHRP trials": Row(("SIM1",), learner="statistics"),
     }
     rows |= {f"one preset | {preset}": Row(_of("wide", preset), candidates=FIXED) for preset in PRESETS}
     for level in ("none", "mild", "wide"):
