@@ -82,6 +82,7 @@ EXPERIMENTS = (
     Experiment("calibration", 180, (STORE,), ("data",), elsewhere=HOURS),
     Experiment("calibration_curves", 120, (STORE,), ("data",), elsewhere=HOURS),
     Experiment("calibration_near", 6, (STORE,), ("data",)),
+    Experiment("calibration_transfer", 10, (STORE,), ("data",)),
     Experiment("calibration_speed", 5, (STORE,), ("data",), ("calibration_speed_gpu",), GPU),
     Experiment(
         "calibration_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU
