@@ -169,7 +169,7 @@ def two_class_corpus(trials: int, seed: int) -> Corpus:
     return Corpus(wrench, fit_windows(CONFIG, wrench, length), edges, y, ("slow", "fast"), names)
 
 
-@pytest.mark.parametrize(("kind", "batch"), [("logistic", 0), ("hinge", 4)])
+@pytest.mark.parametrize(("kind", "batch"), [("logistic", 0), ("hinge", 4), ("fit", 0)])
 def test_training_moves_a_limit_between_the_classes(kind, batch):
     start = preset()
     options = GradientOptions(steps=60, rate=0.1, loss=kind, temperature=(0.7, 0.1), batch=batch)
