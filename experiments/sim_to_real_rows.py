@@ -57,6 +57,7 @@ def _rows() -> dict[str, Row]:
         "main | without preset B": Row(_of("wide", "A", "C", "openhrp")),
         "main | without presets A and B": Row(_of("wide", "C", "openhrp")),
         "baseline | recorded OpenHRP trials": Row(("SIM1",), candidates=FIXED),
+        "baseline | recorded OpenHRP trials, values": Row(("SIM1",), candidates=("values",)),
         "baseline | duration alone": replace(ALL, learner="duration"),
         "baseline | statistics of the raw wrench, random forest": replace(ALL, learner="statistics"),
         "baseline | statistics, without presets A and B": Row(_of("wide", "C", "openhrp"), learner="statistics"),
@@ -86,6 +87,9 @@ def _rows() -> dict[str, Row]:
         for features in ("words", "all but duration"):
             name = f"thresholds | {thresholds}, {features}"
             rows[name] = replace(FEW, thresholds=thresholds, candidates=(features,))
+            rows[f"thresholds, without A and B | {thresholds}, {features}"] = replace(
+                others, thresholds=thresholds, candidates=(features,)
+            )
     for level in ("mild", "wide"):
         rows[f"reverse | recorded A and B to {level}"] = Row(("A", "B"), _of(level, *PRESETS), candidates=FIXED)
     return rows

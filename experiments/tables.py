@@ -179,12 +179,13 @@ def sim_to_real(way: str) -> str:
 
 def sim_to_real_choices(way: str) -> str:
     """What each choice does to it."""
-    return _transfers(("randomisation", "mating", "sensor", "amount", "features", "window", "tare"))
+    some = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")
+    return _transfers(some)
 
 
 def sim_to_real_thresholds(way: str) -> str:
     """Thresholds calibrated on simulated trials only."""
-    return _transfers(("thresholds",))
+    return _transfers(("thresholds", "thresholds, without A and B"))
 
 
 def _transfers(groups: tuple[str, ...]) -> str:
