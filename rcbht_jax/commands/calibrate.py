@@ -82,7 +82,7 @@ class Calibrate(Command):
     """Search: file that keeps the scores, so that an interrupted search goes on from there."""
     steps: int = 150
     """Gradient: steps of the training."""
-    loss: Literal["logistic", "hinge"] = "logistic"
+    loss: Literal["logistic", "hinge", "fit"] = "logistic"
     """Gradient: loss of the classifier."""
     straight_through: bool = False
     """Gradient: hard labels forward."""
