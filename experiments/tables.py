@@ -20,6 +20,7 @@ SHOWN = {
     ("Offline", "REAL states, grouped"): "states, real trials, offline",
     ("Offline", "SIM one-arm states, grouped"): "states, the authors' simulated trials, offline",
     ("Offline", "REAL success/failure"): "success or failure, real trials, offline (confounded)",
+    ("Simulation only", "without presets A and B, harm"): "states, real trials, learned from other, simulated sessions",
     ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end",
     ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
     ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
@@ -189,15 +190,15 @@ def sim_to_real_thresholds(way: str) -> str:
 
 
 def _transfers(groups: tuple[str, ...]) -> str:
+    rows = _worst_draws(_result("sim_to_real")["rows"])
     lines = []
-    for name, row in _worst_draws(_result("sim_to_real")["rows"]).items():
-        if name.split(" | ")[0] in groups:
-            scores = [row[states][sessions] for states in ("merged", "harmonised") for sessions in ("A", "B", "A+B")]
-            said = [f"{score['accuracy']:.3f}" for score in scores]
-            for place in (2, 5):
-                low, high = scores[place]["interval"]
-                said[place] += f" ({low:.3f} to {high:.3f})"
-            lines.append((name.replace(" | ", ": "), str(row["merged"]["trials"]), *said))
+    for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
+        scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
+        said = [f"{score['accuracy']:.3f}" for score in scores]
+        for place in (2, 5):
+            low, high = scores[place]["interval"]
+            said[place] += f" ({low:.3f} to {high:.3f})"
+        lines.append((name.replace(" | ", ": "), str(rows[name]["merged"]["trials"]), *said))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return _markdown(head, lines)
 
