@@ -20,7 +20,7 @@ SHOWN = {
     ("Offline", "REAL states, grouped"): "states, real trials, offline",
     ("Offline", "SIM one-arm states, grouped"): "states, the authors' simulated trials, offline",
     ("Offline", "REAL success/failure"): "success or failure, real trials, offline (confounded)",
-    ("Simulation only", "without presets A and B, harm"): "states, real trials, learned from other, simulated sessions",
+    ("Simulation only", "without presets A and B, harm"): "states, real trials, learned from simulated ones only",
     ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end",
     ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
     ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
@@ -148,6 +148,35 @@ def calibration(way: str) -> str:
         best = max(value for value in said if value is not None)
         lines.append((title, *(_bold(value, value == best) for value in said)))
     return _markdown(("", *methods.values()), lines)
+
+
+def calibration_near(way: str) -> str:
+    """Thresholds near the preset: chosen, shrunk, averaged."""
+    rows = _result("calibration_near")["rows"]
+    sets = ("SIM1", "REAL A -> B", "REAL B -> A")
+    methods = list(dict.fromkeys(name.split(" | ")[1] for name in rows))
+    lines = [
+        (method, *(_number(rows.get(f"{of} | {method}", {}).get("accuracy")) for of in sets)) for method in methods
+    ]
+    return _markdown(("", *sets), lines)
+
+
+def calibration_simulated(way: str) -> str:
+    """Thresholds chosen on simulated failures: on other simulated ones, and on the authors'."""
+    there, here = _result("calibration_device_warp_failure_type")["svm"], _result("calibration_transfer")["rows"]
+    named = {"preset": "preset", "search": "simulated, search", "gradient": "simulated, gradient"}
+    lines = [
+        (
+            name,
+            _number(there[own]),
+            *(_number(here[f"{name} | {scaled}"]["accuracy"]) for scaled in ("ranks", "deviation")),
+        )
+        for own, name in named.items()
+    ]
+    lines.append(
+        ("duration alone", _number(there["duration alone"]), _number(here["duration alone"]["accuracy"]), NONE)
+    )
+    return _markdown(("", "held-out simulated trials", "the authors' failures, ranks", "deviation"), lines)
 
 
 def _bold(value: float | None, best: bool) -> str:
@@ -308,6 +337,8 @@ TABLES: dict[str, Callable[[str], str]] = {
     "table1": table1,
     "probes": probes,
     "calibration": calibration,
+    "calibration-near": calibration_near,
+    "calibration-simulated": calibration_simulated,
     "online": online,
     "parity": parity,
     "parity-floor": parity_floor,
