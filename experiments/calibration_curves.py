@@ -194,7 +194,7 @@ def main() -> None:
     data = corpus(recordings, sentences(recordings, TaskSpec()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
         "gradient": (10, partial(by_gradient, steps=given.steps, loss="logistic")),
-        "gradient of the fit": (given.seeds, partial(by_gradient, steps=given.steps, loss="fit")),
+        "gradient of the fit": (10, partial(by_gradient, steps=given.steps, loss="fit")),
         "random": (given.seeds, partial(random_search, count=given.candidates)),
         "halving": (given.seeds, partial(halving, count=given.candidates // 2)),
         "optuna": (given.seeds, partial(tpe, count=given.asked)),

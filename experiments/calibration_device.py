@@ -299,7 +299,7 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=16)
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--batch", type=int, default=512, help="trials per step of the training")
-    parser.add_argument("--svm-trials", type=int, default=512, help="on each side")
+    parser.add_argument("--svm-trials", type=int, default=1024, help="on each side")
     parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
     parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
     parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
