@@ -5,7 +5,7 @@ small limit of the forces, that of the moments, and all larger limits. Words alo
 duration, no offset), scaled by ranks, a linear kernel per candidate. Everything is chosen inside the training side, by
 repeated grouped folds: the best candidate, the one nearest to the preset within a standard error of it, the best by
 margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated,
-the folder of sets that experiments.sim_to_real makes, candidates are ranked by how well states learnt on one simulated
+a folder that experiments.sim_to_real_sets makes (--sets mild), candidates are ranked by how well states learnt on one simulated
 session are told on another one; the preset that was identified from the tested session takes no part in that.
 
 Run: python -m experiments.calibration_near STORE.zarr [--simulated FOLDER]
@@ -233,7 +233,8 @@ def main() -> None:
         "features": "words, scaled by ranks; states, harmonised",
         "candidates": given.candidates, "repeats": given.repeats, "octaves": OCTAVES, "costs": COSTS,
     }  # fmt: skip
-    Rows("calibration_near", "python -m experiments.calibration_near STORE.zarr", about, SEED).fill(wanted)
+    command = "python -m experiments.calibration_near STORE.zarr" + (" --simulated FOLDER" if given.simulated else "")
+    Rows("calibration_near", command, about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":
