@@ -4,8 +4,9 @@ Nothing of the recorded trials is used but the mean of their first second, in fr
 Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
 only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
 
-The presets' parts, sensor and controller were identified from the recorded sessions whose letters they bear. What
-transfers without that is said by the rows whose training leaves a session's own preset out.
+Controllers are those of the recorded sessions; parts and sensor of presets A and B were fitted to the wrenches of those
+sessions, C has B's, and the OpenHRP preset wears A's sensor. What transfers without a session's own fit is said by the
+rows whose training leaves it out: for A those without preset A, for B those without presets B and C.
 
 Run: python -m experiments.sim_to_real FOLDER [--only TEXT ...]
 FOLDER holds the sets of ``experiments.sim_to_real_sets``, which are made where they are missing. Every finished row is
@@ -228,7 +229,8 @@ def about(experiment: Experiment) -> dict[str, Any]:
     return {
         "what": "states of recorded trials by learners that saw simulated trials only",
         "used of a recorded trial": f"the mean of its first {TARE_SECONDS:g} s, which is subtracted",
-        "presets": "parts, sensor and controller of a preset were identified from the recorded session of its name",
+        "presets": "controllers are the recorded sessions'; parts and sensor of A and B were fitted to their wrenches, "
+        "C has B's parts and sensor, and the OpenHRP preset wears A's sensor",
         "chance": {"merged": round(1 / 3, 4), "harmonised": 0.25},
         "sets": {name: asdict(one) | {"seed": SEED_OF_SETS} for name, one in SETS.items()},
         "candidates": {name: list(families) for name, families in CANDIDATES.items()},
