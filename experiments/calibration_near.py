@@ -4,9 +4,9 @@ A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, 
 small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no
 duration, no offset), scaled by ranks, a linear kernel per candidate. Everything is chosen inside the training side, by
 repeated grouped folds: the best candidate, the one nearest to the preset within a standard error of it, the best by
-margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated,
-a folder that experiments.sim_to_real_sets makes (--sets mild), candidates are ranked by how well states learnt on one simulated
-session are told on another one; the preset that was identified from the tested session takes no part in that.
+margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated, a
+folder that experiments.sim_to_real_sets makes (--sets mild), candidates are ranked by how well states learnt on one
+simulated session are told on another one; the preset identified from the tested session takes no part in that.
 
 Run: python -m experiments.calibration_near STORE.zarr [--simulated FOLDER]
 """
