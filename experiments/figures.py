@@ -49,7 +49,11 @@ def peers() -> Figure:
         plain(ax)
     handles = [figure.axes[0].barh(np.nan, 0, color=color, label=label) for color, label in KINDS.values()]
     figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=9)
-    figure.supxlabel("accuracy; line: 95 % interval; dots: most frequent class", fontsize=9, y=0.045)
+    figure.supxlabel(
+        "accuracy; line: 95 % interval; dots: most frequent class; relative: neither duration nor offset",
+        fontsize=9,
+        y=0.045,
+    )
     figure.tight_layout(rect=(0, 0.05, 1, 1))
     return figure
 
@@ -61,12 +65,10 @@ def bar(ax: Axes, place: int, row: dict[str, Any]) -> None:
 
 
 def short(method: str) -> str:
-    long = {
-        ", without duration and offset": ",\nno duration, no offset", ", offset removed": ",\nno offset",
-    }  # fmt: skip
-    for part, shorter in long.items():
-        method = method.replace(part, shorter)
-    return method
+    """A name that fits on one line."""
+    for part in (" + SVM", " + ridge"):
+        method = method.replace(part, "")
+    return method.replace(", without duration and offset", ", relative").replace(", offset removed", ", no offset")
 
 
 def curves() -> Figure:
