@@ -129,7 +129,8 @@ class _stopwatch:
     """Seconds spent in the parts of a synthesis."""
 
     PARTS = ((labelled, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
-             (labelled, "encode_on_device"), (synth.trial_arrays, "of_trials"), (synth.shards, "save"), (synth, "_assemble"),
+             (labelled, "encode_on_device"), (synth.trial_arrays, "of_trials"), (synth.shards, "save"),
+             (synth, "_assemble"),
              (synth.store, "write_recordings"), (synth, "write_tracks"))  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
