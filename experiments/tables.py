@@ -19,7 +19,10 @@ from rcbht_jax.report.results import Row, read_results
 SHOWN = {
     ("Offline", "REAL states, grouped"): "states, real trials, offline",
     ("Offline", "SIM one-arm states, grouped"): "states, the authors' simulated trials, offline",
+    ("Words and other", "SIM1 states: richer words + SVM, all"): "the same, richer words on our labels",
     ("Offline", "REAL success/failure"): "success or failure, real trials, offline (confounded)",
+    ("Words and other", "REAL merged states, A to B: richer words and levels"): "three states, session A to session B",
+    ("Words and other", "failure types: richer words + SVM, without"): "13 failure types of the authors' simulation",
     ("Simulation only", "without presets A and B, harm"): "states, real trials, learned from simulated ones only",
     ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end",
     ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
