@@ -316,6 +316,19 @@ def synthesis(way: str) -> str:
     return _markdown((*head, "store, GB", "diverged, left out"), lines)
 
 
+def latency(way: str) -> str:
+    """How soon a stream is answered."""
+    found = _result("stream_speed")
+    start, push = found["start"], found["latency"]
+    rows = [
+        ("start to first belief, nothing compiled yet", f"{start['cold']['wall, s']:.1f} s"),
+        ("start to first belief, compiled programs kept", f"{start['warm cache']['wall, s']:.1f} s"),
+        ("one window to belief, median", f"{push['median, ms']:.2f} ms"),
+        ("one window to belief, 99 %", f"{push['p99, ms']:.2f} ms"),
+    ]
+    return _markdown(("six axes, 2 CPU cores", "time"), rows)
+
+
 def experiments(way: str) -> str:
     """What ``make reproduce`` runs, and what it cannot."""
     lines = []
@@ -348,6 +361,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "solver": solver,
     "speed": speed,
     "synthesis": synthesis,
+    "latency": latency,
     "experiments": experiments,
     "sim-to-real": sim_to_real,
     "sim-to-real-choices": sim_to_real_choices,
