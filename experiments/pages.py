@@ -1,27 +1,38 @@
-"""The tables of results on the README and in the documentation, read from the committed results.
+"""The tables and numbers on the README and in the documentation, read from the committed results.
 
 A page holds a table between two lines, ``<!-- table NAME: python -m experiments.pages -->`` and
-``<!-- end of table -->``; what stands between them is replaced. A test fails when a page differs.
+``<!-- end of table -->``, and a number inside a sentence between two marks:
+
+    ``<!-- number FORMAT RESULT > KEY > ... -->0.981<!-- /number -->``
+
+FORMAT is one of Python's for numbers (``.3f``, ``.0%``, ``,``), or ``s`` for text; ``.1f/1e9`` divides by 1e9 first.
+RESULT is a file in experiments/results; the keys lead to one value of its "result", and count from 0 in lists. A line
+may end wherever there is a space. What stands between is replaced. A test fails when a page differs.
 
 Run: python -m experiments.pages
 """
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
+from experiments.record import COMMITTED
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 _TABLE = re.compile(r"(<!-- table (.*?): python -m experiments\.pages -->\n).*?(<!-- end of table -->)", re.S)
+_NUMBER = re.compile(r"(<!--\s+number\s+(\S+)\s+(.+?)\s+-->)[^<]*(<!-- /number -->)", re.S)
 
 
 def pages() -> list[Path]:
-    """Every page with a table."""
+    """Every page with a table or a number."""
     found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    return [page for page in found if _TABLE.search(page.read_text(encoding="utf-8"))]
+    texts = {page: page.read_text(encoding="utf-8") for page in found}
+    return [page for page, text in texts.items() if _TABLE.search(text) or _NUMBER.search(text)]
 
 
 def tables_of(page: Path) -> list[str]:
@@ -29,11 +40,49 @@ def tables_of(page: Path) -> list[str]:
     return [match[2] for match in _TABLE.finditer(page.read_text(encoding="utf-8"))]
 
 
-def replaced(page: Path) -> str:
-    """A page with the tables of today in place of the old ones.
+def value_of(place: str) -> Any:
+    """The value at ``RESULT > KEY > ...``.
 
     Raises:
-        InputError: it names a table that does not exist.
+        InputError: there is none, or several.
+    """
+    place = " ".join(place.split())
+    name, *keys = place.split(" > ")
+    path = COMMITTED / f"{name}.json"
+    if not path.is_file():
+        raise InputError(f"There is no result {name!r} for the number {place!r}.")
+    record = json.loads(path.read_text(encoding="utf-8"))
+    value: Any = record.get("result", record)
+    for key in keys:
+        try:
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        except (KeyError, IndexError, ValueError, TypeError):
+            known = ", ".join(map(str, value)) if isinstance(value, dict) else type(value).__name__
+            raise InputError(f"{name}.json has no {key!r} at {place!r}; there is: {known}.") from None
+    if isinstance(value, dict | list):
+        raise InputError(f"{place!r} is not one value; add one of {', '.join(map(str, value))}.")
+    return value
+
+
+def number(wanted: str, place: str) -> str:
+    """The value at a place as it is shown.
+
+    Raises:
+        InputError: no such value, or the format does not fit it.
+    """
+    form, _, unit = wanted.partition("/")
+    value = value_of(place)
+    try:
+        return format(value / float(unit) if unit else value, form)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"The number {place!r}, {value!r}, cannot be shown as {wanted!r}: {error}.") from error
+
+
+def replaced(page: Path) -> str:
+    """A page with the tables and numbers of today in place of the old ones.
+
+    Raises:
+        InputError: it names a table or a number that does not exist.
     """
     results = "../" * (len(page.relative_to(ROOT).parts) - 1) + "experiments/results/"
 
@@ -42,12 +91,14 @@ def replaced(page: Path) -> str:
             raise InputError(f"{page} has a table {match[2]!r}; there are {', '.join(TABLES)}.")
         return f"{match[1]}{TABLES[match[2]](results)}\n{match[3]}"
 
-    return _TABLE.sub(table, page.read_text(encoding="utf-8"))
+    text = _TABLE.sub(table, page.read_text(encoding="utf-8"))
+    return _NUMBER.sub(lambda match: f"{match[1]}{number(match[2], match[3])}{match[4]}", text)
 
 
-def without_tables(page: Path) -> str:
-    """What is written by hand."""
-    return _TABLE.sub("", page.read_text(encoding="utf-8"))
+def by_hand(page: Path) -> str:
+    """What is written by hand: no table, no generated number, no code."""
+    text = _NUMBER.sub("", _TABLE.sub("", page.read_text(encoding="utf-8")))
+    return re.sub(r"```.*?```", "", text, flags=re.S)
 
 
 if __name__ == "__main__":

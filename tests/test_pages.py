@@ -16,8 +16,11 @@ from rcbht_jax.errors import InputError
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "experiments" / "results"
 SCORE = re.compile(r"(?<![\d.])[01]?\.\d{2,}")
-# Pages of scores.
-BY_HAND = ("README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md")
+# Pages whose scores are all generated.
+BY_HAND = (
+    "README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md", "docs/engines.md",
+    "docs/howto/features.md", "docs/concepts.md", "docs/tutorial.md",
+)  # fmt: skip
 
 
 def test_every_table_is_shown_somewhere() -> None:
@@ -25,7 +28,7 @@ def test_every_table_is_shown_somewhere() -> None:
 
 
 @pytest.mark.parametrize("page", pages.pages(), ids=lambda page: page.stem)
-def test_tables_are_those_of_the_committed_results(page: Path) -> None:
+def test_tables_and_numbers_are_those_of_the_committed_results(page: Path) -> None:
     assert pages.replaced(page) == page.read_text(encoding="utf-8"), "run python -m experiments.pages"
 
 
@@ -52,8 +55,53 @@ def numbers(value: Any) -> list[float]:
 
 @pytest.mark.parametrize("page", BY_HAND)
 def test_no_score_is_typed_in_by_hand(page: str) -> None:
-    prose = re.sub(r"```.*?```", "", pages.without_tables(ROOT / page), flags=re.S)
-    assert not SCORE.findall(prose)
+    assert not SCORE.findall(pages.by_hand(ROOT / page))
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A page beside one result."""
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "COMMITTED", tmp_path)
+    result = {"rows": {"A -> B | words, 10 %": [{"mean": 0.98765}, "12 of 13", 4.7e9]}}
+    (tmp_path / "some.json").write_text(json.dumps({"seed": 0, "result": result}))
+    return tmp_path / "page.md"
+
+
+def shown(page: Path, mark: str) -> str:
+    page.write_text(f"It is <!-- number {mark} -->old<!-- /number --> here.")
+    text = pages.replaced(page)
+    assert text.startswith(f"It is <!-- number {mark} -->")
+    assert pages.by_hand(page) == "It is  here."
+    page.write_text(text)
+    assert pages.replaced(page) == text
+    return re.sub(r"<!--.*?-->", "", text, flags=re.S).removeprefix("It is ").removesuffix(" here.")
+
+
+def test_numbers_in_sentences(page: Path) -> None:
+    row = "some > rows > A -> B | words, 10 % > "
+    assert shown(page, f".3f {row}0 > mean") == "0.988"
+    assert shown(page, f".0% {row}0 > mean") == "99%"
+    assert shown(page, f"s {row}1") == "12 of 13"
+    assert shown(page, f".1f/1e9 {row}2") == "4.7"
+    assert shown(page, ".2f some\n> rows > A -> B |\nwords, 10 % > 0 > mean") == "0.99"  # a line may end anywhere
+
+
+@pytest.mark.parametrize(
+    ("mark", "why"),
+    [
+        (".2f none > rows", "no result 'none'"),
+        (".2f some > row", "there is: rows"),
+        (".2f some > rows > A -> B | words, 10 % > 7", "has no '7'"),
+        (".2f some > rows", "not one value"),
+        (".2f some > rows > A -> B | words, 10 % > 1", "cannot be shown"),
+        (".2f/none some > rows > A -> B | words, 10 % > 2", "cannot be shown"),
+    ],
+)
+def test_a_wrong_number_is_one_sentence(page: Path, mark: str, why: str) -> None:
+    page.write_text(f"<!-- number {mark} -->old<!-- /number -->")
+    with pytest.raises(InputError, match=re.escape(why)):
+        pages.replaced(page)
 
 
 def test_an_unknown_table_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

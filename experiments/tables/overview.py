@@ -1,0 +1,69 @@
+"""The README's table of results, and the table of all experiments."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from experiments.record import COMMITTED
+from experiments.reproduce import EXPERIMENTS
+from experiments.tables.cells import NONE, markdown
+from rcbht_jax.errors import InputError
+from rcbht_jax.report.results import Row, read_results
+
+# What the README shows: beginning of the group, of the row's text -> what it is called there.
+SHOWN = {
+    ("Offline", "REAL states, grouped"): "states, real trials, offline",
+    ("Offline", "SIM one-arm states, grouped"): "states, the authors' simulated trials, offline",
+    ("Words and other", "SIM1 states: richer words + SVM, all"): "the same, richer words on our labels",
+    ("Offline", "REAL success/failure"): "success or failure, real trials, offline (confounded)",
+    ("Words and other", "REAL merged states, A to B: richer words and levels"): "three states, session A to session B",
+    ("Words and other", "failure types: richer words + SVM, without"): "13 failure types of the authors' simulation",
+    ("Simulation only", "without presets A and B, harm"): "states, real trials, learned from simulated ones only",
+    ("Online", "REAL at 10 Hz, full-sequence"): "states, real trials, streamed, at their end",
+    ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
+    ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
+}
+NEEDS = {"data": "recorded trials", "golden": "reference results", "peers": "`make peers`"}
+
+
+MODULES = Path(__file__).resolve().parents[1]
+
+
+def results(way: str) -> str:
+    """The README's table."""
+    rows = read_results(COMMITTED).rows
+    lines = []
+    for (group, what), title in SHOWN.items():
+        row = _only([row for row in rows if row.group.startswith(group) and row.what.startswith(what)], what)
+        low, high = row.interval or (row.ours, row.ours)
+        link = f"[{Path(row.source).stem}]({way}{row.source})"
+        lines.append((title, row.paper or "none", f"{row.ours:.3f} ({low:.3f} to {high:.3f})", link))
+    return markdown(("accuracy", "paper", "here, 95 % interval", "result"), lines)
+
+
+def _only(rows: list[Row], what: str) -> Row:
+    if len(rows) != 1:
+        raise InputError(f"{len(rows)} results are called {what}; expected one.")
+    return rows[0]
+
+
+def experiments(way: str) -> str:
+    """What ``make reproduce`` runs, and what it cannot."""
+    lines = []
+    for experiment in EXPERIMENTS:
+        text = (MODULES / f"{experiment.module}.py").read_text(encoding="utf-8")
+        about = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
+        needs = ", ".join(NEEDS[need] for need in experiment.needs) or NONE
+        minutes = experiment.elsewhere or f"{experiment.minutes:g}"
+        files = ", ".join(f"[{n}]({way}{n}.json)" for n in experiment.names if (COMMITTED / f"{n}.json").is_file())
+        command = " ".join(("python -m", f"experiments.{experiment.module}", *experiment.options))
+        command = command.replace("{work}", "WORK")
+        lines.append((f"`{command}`", about, needs, minutes, files or NONE))
+    return markdown(("command", "what", "needs", "about minutes", "results"), lines)
+
+
+TABLES = {
+    "results": results,
+    "experiments": experiments,
+}
