@@ -45,9 +45,9 @@ docs: $(INSTALLED) ## build the documentation into the folder site
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench
 
-reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, RESULTS=folder elsewhere
+reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, LONG=1 whole, RESULTS=folder elsewhere
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
-	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force)
+	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force) $(if $(LONG),--long)
 
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
 	$(PEERS)/bin/python -m experiments.peers

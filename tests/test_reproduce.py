@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ from typing import Any
 import pytest
 
 import rcbht_jax
-from experiments import reproduce, rows
-from experiments.reproduce import EXPERIMENTS, Experiment
+from experiments import agreement, reproduce, rows
+from experiments.catalogue import EXPERIMENTS, Experiment
+from experiments.reproduce import Form, Spent
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "experiments").glob("*.py")}
@@ -38,9 +38,10 @@ def test_every_committed_result_has_a_command_that_exists(path: Path) -> None:
 
 
 def test_what_is_run_here_takes_less_than_two_hours() -> None:
-    here = [experiment for experiment in EXPERIMENTS if not experiment.elsewhere]
-    together, alone = (sum(e.minutes for e in here if e.alone == kind) for kind in (False, True))
+    here = [Form(one, bool(one.shorter), Path()) for one in EXPERIMENTS if not one.elsewhere]
+    together, alone = (sum(f.minutes for f in here if f.experiment.alone == kind) for kind in (False, True))
     assert together / 2 + alone <= 120  # two at a time
+    assert all(0 < form.minutes <= form.experiment.minutes for form in here)
 
 
 @pytest.fixture
@@ -59,27 +60,31 @@ def write(folder: Path, version: str = rcbht_jax.__version__, **result: Any) -> 
 
 
 def test_finished_is_of_this_version_complete_and_not_interrupted(place: Path) -> None:
-    some = Experiment("some", 1)
-    assert not reproduce.finished(some, place)
+    some = Form(Experiment("some", 1), False, place)
+    assert not some.finished()
     write(place, complete=False)
-    assert not reproduce.finished(some, place)
+    assert not some.finished()
     write(place, "0.0.1", complete=True)
-    assert not reproduce.finished(some, place)
+    assert not some.finished()
     write(place, rows={})
-    assert reproduce.finished(some, place)
-    reproduce.begun(some, place).touch()
-    assert not reproduce.finished(some, place)
+    assert some.finished()
+    some.begun.touch()
+    assert not some.finished()
 
 
-def call(monkeypatch: pytest.MonkeyPatch, place: Path, *words: str, status: int = 0) -> list[list[str]]:
-    """Run ``main`` with a process that only takes note, and fails with ``status``."""
-    called: list[list[str]] = []
+def call(monkeypatch: pytest.MonkeyPatch, place: Path, *words: str, status: int = 0, makes: Any = None) -> list[Any]:
+    """Run ``main`` with a process that only takes note, writes ``makes`` as its result, and ends with ``status``."""
+    called: list[Any] = []
 
-    def process(words: list[str], **_: Any) -> subprocess.CompletedProcess[bytes]:
+    def process(words: list[str], environment: Any = None, *_: Any) -> Spent:
         called.append(words)
-        return subprocess.CompletedProcess(words, status)
+        if makes is not None:
+            folder = Path(environment["RCBHT_RESULTS"])
+            folder.mkdir(exist_ok=True)
+            write(folder, **makes)
+        return Spent(status, 2.0, 1.0, 0.5)
 
-    monkeypatch.setattr(subprocess, "run", process)
+    monkeypatch.setattr(reproduce, "call", process)
     monkeypatch.setattr(sys, "argv", ["reproduce", str(place / "work"), *words])
     with pytest.raises(SystemExit) as end:
         reproduce.main()
@@ -92,6 +97,41 @@ def test_what_is_there_is_skipped_and_forced_if_asked(place: Path, monkeypatch: 
     assert call(monkeypatch, place) == []
     assert call(monkeypatch, place, "--force") == [[sys.executable, "-m", "experiments.some"]]
     assert not (place / "some.json").exists()
+    kept = json.loads((place / "work" / "reproduce.json").read_text())["experiments"]["some"]
+    assert (kept["minutes"], kept["cpu_minutes"], kept["shorter form"]) == (2.0, 1.0, False)
+
+
+def test_a_shorter_form_leaves_the_whole_result_alone(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = Experiment("some", 200, ("--all",), shorter=("--few",), shorter_minutes=1)
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", (some,))
+    committed = {"a": {"mean": 0.5, "low": 0.4, "high": 0.6}, "b": {"accuracy": 0.9, "interval": [0.8, 1.0]}}
+    write(place, **committed)
+    before = (place / "some.json").read_bytes()
+    assert call(monkeypatch, place) == []  # the whole one is there
+    made = {"a": {"mean": 0.55}, "b": {"accuracy": 0.7, "interval": [0.6, 0.8]}}
+    made["a"] |= {"low": 0.5, "high": 0.6}
+    assert call(monkeypatch, place, "--force", makes=made)[0][-2:] == ["--all", "--few"]
+    assert (place / "some.json").read_bytes() == before
+    said = capsys.readouterr().out
+    assert "some: a shorter form (--few); 1 of 2 scores lie in the committed 95 % intervals" in said
+    assert "outside: b: 0.700, committed 0.900 (0.800 to 1.000)" in said
+    (place / "some.json").unlink()
+    assert call(monkeypatch, place) == []  # the shorter one is there
+    assert call(monkeypatch, place, "--long", makes=committed)[0][-1] == "--all"
+    assert (place / "some.json").exists()
+
+
+def test_the_time_of_a_process_is_its_own() -> None:
+    busy = "import time\nend = time.process_time() + 0.3\nwhile time.process_time() < end: pass"
+    spent = reproduce.call([sys.executable, "-c", f"{busy}\nraise SystemExit(3)"])
+    idle = reproduce.call([sys.executable, "-c", "pass"])
+    assert spent.status == 3
+    assert 0.3 / 60 <= spent.cpu_minutes <= 2 / 60
+    assert idle.cpu_minutes < spent.cpu_minutes
+    assert spent.minutes >= 0.3 / 60
+    assert 0.001 < spent.memory_gb < 1
 
 
 def test_what_is_shared_is_made_first_and_speed_is_measured_last(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,9 +160,9 @@ def test_what_cannot_run_says_why(place: Path, monkeypatch: pytest.MonkeyPatch, 
 
 def test_differences() -> None:
     first = {"a": [0.5, {"b": 1}], "seconds": 3}
-    assert reproduce.largest_difference(first, {"a": [0.75, {"b": 1}], "seconds": 9}) == (0.25, "a > 0")
-    assert reproduce.largest_difference(first, first) == (0.0, "")
-    assert reproduce.largest_difference(first, {"a": [0.5]})[0] == float("inf")
+    assert agreement.largest_difference(first, {"a": [0.75, {"b": 1}], "seconds": 9}) == (0.25, "a > 0")
+    assert agreement.largest_difference(first, first) == (0.0, "")
+    assert agreement.largest_difference(first, {"a": [0.5]})[0] == float("inf")
 
 
 def test_rows_go_on_and_start_anew_when_made_differently(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

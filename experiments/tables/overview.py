@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+from experiments.catalogue import EXPERIMENTS
 from experiments.record import COMMITTED
-from experiments.reproduce import EXPERIMENTS
 from experiments.tables.cells import NONE, markdown
 from rcbht_jax.errors import InputError
 from rcbht_jax.report.results import Row, read_results
@@ -56,6 +56,8 @@ def experiments(way: str) -> str:
         about = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
         needs = ", ".join(NEEDS[need] for need in experiment.needs) or NONE
         minutes = experiment.elsewhere or f"{experiment.minutes:g}"
+        if experiment.shorter:
+            minutes += f"; {experiment.shorter_minutes:g} with `{' '.join(experiment.shorter)}`"
         files = ", ".join(f"[{n}]({way}{n}.json)" for n in experiment.names if (COMMITTED / f"{n}.json").is_file())
         command = " ".join(("python -m", f"experiments.{experiment.module}", *experiment.options))
         command = command.replace("{work}", "WORK")

@@ -1,0 +1,72 @@
+"""How far a result that was made again is from the committed one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+_ABOUT = ("second", "minute", "time", "libraries")  # what no two runs share
+
+
+def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a result, and where it is."""
+    if isinstance(value, dict | list):
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, part in parts:
+            if not any(word in str(key) for word in _ABOUT):
+                yield from numbers(part, f"{place} > {key}" if place else str(key))
+    elif isinstance(value, int | float):
+        yield place, float(value)
+
+
+def intervals(value: Any, place: str = "") -> Iterator[tuple[str, float, float, float]]:
+    """Every score that has a 95 % interval: where it is, the score, the interval's ends."""
+    if isinstance(value, dict):
+        score = next((value[key] for key in ("mean", "accuracy") if isinstance(value.get(key), int | float)), None)
+        ends = value["interval"] if "interval" in value else [value.get("low"), value.get("high")]
+        if score is not None and isinstance(ends, list) and all(isinstance(end, int | float) for end in ends):
+            yield place, float(score), float(ends[0]), float(ends[1])
+    if isinstance(value, dict | list):
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, part in parts:
+            yield from intervals(part, f"{place} > {key}" if place else str(key))
+
+
+def largest_difference(first: Any, second: Any) -> tuple[float, str]:
+    """Largest difference of two results' numbers, and where; times are left out, what one lacks counts as infinite."""
+    worst = (0.0, "")
+    a, b = dict(numbers(first)), dict(numbers(second))
+    for place in a | b:
+        there = place in a and place in b
+        apart = abs(a[place] - b[place]) if there else float("inf")
+        if apart > worst[0]:
+            worst = apart, place
+    return worst
+
+
+def inside(made: Any, committed: Any) -> tuple[int, list[str]]:
+    """How many scores of a result the committed one has an interval for, and a line for each that lies outside."""
+    scores = {place: score for place, score, _, _ in intervals(made)}
+    known = [one for one in intervals(committed) if one[0] in scores]
+    margin = 5e-4  # results are rounded
+    out = [
+        f"{place}: {scores[place]:.3f}, committed {score:.3f} ({low:.3f} to {high:.3f})"
+        for place, score, low, high in known
+        if not low - margin <= scores[place] <= high + margin
+    ]
+    return len(known), out
+
+
+def whole(name: str, made: Any, committed: Any) -> str:
+    """What there is to say of a result made in the same way."""
+    difference, place = largest_difference(made, committed)
+    return f"{name}: largest difference from the committed result {difference:g} {place}".rstrip()
+
+
+def shorter(name: str, made: Any, committed: Any, options: str) -> str:
+    """What there is to say of a shorter form of a result."""
+    count, out = inside(made, committed)
+    said = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals" if count else (
+        "the committed result has no interval for any of its scores"
+    )  # fmt: skip
+    return "\n".join([f"{name}: a shorter form ({options}); {said}", *(f"  outside: {line}" for line in out)])
