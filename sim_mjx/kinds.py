@@ -18,7 +18,7 @@ from sim_mjx.two_arm.scene import ARMS, two_arm
 # Group of a trial's parameters, "" = none, and its field.
 PARAMETERS = (
     ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
-    ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"),
+    ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"), ("task", "stop"),
     ("sensor", "noise"), ("sensor", "bias"), ("sensor", "tared"),
     ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
     ("parts", "position"), ("parts", "roll"),

@@ -19,6 +19,7 @@ CONTROL_PERIOD = 0.005  # s, the robot's and the sensor's
 STATES = ("approach", "rotation", "insertion", "mating")
 WRIST, WORLD = 0.0, 1.0
 NEVER, ALWAYS = -np.inf, np.inf
+NO_STOP = 1e4  # s, longer than any trial
 
 
 @jax.tree_util.register_dataclass
@@ -47,6 +48,8 @@ class TaskParams:
     leave_moment: Array  # [4] Nm, and the measured My is above
     mating_time: Array  # s, recorded after mating begins
     timeout: Array  # s, the trial ends unfinished
+    stop: Array  # s, from then on the robot keeps still in whatever phase it is, and its logger goes on
+    rest: Array  # s, recorded after mating, the robot keeping still
 
 
 def _session_a() -> TaskParams:
@@ -68,6 +71,8 @@ def _session_a() -> TaskParams:
         leave_moment=np.full(4, NEVER),
         mating_time=np.array(7.0),
         timeout=np.array(40.0),
+        stop=np.array(NO_STOP),
+        rest=np.array(0.0),
     )
 
 

@@ -42,6 +42,9 @@ class Randomisation:
         "pose", "jamming", "wedging", "missing-tab", "moved-part", "early-stop",
     )  # fmt: skip
     longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
+    # s, for which the record goes on after the planned end of the trial, the robot keeping still, as by a logger that
+    # knows nothing of a fault; None = it ends when the robot has done its work, or has stopped early
+    logs_on: float | None = None
     physical: Physical = ()  # nominal parameters of parts and sensor that replace the preset's, by name
     sensor: str | None = None  # session whose wrist sensor is worn, noise and drift included; None = the preset's
 
@@ -118,6 +121,8 @@ def check(spec: Randomisation) -> None:
         raise InputError(f"The faults are {list(spec.faults)}; expected some of {', '.join(FAULTS)}.")
     if spec.longest is not None and not 0.0 < spec.longest < np.inf:
         raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
+    if spec.logs_on is not None and not 0.0 <= spec.logs_on <= 600.0:
+        raise InputError(f"The logger goes on for {spec.logs_on} s; expected 0 to 600 s.")
     physical.check(spec.physical)
     if spec.sensor is not None:
         sensor.real_sensor(spec.sensor)
@@ -207,7 +212,7 @@ def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[Trial
     if spec.mating is not None:  # the last draw, so that the others do not depend on it
         task = replace(task, mating_time=np.asarray(_draw(rng, spec.mating)))
     params = TrialParams(
-        task=_with_task(base, task, values, spec.longest),
+        task=_with_task(base, task, values, spec),
         sensor=touch,
         parts=_with_parts(part, values),
         command_delay=np.array(lag, np.int32),
@@ -269,20 +274,24 @@ def _mild(base: Setup, spec: Randomisation, rng: np.random.Generator) -> tuple[T
     return task, touch, part
 
 
-def _with_task(base: Setup, task: TaskParams, values: _Values, longest: float | None) -> TaskParams:
-    """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limit."""
-    approach_ends = float(task.way_time[-1])
-    planned = float(base.task.way_time[-1])
-    timeout = float(task.timeout)
-    if values.stop is not None:
-        timeout = min(timeout, values.stop * (approach_ends + base.mating_begins - planned))
-    if longest is not None:
-        timeout = min(timeout, longest)
+def _with_task(base: Setup, task: TaskParams, values: _Values, spec: Randomisation) -> TaskParams:
+    """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limits."""
+    mating_begins = float(task.way_time[-1]) + base.mating_begins - float(base.task.way_time[-1])
+    stop = None if values.stop is None else values.stop * mating_begins
+    rest, timeout = spec.logs_on or 0.0, float(task.timeout)
+    if stop is not None and spec.logs_on is None:
+        timeout = min(timeout, stop)
+    elif stop is not None:
+        timeout = min(timeout, mating_begins + float(task.mating_time) + rest)
+        task = replace(task, stop=np.array(stop))
+    if spec.longest is not None:
+        timeout = min(timeout, spec.longest)
     return replace(
         task,
         way_position=task.way_position + values.hand[:2] @ base.across,
         way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt]) @ base.turns,
         timeout=np.array(timeout),
+        rest=np.array(rest),
     )
 
 

@@ -50,16 +50,20 @@ def advance(params: TaskParams, state: TaskState, joints: Array, wrench: Array) 
         wrench: measured and filtered [6], N and Nm, world frame.
 
     Returns:
-        the state after it; ``command`` holds the new joint references. An ended trial keeps still.
+        the state after it; ``command`` holds the new joint references. A stopped, resting or ended robot keeps still.
     """
     _, rotation, _ = kinematics.fk(joints)
     phase = jnp.where(_leaves(params, state, joints, rotation, wrench), state.phase + 1, state.phase)
     # pre-mating exists in the OpenHRP task only: elsewhere it would last no time
     phase = jnp.where((phase == PRE_MATING) & (params.leave_wrist[2] == jnp.inf), jnp.int32(MATING), phase)
+    stopped = state.tick >= _periods(params.stop)
+    phase = jnp.where(stopped, state.phase, phase)
     phase = jnp.where(state.tick >= _periods(params.timeout), jnp.int32(ENDED), phase)
     begun = (jnp.arange(6) == phase) & (state.entered < 0)
     entered = jnp.where(begun, state.tick, state.entered)
-    command = _command(params, state, phase, wrench, rotation)
+    resting = (state.phase == MATING) & (state.tick - state.entered[MATING] >= _periods(params.mating_time))
+    still = stopped | resting | (phase == ENDED)
+    command = jnp.where(still, state.command, _command(params, state, phase, wrench, rotation))
     return TaskState(state.tick + 1, phase, entered, command)
 
 
@@ -77,7 +81,7 @@ def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array
     pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))
     reached = (joints[4] < params.leave_wrist[row]) | (pitch < params.leave_pitch[row])
     reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= _periods(params.leave_after[row]))
-    over = since >= _periods(params.mating_time)
+    over = since >= _periods(params.mating_time) + _periods(params.rest)
     by_phase = jnp.where(state.phase == MATING, over, reached)
     return jnp.where(state.phase == APPROACH, contact, by_phase & (state.phase < ENDED))
 
@@ -95,8 +99,7 @@ def _command(params: TaskParams, state: TaskState, phase: Array, wrench: Array, 
         params.force_gain,
         params.moment_gain[row],
     )
-    moved = jnp.where(phase == APPROACH, planned, pressed)
-    return jnp.where(phase == ENDED, state.command, moved)
+    return jnp.where(phase == APPROACH, planned, pressed)
 
 
 def onsets(entered: NDArray[np.integer]) -> NDArray[np.float64]:

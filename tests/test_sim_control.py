@@ -86,6 +86,30 @@ def test_session_a_passes_its_states_by_force_and_wrist_angle() -> None:
     np.testing.assert_allclose(onsets, np.array([0, 10, 20, 30]) * CONTROL_PERIOD, atol=1e-6)
 
 
+def test_a_stopped_robot_keeps_still_and_its_record_goes_on() -> None:
+    params = replace(single("A"), stop=jnp.float32(0.05), timeout=jnp.float32(0.2))
+    pushed = lambda tick, s: np.array([0.0, 0.0, 12.0 * (tick > 5), 0.0, 0.0, 0.0])  # noqa: E731
+    home = lambda tick, s: params.home  # noqa: E731
+    before, later = run(params, pushed, home, 10), run(params, pushed, home, 39)
+    assert int(before.phase) == int(later.phase) == task.ROTATION
+    np.testing.assert_array_equal(before.command, later.command)
+    assert not np.array_equal(run(replace(params, stop=jnp.float32(9)), pushed, home, 39).command, later.command)
+    assert np.asarray(run(params, pushed, home, 41).entered).tolist() == [0, 6, -1, -1, -1, 40]
+
+
+def test_after_mating_the_robot_rests_for_as_long_as_it_is_told() -> None:
+    params = replace(single("A"), mating_time=jnp.float32(0.05), rest=jnp.float32(0.1))
+    down = params.home.at[4].set(0.1)  # the wrist is bent farther than it waits for
+    wrench = lambda tick, s: np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])  # noqa: E731
+    entered = run(params, wrench, lambda tick, s: down, 60).entered
+    begun = int(entered[task.MATING])
+    assert int(entered[task.ENDED]) == begun + 30
+    still = [run(params, wrench, lambda tick, s: down, begun + ticks).command for ticks in (5, 11, 12, 29)]
+    assert not np.array_equal(still[0], still[1])
+    np.testing.assert_array_equal(still[1], still[2])
+    np.testing.assert_array_equal(still[2], still[3])
+
+
 def test_sessions_b_and_c_rotate_for_one_period() -> None:
     up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
     for name in ("B", "C"):

@@ -177,6 +177,22 @@ def test_early_stop_comes_before_mating(preset: str) -> None:
     assert draw(preset, 2, 0, NOMINAL)[0].task.timeout == presets.preset(preset).timeout
 
 
+@pytest.mark.parametrize("preset", list(presets.PRESETS))
+def test_a_logger_that_goes_on_sees_the_stopped_robot_until_the_planned_end(preset: str) -> None:
+    spec = only("early-stop", logs_on=2.5)
+    own, planned = presets.preset(preset), MATING_BEGINS[preset] - presets.preset(preset).way_time[-1]
+    for index in range(20):
+        quiet, logged = (draw(preset, 2, index, replace(spec, logs_on=on))[0].task for on in (None, 2.5))
+        assert logged.stop == quiet.timeout < quiet.stop
+        ends = logged.way_time[-1] + planned + own.mating_time + 2.5
+        assert logged.timeout == pytest.approx(min(ends, float(own.timeout)))
+    nominal = draw(preset, 2, 0, replace(NOMINAL, logs_on=2.5))[0].task
+    assert nominal.rest == 2.5
+    assert same(replace(nominal, rest=np.array(0.0)), draw(preset, 2, 0, NOMINAL)[0].task)
+    with pytest.raises(InputError, match="logger goes on for -1"):
+        draw(preset, 0, 0, replace(NOMINAL, logs_on=-1.0))
+
+
 def test_longest_cuts_every_trial() -> None:
     assert all(draw("A", 2, i, Randomisation(longest=1.5))[0].task.timeout <= 1.5 for i in range(50))
 

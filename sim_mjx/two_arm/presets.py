@@ -15,7 +15,7 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from sim_mjx import parts, sensor
 from sim_mjx.parts import PartParams
-from sim_mjx.presets import NEVER, WRIST, TaskParams
+from sim_mjx.presets import NEVER, NO_STOP, WRIST, TaskParams
 from sim_mjx.sensor import SensorParams
 from sim_mjx.two_arm.program import HoldParams
 
@@ -53,6 +53,8 @@ def task() -> TaskParams:
         leave_moment=np.full(4, NEVER),
         mating_time=np.array(0.57),
         timeout=np.array(20.0),
+        stop=np.array(NO_STOP),
+        rest=np.array(0.0),
     )
 
 
