@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo docs bench peers reproduce constraints clean
+.PHONY: help venv test lint format demo docs bench figures peers reproduce constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -48,6 +48,10 @@ bench: $(INSTALLED) ## measure the encoders on this machine
 reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FORCE=1 again, LONG=1 whole, RESULTS=folder elsewhere
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
 	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force) $(if $(LONG),--long)
+
+figures: $(INSTALLED) ## draw the figures, and write the tables and numbers of the pages, from the committed results
+	$(BIN)/python -m experiments.figures
+	$(BIN)/python -m experiments.pages
 
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
 	$(PEERS)/bin/python -m experiments.peers

@@ -1,33 +1,24 @@
 """Figures of the committed results, written to docs/images; nothing is measured here.
 
 Run: python -m experiments.figures
+PICTURES says what draws the others there.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments import calibration_figure, sim_to_real_figure
+from experiments import calibration_figure, online_figure, sim_to_real_figure
 from experiments.compared import compared, result
+from experiments.figure_style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 
-IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-DPI = 110
-# Colours that people with any colour vision tell apart (Okabe and Ito).
-OURS, PEER, PROBE = "#0072B2", "#E69F00", "#999999"
-LINES = ("#D55E00", "#0072B2", "#999999", "#009E73")
 KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
-
-
-def plain(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(labelsize=8)
 
 
 def peers() -> Figure:
@@ -147,6 +138,16 @@ def sim_to_real() -> Figure:
     return sim_to_real_figure.draw(result("sim_to_real")["rows"])
 
 
+def reliability() -> Figure:
+    """How often a streamed belief of some probability is right."""
+    return online_figure.reliability(result("table2")["rows"])
+
+
+def early() -> Figure:
+    """How much of a sub-task must have passed until its name is right."""
+    return online_figure.early(result("table2")["rows"])
+
+
 def calibration() -> Figure:
     """What each way of calibrating reaches in how much time."""
     return calibration_figure.draw(result("calibration_curves")["rows"])
@@ -157,8 +158,24 @@ FIGURES = {
     "training-size": curves,
     "kernel-cost": grids,
     "confidence": confidence,
+    "online-reliability": reliability,
+    "online-early": early,
     "sim-to-real": sim_to_real,
     "calibration-curves": calibration,
+}
+# Pictures of trials and of experiments that draw while they measure, and the command that writes each.
+REAL = "REAL_HIRO_ONE_SA_SUCCESS"
+PICTURES = {
+    "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13",
+    "label-map": f"rcbht plot map hiro.zarr --source {REAL} --by state",
+    "online-beliefs": "rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-13 --model b.model",
+    "view": "rcbht view a.zarr sim-A-000004",
+    "labels-primitive": "python -m tools.docs_pictures",
+    "labels-mc": "python -m tools.docs_pictures",
+    "labels-llb": "python -m tools.docs_pictures",
+    "two-arm-right": "python -m experiments.two_arm",
+    "two-arm-left": "python -m experiments.two_arm",
+    "success-map": "python -m experiments.sim_success",
 }
 
 

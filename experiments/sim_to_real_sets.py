@@ -150,6 +150,7 @@ def make(folder: Path, level: str, preset: str) -> None:
     target = store_of(folder, level, preset)
     if target.exists():
         return
+    folder.mkdir(parents=True, exist_ok=True)
     spec = SETS[level].spec
     if preset == SIMULATED and level != "ideal":
         spec = replace(spec, sensor=WORN)
@@ -167,7 +168,6 @@ def main() -> None:
     parser.add_argument("--sets", nargs="+", choices=SETS, default=["none", "mild", "wide"])
     parser.add_argument("--presets", nargs="+", choices=PRESETS, default=list(PRESETS))
     given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
     for level in given.sets:
         for name in given.presets:
             make(given.folder, level, name)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from experiments import pages
+from experiments.figures import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
 
@@ -38,7 +39,7 @@ def test_every_number_of_a_table_is_in_a_result(name: str) -> None:
     assert len({line.count("|") for line in lines}) == 1
     held = {f"{number / unit:.{digits}f}" for number in all_numbers() for digits in (2, 3, 4) for unit in (1, 1e6)}
     found = re.findall(r"(?<![\d.])\d\.\d{2,4}(?!\d)", "\n".join(lines[2:]))
-    assert found or name in ("experiments", "synthesis")  # whose numbers are whole
+    assert found or name in ("experiments", "pictures", "synthesis")  # whose numbers are whole
     assert set(found) <= held
 
 
@@ -56,6 +57,11 @@ def numbers(value: Any) -> list[float]:
 @pytest.mark.parametrize("page", BY_HAND)
 def test_no_score_is_typed_in_by_hand(page: str) -> None:
     assert not SCORE.findall(pages.by_hand(ROOT / page))
+
+
+def test_every_picture_has_a_command_that_draws_it() -> None:
+    drawn = [*FIGURES, *PICTURES]
+    assert sorted(drawn) == sorted(path.stem for path in (ROOT / "docs" / "images").glob("*.png"))
 
 
 @pytest.fixture

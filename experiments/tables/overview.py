@@ -6,6 +6,7 @@ import ast
 from pathlib import Path
 
 from experiments.catalogue import EXPERIMENTS
+from experiments.figures import FIGURES, PICTURES
 from experiments.record import COMMITTED
 from experiments.tables.cells import NONE, markdown
 from rcbht_jax.errors import InputError
@@ -65,7 +66,16 @@ def experiments(way: str) -> str:
     return markdown(("command", "what", "needs", "about minutes", "results"), lines)
 
 
+def pictures(way: str) -> str:
+    """What draws every picture of the documentation."""
+    drawn = dict.fromkeys(FIGURES, "python -m experiments.figures") | PICTURES
+    folder = way.replace("experiments/results/", "docs/images/")
+    lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]
+    return markdown(("picture", "command"), lines)
+
+
 TABLES = {
     "results": results,
     "experiments": experiments,
+    "pictures": pictures,
 }

@@ -1,27 +1,20 @@
-"""Figures of the online results (table2), written to docs/images; nothing is measured here.
-
-Run: python -m experiments.online_figures
-"""
+"""Figures of the online results: how often a belief is right, and how soon."""
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.figures import DPI, IMAGES, LINES, plain
-from experiments.record import RESULTS
-from rcbht_jax.plots import save
+from experiments.figure_style import DPI, LINES, plain
 from rcbht_jax.plots.canvas import new_figure
 
 
-def rows() -> dict[str, dict[str, Any]]:
+def sets_of(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The rows at 10 Hz, by set."""
-    record = json.loads((RESULTS / "table2.json").read_text())["result"]["rows"]
-    return {key.split(" at ")[0]: row for key, row in record.items() if key.endswith(" at 10 Hz")}
+    return {key.split(" at ")[0]: row for key, row in rows.items() if key.endswith(" at 10 Hz")}
 
 
 def numbers(values: Any) -> np.ndarray:
@@ -29,9 +22,9 @@ def numbers(values: Any) -> np.ndarray:
     return np.array(values, dtype=float)
 
 
-def reliability() -> Figure:
+def reliability(rows: dict[str, Any]) -> Figure:
     """How often a belief of some probability is right, and how many beliefs there are of it, one panel per set."""
-    sets = rows()
+    sets = sets_of(rows)
     figure = new_figure((3.4 * len(sets), 3.6), DPI)
     for number, (name, row) in enumerate(sets.items()):
         ax = figure.add_subplot(1, len(sets), number + 1)
@@ -49,9 +42,9 @@ def reliability() -> Figure:
     return figure
 
 
-def early() -> Figure:
+def early(rows: dict[str, Any]) -> Figure:
     """How much of a sub-task must have passed until its name is right, one panel per set."""
-    sets = rows()
+    sets = sets_of(rows)
     figure = new_figure((3.4 * len(sets), 3.6), DPI)
     for number, (name, row) in enumerate(sets.items()):
         ax = figure.add_subplot(1, len(sets), number + 1)
@@ -73,12 +66,3 @@ def curves(ax: Axes, accuracy: np.ndarray, classes: list[str]) -> None:
     ax.set_ylim(0, 1.02)
     ax.set_xlim(0, 1)
     plain(ax)
-
-
-def main() -> None:
-    for name, figure in {"reliability": reliability(), "early": early()}.items():
-        save(figure, IMAGES / f"online-{name}.png")
-
-
-if __name__ == "__main__":
-    main()
