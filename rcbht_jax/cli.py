@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("rcbht_jax.commands.calibrate:Calibrate", "find thresholds: by context, search or gradients"),
     "evaluate": ("rcbht_jax.commands.learning:Evaluate", "score the labels on a task, beside baselines"),
     "train": ("rcbht_jax.commands.learning:Train", "train a classifier and write it as a model file"),
+    "classify": ("rcbht_jax.commands.classify:Classify", "ask a trained model about every sentence of a store"),
     "train-online": ("rcbht_jax.commands.train_online:TrainOnline", "train the beliefs of a stream"),
     "stream": ("rcbht_jax.commands.online:Stream", "beliefs and events from a stream, as JSON lines"),
     "serve": ("rcbht_jax.commands.serve:Serve", "a live page of wrench, labels and beliefs"),

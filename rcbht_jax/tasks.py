@@ -25,6 +25,7 @@ ARMS = ("R", "L", "both")
 STATES = ("approach", "rotation", "insertion", "mating")
 MERGED_STATES = ("approach", "rotation+insertion", "mating")
 OUTCOMES = ("failure", "success")
+UNKNOWN = "unknown"  # outcome of a trial that nobody judged
 # The sign patterns with at least nine trials in the full set (evaluation notes).
 FAILURE_TYPES = (
     "+x", "+y", "-y", "+r", "-r", "+x+y", "+x-y", "+x+r", "+x-r", "+y+r", "-y+r", "+x+y+r", "+x-y+r",
@@ -88,6 +89,36 @@ class Sentences:
         return np.stack([(i.end - i.start) * i.dt for i in self.intervals], 1).astype(np.float64)
 
 
+@dataclass(frozen=True)
+class Spans:
+    """Sentences whose class may be unknown, in the order of the recordings and, within one, of the states."""
+
+    row: NDArray[np.int64]  # [item] recording, of the first arm
+    name: NDArray[np.str_]  # [item] class as the data set has it; "" = not known
+    intervals: tuple[Intervals, ...]  # one per arm (R before L), each of all items
+    dropped: dict[str, int]  # reason -> trials left out
+
+
+def spans(recordings: Recordings, spec: TaskSpec) -> Spans:
+    """Find what a trained model can be asked about: as :func:`sentences`, but nobody need know the answers.
+
+    Trials of unknown outcome pass the task's own choice of outcomes (not one that ``spec`` names), and a whole trial of
+    unknown class stays in.
+
+    Raises:
+        InputError: a filter names an unknown source or session.
+    """
+    dropped: Counter[str] = Counter()
+    rows = _rows(recordings, _chosen(recordings, spec, unknown=spec.outcomes is None), spec.arms, dropped)
+    if spec.task == "states":
+        rows, names, edges = _states(recordings, rows, spec.boundaries, dropped)
+    else:
+        names, kept, _ = _known(recordings, rows, spec.task)
+        names, edges = np.where(kept, names, "")[:, None], _records(recordings, rows)
+    first = np.repeat(rows[:, 0], names.shape[1])
+    return Spans(first, names.ravel().astype(str), _intervals(rows, edges, recordings.dt), dict(dropped))
+
+
 def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
     """Find the sentences of a task.
 
@@ -109,27 +140,18 @@ def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
             f"the task {spec.task} finds {len(classes)} classes in the {len(rows)} trials that pass the filters; "
             "it needs two."
         )
-    per_row = names.shape[1]
-    intervals = tuple(
-        Intervals(
-            recording=np.repeat(rows[:, arm], per_row),
-            start=edges[:, arm, :-1].ravel(),
-            end=edges[:, arm, 1:].ravel(),
-            dt=recordings.dt,
-        )
-        for arm in range(rows.shape[1])
-    )
-    first = np.repeat(rows[:, 0], per_row)
+    intervals = _intervals(rows, edges, recordings.dt)
+    first = np.repeat(rows[:, 0], names.shape[1])
     y = np.array([classes.index(c) for c in names.ravel().tolist()], np.int64)
     return Sentences(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
 
 
-def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences, spec: FeatureSpec) -> Features:
+def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences | Spans, spec: FeatureSpec) -> Features:
     """Features of every item, both arms side by side where the task has two.
 
     Args:
         tracks: labels, or those of several encoders by name, which are put side by side.
-        items: from :func:`sentences`.
+        items: from :func:`sentences` or :func:`spans`.
         spec: what to make of the labels.
     """
     if isinstance(tracks, LabelTracks):
@@ -138,7 +160,20 @@ def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences, 
     return side_by_side({name: describe(one, items, spec) for name, one in tracks.items()})
 
 
-def _chosen(recordings: Recordings, spec: TaskSpec) -> NDArray[np.bool_]:
+def _intervals(rows: NDArray[np.int64], edges: NDArray[np.int64], dt: float) -> tuple[Intervals, ...]:
+    """The sentences of each arm, from edges ``[trial, arm, edge]``."""
+    return tuple(
+        Intervals(
+            recording=np.repeat(rows[:, arm], edges.shape[2] - 1),
+            start=edges[:, arm, :-1].ravel(),
+            end=edges[:, arm, 1:].ravel(),
+            dt=dt,
+        )
+        for arm in range(rows.shape[1])
+    )
+
+
+def _chosen(recordings: Recordings, spec: TaskSpec, unknown: bool = False) -> NDArray[np.bool_]:
     filters: list[tuple[str, NDArray[np.str_], Sequence[str]]] = [
         ("source", recordings.source, spec.sources),
         ("session", recordings.session, spec.sessions),
@@ -146,12 +181,13 @@ def _chosen(recordings: Recordings, spec: TaskSpec) -> NDArray[np.bool_]:
     ]
     chosen = np.ones(len(recordings), bool)
     for what, values, wanted in filters:
-        unknown = set(wanted) - set(values.tolist())
-        if unknown:
+        passing = values == UNKNOWN if unknown and what == "outcome" else np.zeros(len(values), bool)
+        missing = set(wanted) - set(values.tolist())
+        if missing and not passing.any():
             known = ", ".join(sorted(set(values.tolist())))
-            raise InputError(f"no recording has the {what} {', '.join(sorted(unknown))}; there are {known}.")
+            raise InputError(f"no recording has the {what} {', '.join(sorted(missing))}; there are {known}.")
         if wanted:
-            chosen &= np.isin(values, wanted)
+            chosen &= np.isin(values, wanted) | passing
     return chosen
 
 
@@ -191,12 +227,23 @@ def _states(recordings: Recordings, rows: NDArray[np.int64], boundaries: str, dr
 
 
 def _whole(recordings: Recordings, rows: NDArray[np.int64], task: str, dropped: Counter[str]) -> _Found:
+    values, kept, doubtful = _known(recordings, rows, task)
+    _count(dropped, "same record under two names", int(doubtful.sum()))
+    _count(dropped, "class not in the list", int((~kept & ~doubtful).sum()))
+    return rows[kept], values[kept][:, None], _records(recordings, rows[kept])
+
+
+def _known(
+    recordings: Recordings, rows: NDArray[np.int64], task: str
+) -> tuple[NDArray[np.str_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Class of each whole trial, whether it is one of the task's, and whether the same record has two names."""
     first = rows[:, 0]
     typed = task == "failure-type"
     values, known = (recordings.failure_type, FAILURE_TYPES) if typed else (recordings.outcome, OUTCOMES)
     doubtful = typed & (np.char.find(recordings.note[first], "contradictory-duplicate") >= 0)
-    kept = np.isin(values[first], known) & ~doubtful
-    _count(dropped, "same record under two names", int(doubtful.sum()))
-    _count(dropped, "class not in the list", int((~kept & ~doubtful).sum()))
-    edges = np.stack([np.zeros_like(rows), recordings.length[rows].astype(np.int64)], -1)
-    return rows[kept], values[first][kept][:, None], edges[kept]
+    return values[first], np.isin(values[first], known) & ~doubtful, doubtful
+
+
+def _records(recordings: Recordings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Edges ``[trial, arm, edge]`` of whole records."""
+    return np.stack([np.zeros_like(rows), recordings.length[rows].astype(np.int64)], -1)
