@@ -32,7 +32,7 @@ from experiments.calibration_speed import numpy_rate
 from experiments.rows import Rows
 from rcbht_jax.calibrate import gradient
 from rcbht_jax.calibrate.corpus import Corpus, corpus
-from rcbht_jax.calibrate.label_times import compiled
+from rcbht_jax.calibrate.label_times import label_times
 from rcbht_jax.calibrate.objective import Objective, shares
 from rcbht_jax.calibrate.search import SearchOptions, Space, evaluate, search
 from rcbht_jax.data.store import read_recordings
@@ -66,7 +66,7 @@ class Side:
 
     def _shares(self, data: Corpus, limits: np.ndarray) -> np.ndarray:
         one = jnp.asarray(limits[None], data.windows.slope.dtype)
-        times = compiled("cpu")(self.config, one, data.windows, jnp.asarray(data.edges), group=1)
+        times = label_times(self.config, one, data.windows, jnp.asarray(data.edges), group=1)
         return np.sqrt(np.asarray(shares(times[0]))).reshape(data.y.size, -1)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 
 from rcbht_jax.labels import LLB, MC, MC_PAIR, MC_SINGLE, Group, Primitive
-from rcbht_jax.pipe import amplitude, duration, is_contact, is_impulse, keep, merge, relabel, select
+from rcbht_jax.pipe import amplitude, duration, is_contact, is_impulse, keep, merge, once, relabel, select
 from rcbht_jax.types import Array, Item
 
 
@@ -56,9 +56,8 @@ def push_primitive(h: Item, x: Item, gate: bool, contact_first: bool) -> tuple[I
     row = jnp.int32(_PAIR_MC[0])
     for index, packed in enumerate(_PAIR_MC[1:], start=1):
         row = jnp.where(first == index, jnp.int32(packed), row)
-    alone = relabel(h, _look_up(_SINGLE_MC, first))
-    out = select(pair, merge(h, x, _look_up(row, second)), alone)
-    return select(x.label > 0, keep(~pair, x), h), keep(both, out)
+    label = jnp.where(pair, _look_up(row, second), _look_up(_SINGLE_MC, first))
+    return _composed(h, x, pair, jnp.where(both, label, 0))
 
 
 def single_composition(h: Item) -> Item:
@@ -73,8 +72,16 @@ def push_composition(h: Item, x: Item, short: int) -> tuple[Item, Item]:
     pair = both & (contacts | ((h.label == x.label) & (h.label <= MC.K)))
     grows = (h.label == MC.A) & (amplitude(x) > amplitude(h))
     label = jnp.where(grows, jnp.int32(LLB.SH), _behaviour(h.label))
-    out = select(pair, merge(h, x, label), _single(h, short))
-    return select(x.label > 0, keep(~pair, x), h), keep(both, out)
+    label = jnp.where(pair, label, _single(h, short).label)
+    return _composed(h, x, pair, jnp.where(both, label, 0))
+
+
+def _composed(h: Item, x: Item, pair: Array, label: Array) -> tuple[Item, Item]:
+    """New H and output: the pair, or H alone, under a label; 0 = nothing to say yet."""
+    word = once(label << 1 | pair.astype(jnp.int32), x.t0)
+    pair, label = word & 1 > 0, word >> 1
+    out = relabel(select(pair, merge(h, x, label), h), label)
+    return select(x.label > 0, keep(~pair, x), h), out
 
 
 def single_behaviour(h: Item, short: int) -> Item:

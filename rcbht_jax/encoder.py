@@ -232,42 +232,29 @@ def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = Non
 
 
 def _advance(config: EncoderConfig, state: EncoderState, x: Item, count: Array) -> tuple[EncoderState, Published]:
-    held, out = chain(config, _unpack(state.ints, state.reals), x, state.time)
+    held, out = chain(config, _unpack(state.ints, state.reals), x)
     state = EncoderState(state.time + count, *_pack(held))
     return state, Published(*_pack(out), state.time)
 
 
-def chain(config: EncoderConfig, held: Sequence[Item], x: Item, time: Array) -> tuple[list[Item], list[Item]]:
+def chain(config: EncoderConfig, held: Sequence[Item], x: Item) -> tuple[list[Item], list[Item]]:
     """Window item through pipe, composer, pipe, composer, pipe (section 4.7).
 
     Args:
         config: static configuration.
         held: the eight items of the state, in its order.
         x: the window; an empty one changes nothing.
-        time: int32 ``[...]``, samples consumed before.
 
     Returns:
         the eight items held afterwards and one published item per layer.
     """
     pa, pb, hm, ma, mb, hl, la, lb = held
     pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
-    p = _settled(p, time)
     hm, m = compose.push_primitive(hm, p, config.gate, config.contact_first)
-    ma, mb, m = pipe.push(ma, mb, _settled(m, time), config.rules(1))
-    m = _settled(m, time)
+    ma, mb, m = pipe.push(ma, mb, m, config.rules(1))
     hl, l = compose.push_composition(hl, m, config.short)
-    la, lb, l = pipe.push(la, lb, _settled(l, time), config.rules(2))
+    la, lb, l = pipe.push(la, lb, l, config.rules(2))
     return [pa, pb, hm, ma, mb, hl, la, lb], [p, m, l]
-
-
-def _settled(x: Item, time: Array) -> Item:
-    """The same item with its label computed once.
-
-    A compiler that fuses the chain into one loop per output repeats the early layers in each of them; it does
-    not repeat a division. This halves the time of a step. The divisor is 1, which the compiler cannot know.
-    """
-    one = jnp.where(time < 0, jnp.float32(2), jnp.float32(1))
-    return pipe.relabel(x, (x.label.astype(jnp.float32) / one).astype(jnp.int32))
 
 
 def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:

@@ -95,6 +95,19 @@ def push(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]
     """One arrival (an empty x changes nothing): new A, new B, published item (empty where nothing leaves)."""
     if rules.one_slot:
         return _push_one_slot(a, b, x, rules)
+    arrived, same, absorb, a_wins, fire, rejoin = _decide(a, b, x, rules)
+    run = select(same, merge(b, x, b.label), b)
+    joint = merge(a, run, jnp.where(a_wins, a.label, b.label))
+    new_b = select(arrived, x, b)
+    new_b = select(same, select(absorb, joint, run), new_b)
+    new_b = select(rejoin, merge(joint, x, x.label), new_b)
+    new_a = select(arrived & ~same, select(absorb, joint, b), a)
+    new_a = keep(~(rejoin | (same & (absorb | fire))), new_a)
+    return new_a, new_b, keep(fire, a)
+
+
+def _decide(a: Item, b: Item, x: Item, rules: PipeRules) -> list[Array]:
+    """Six of them: x arrived; it continues B; A and B merge; under A's label; A leaves; x joins the merger."""
     arrived, both = x.label > 0, (x.label > 0) & (a.label > 0)
     same = arrived & _same(b.label, x.label, rules)
     run = select(same, merge(b, x, b.label), b)  # B as it stands after the arrival
@@ -107,15 +120,25 @@ def push(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]
     if rules.cap is not None:
         late = late | (duration(run) > rules.cap)
     fire = both & ~absorb & (~same | late)
+    rejoin = absorb & ~same & _same(jnp.where(a_wins, a.label, b.label), x.label, rules)
+    word = once(packed(arrived, same, absorb, a_wins, fire, rejoin), x.t0)
+    return [word >> bit & 1 > 0 for bit in range(6)]
 
-    joint = merge(a, run, jnp.where(a_wins, a.label, b.label))
-    rejoin = absorb & ~same & _same(joint.label, x.label, rules)
-    new_b = select(arrived, x, b)
-    new_b = select(same, select(absorb, joint, run), new_b)
-    new_b = select(rejoin, merge(joint, x, x.label), new_b)
-    new_a = select(arrived & ~same, select(absorb, joint, b), a)
-    new_a = keep(~(rejoin | (same & (absorb | fire))), new_a)
-    return new_a, new_b, keep(fire, a)
+
+def packed(*bits: Array) -> Array:
+    """Booleans as the bits of one int32, the first the lowest."""
+    return sum((bit.astype(jnp.int32) << place for place, bit in enumerate(bits)), jnp.int32(0))
+
+
+def once(word: Array, time: Array) -> Array:
+    """The same small int32 numbers (below 2^24), computed once.
+
+    A compiler that fuses the encoder into one loop per output repeats what leads to a decision in each of them; it
+    does not repeat a division. This makes a step many times faster. The divisor is 1, which the compiler cannot
+    know: ``time`` is an int32 that is never negative.
+    """
+    one = jnp.where(time < 0, jnp.float32(2), jnp.float32(1))
+    return (word.astype(jnp.float32) / one).astype(jnp.int32)
 
 
 def _push_one_slot(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]:

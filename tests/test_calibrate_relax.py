@@ -9,7 +9,7 @@ import pytest
 
 from rcbht_jax.calibrate.corpus import Corpus
 from rcbht_jax.calibrate.gradient import GradientOptions, _orders, calibrate
-from rcbht_jax.calibrate.label_times import compiled
+from rcbht_jax.calibrate.label_times import label_times
 from rcbht_jax.calibrate.objective import shares
 from rcbht_jax.calibrate.windows import fit_windows
 from rcbht_jax.encoder import EncoderConfig, encode
@@ -78,7 +78,7 @@ def test_cold_shares_are_the_shares_of_the_search():
     wrench = signal().astype(np.float32)
     windows = fit_windows(CONFIG, wrench, LENGTH)
     limits = jnp.asarray(LIMITS, jnp.float32)
-    times = compiled("cpu")(CONFIG, limits[None], windows, jnp.asarray(EDGES))[0]
+    times = label_times(CONFIG, limits[None], windows, jnp.asarray(EDGES))[0]
     made = soft(CONFIG, limits, jnp.asarray(wrench), jnp.asarray(LENGTH), 1e-3, True)
     weights = overlaps(jnp.asarray(EDGES), 61, 5)
     np.testing.assert_array_equal(weights.sum(-1), np.diff(EDGES))

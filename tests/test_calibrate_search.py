@@ -10,7 +10,7 @@ import pytest
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.calibrate.cma import Cma
 from rcbht_jax.calibrate.corpus import Corpus
-from rcbht_jax.calibrate.label_times import compiled
+from rcbht_jax.calibrate.label_times import label_times
 from rcbht_jax.calibrate.objective import RIDGE, SCORES, Objective, scores, shares
 from rcbht_jax.calibrate.on_device import device_corpus
 from rcbht_jax.calibrate.search import SearchOptions, Space, evaluate, search
@@ -63,9 +63,7 @@ def times_by_grammar(wrench: np.ndarray, edges: np.ndarray, limits: np.ndarray) 
 @pytest.mark.parametrize("group", [1, 3])
 def test_times_per_label_are_those_of_the_published_tracks(wrench, made, group):
     limits = random_limits(4)
-    times = compiled("cpu")(
-        CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group
-    )
+    times = label_times(CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group)
     for candidate, one in enumerate(limits):
         np.testing.assert_array_equal(times[candidate], times_by_grammar(wrench, made.edges, one))
 

@@ -7,8 +7,7 @@ whole samples, so the result does not depend on how candidates or recordings are
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +23,13 @@ LABELS = sum(LAYER_SIZES)
 _ITEMS, _INTS, _REALS = 8, 3, 2  # held items; label, t0, t1; vmax, vmin
 
 _BLOCK = 32  # windows between two sums
+_UNROLLED = 8  # of them in a row
 _NEVER = 2**31 - 1  # samples
 
 _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
+@partial(jax.jit, static_argnums=0, static_argnames="group")
 def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
     """Samples that each label fills in each sentence.
 
@@ -58,23 +59,6 @@ def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: A
     return jnp.zeros_like(flat).at[:, order].set(flat)
 
 
-@lru_cache
-def compiled(backend: str) -> Callable[..., Array]:
-    """:func:`label_times` compiled for a backend.
-
-    JAX 0.10's default emitters for CPUs make these loops a third slower; later releases refuse the option.
-    """
-    compile_with = partial(jax.jit, static_argnums=0, static_argnames="group")
-    options: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
-    if backend == "cpu":
-        try:
-            jax.jit(jnp.negative, compiler_options=options).lower(jnp.float32(0)).compile()
-            return compile_with(label_times, compiler_options=options)
-        except jax.errors.JaxRuntimeError:
-            pass
-    return compile_with(label_times)
-
-
 def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array) -> Array:
     """int32 ``[sentence, label, recording, axis, candidate]``; limits ``[4, axis, candidate]``."""
     shape = (windows.slope.shape[0], AXES, limits.shape[2])
@@ -95,7 +79,7 @@ def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: 
         label = jnp.where(size >= 2, gradient_label(slope, lane_limits), 0)
         none = jnp.zeros_like(slope)
         x = Item(label, start, start + size, vmax, vmin, none, none)
-        items, published = encoder.chain(config, _unpack(held), x, start)
+        items, published = encoder.chain(config, _unpack(held), x)
         return _pack(items), _labels(published)
 
     def block(index: Array, carry: tuple[_Held, Array]) -> tuple[_Held, Array]:
@@ -114,7 +98,7 @@ def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: 
 def _rest(config: EncoderConfig, held: _Held) -> Array:
     """What the end of a recording publishes, int32 ``[slot, 9, lane]`` like a block."""
     layers = encoder.drain_items(config, _unpack(held))
-    slots = max(items.label.shape[0] for items in layers)
+    slots = -(-max(items.label.shape[0] for items in layers) // _UNROLLED) * _UNROLLED
     short = ((0, slots - items.label.shape[0]) for items in layers)
     padded = [jax.tree.map(lambda leaf, s=s: jnp.pad(leaf, (s, (0, 0))), x) for x, s in zip(layers, short, strict=True)]
     return jnp.swapaxes(_labels(padded), 0, 1)
@@ -133,14 +117,28 @@ def _spend(times: Array, published: Array, edges: Array) -> Array:
 
     def one(sentence: Array, times: Array) -> Array:
         start, end = (jax.lax.dynamic_index_in_dim(edges, sentence + k, keepdims=False) for k in (0, 1))
-        parts = []
-        for layer, size in enumerate(LAYER_SIZES):
-            overlap = jnp.maximum(jnp.minimum(t1[:, layer], end[None]) - jnp.maximum(t0[:, layer], start[None]), 0)
-            code = jnp.arange(1, size + 1, dtype=jnp.int32)[None, :, None]
-            parts.append(jnp.sum(jnp.where(label[:, layer, None] == code, overlap[:, None], 0), axis=0))
-        return times.at[sentence].add(jnp.concatenate(parts))
+        inside = jnp.maximum(jnp.minimum(t1, end[None, None]) - jnp.maximum(t0, start[None, None]), 0)
+        spent = [_per_label(label[:, k], inside[:, k], size) for k, size in enumerate(LAYER_SIZES)]
+        return times.at[sentence].add(jnp.concatenate(spent))
 
     return jax.lax.fori_loop(low, high, one, times)
+
+
+def _per_label(label: Array, duration: Array, size: int) -> Array:
+    """Sum of durations ``[step, lane]`` by label, ``[size, lane]``.
+
+    Steps in the outer loop and lanes in the inner one: a reduction would walk through memory the other way.
+    """
+    code = jnp.arange(1, size + 1, dtype=jnp.int32)[:, None]
+
+    def some(index: Array, total: Array) -> Array:
+        for step in range(_UNROLLED):
+            row = index * _UNROLLED + step
+            said, time = (jax.lax.dynamic_index_in_dim(x, row, keepdims=True) for x in (label, duration))
+            total += jnp.where(said == code, time, 0)
+        return total
+
+    return jax.lax.fori_loop(0, label.shape[0] // _UNROLLED, some, jnp.zeros((size, label.shape[1]), jnp.int32))
 
 
 def _labels(items: list[Item]) -> Array:

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.calibrate.corpus import Corpus
-from rcbht_jax.calibrate.label_times import compiled
+from rcbht_jax.calibrate.label_times import label_times
 from rcbht_jax.calibrate.objective import Objective, scores
 from rcbht_jax.classify import Grid
 from rcbht_jax.crossval import Answer, Learner, nested_svm
@@ -47,9 +46,7 @@ class Library:
         parts = []
         for start in range(0, len(limits), chunk):
             some = jnp.asarray(limits[start : start + chunk], corpus.windows.slope.dtype)
-            parts.append(
-                np.asarray(compiled(jax.default_backend())(config, some, corpus.windows, jnp.asarray(corpus.edges)))
-            )
+            parts.append(np.asarray(label_times(config, some, corpus.windows, jnp.asarray(corpus.edges))))
         return Library(limits, np.concatenate(parts), corpus.y, len(corpus.classes))
 
     def rank(self, rows: Rows, objective: Objective) -> Rows:

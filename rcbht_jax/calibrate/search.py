@@ -22,7 +22,7 @@ from scipy.stats import qmc
 
 from rcbht_jax.calibrate.cma import Cma
 from rcbht_jax.calibrate.corpus import Corpus
-from rcbht_jax.calibrate.label_times import LABELS, compiled
+from rcbht_jax.calibrate.label_times import LABELS, label_times
 from rcbht_jax.calibrate.ledger import Ledger
 from rcbht_jax.calibrate.objective import SCORES, Objective, scores
 from rcbht_jax.calibrate.windows import AXES
@@ -142,7 +142,7 @@ def evaluate(
     for start in range(0, len(limits), chunk):
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
-        times = compiled(backend)(config, jax.device_put(padded), windows, edges, group=group)
+        times = label_times(config, jax.device_put(padded), windows, edges, group=group)
         out.append(scores(times, y, len(corpus.classes))[: len(some)])
         if progress is not None:
             progress(start, out[-1])
