@@ -66,7 +66,14 @@ def whole(name: str, made: Any, committed: Any) -> str:
 def shorter(name: str, made: Any, committed: Any, options: str) -> str:
     """What there is to say of a shorter form of a result."""
     count, out = inside(made, committed)
-    said = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals" if count else (
-        "the committed result has no interval for any of its scores"
-    )  # fmt: skip
-    return "\n".join([f"{name}: a shorter form ({options}); {said}", *(f"  outside: {line}" for line in out)])
+    if count:
+        said = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals"
+    else:
+        here, there = dict(numbers(made)), dict(numbers(committed))
+        both = {place: abs(here[place] - there[place]) for place in here if place in there}
+        place = max(both, key=lambda one: both[one], default="")
+        said = (
+            f"no interval to hold it against; largest difference of {len(both)} numbers {both.get(place, 0):g} {place}"
+        )
+    lines = [f"{name}: a shorter form ({options}); {said}", *(f"  outside: {line}" for line in out)]
+    return "\n".join(lines).rstrip()

@@ -68,12 +68,12 @@ EXPERIMENTS = (
         shorter=("--nominal", "60", "--per-kind", "20", "--repeats", "2"),
     ),
     Experiment(
-        "calibration", 180, (STORE,), ("data",), shorter_minutes=10,
+        "calibration", 180, (STORE,), ("data",), shorter_minutes=4,
         shorter=("--tasks", "sim1-to-real", "--candidates", "128", "--repeats", "1"),
     ),
     Experiment(
-        "calibration_curves", 120, (STORE,), ("data",), shorter_minutes=10,
-        shorter=("--methods", "random", "halving", "--seeds", "1", "--candidates", "512"),
+        "calibration_curves", 120, (STORE,), ("data",), shorter_minutes=4,
+        shorter=("--methods", "random", "halving", "--seeds", "1"),
     ),
     Experiment("calibration_near", 6, (STORE,), ("data",)),
     Experiment("calibration_transfer", 10, (STORE,), ("data",)),

@@ -165,6 +165,14 @@ def test_differences() -> None:
     assert agreement.largest_difference(first, {"a": [0.5]})[0] == float("inf")
 
 
+def test_a_shorter_form_without_intervals() -> None:
+    said = agreement.shorter("some", {"a": 0.5, "b": 2}, {"a": 0.75, "c": 1}, "--few")
+    assert said.endswith("no interval to hold it against; largest difference of 1 numbers 0.25 a")
+    made, committed = {"a": {"mean": 0.60049}}, {"a": {"mean": 0.5, "interval": [0.4, 0.6]}}
+    assert agreement.inside({"a": made["a"] | {"low": 0.5, "high": 0.7}}, committed) == (1, [])  # results are rounded
+    assert agreement.inside(made, committed) == (0, [])  # a score without an interval is another kind of number
+
+
 def test_rows_go_on_and_start_anew_when_made_differently(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def write_result(name: str, command: str, result: Any, seed: int, show: bool) -> None:
         record = {"rcbht_jax_version": rcbht_jax.__version__, "seed": seed, "result": result}
