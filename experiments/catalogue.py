@@ -62,7 +62,7 @@ EXPERIMENTS = (
         "stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,
         shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
     ),
-    Experiment("sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=10),
+    Experiment("sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
     Experiment(
         "faults_online", 60, ("--folder", "{work}/faults", "--preset", "B", "C"), shorter_minutes=10,
         shorter=("--nominal", "60", "--per-kind", "20", "--repeats", "2"),

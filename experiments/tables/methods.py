@@ -77,6 +77,29 @@ def probes(way: str) -> str:
     return markdown(("balanced accuracy", *views), lines)
 
 
+def two_arm(way: str) -> str:
+    """The four states from both arms' grammars, within a set and from one set to another."""
+    rows = {name: row for name, row in result("two_arm_states").items() if isinstance(row, dict)}
+    kinds = [kind for kind in next(iter(rows.values())) if kind != "trials"]
+    names = {name: name.replace("two", "`two`", 1).replace("`two`-fixed", "`two-fixed`") for name in rows}
+    return markdown(("", *kinds), [(names[name], *(score(row[kind]) for kind in kinds)) for name, row in rows.items()])
+
+
+def two_arm_fidelity(way: str) -> str:
+    """How near simulated two-arm trials are to the recorded ones, beside these among themselves."""
+    found = result("two_arm")
+    rows: dict[str, dict[str, float]] = {}
+    for preset in ("two", "two-fixed"):
+        for name, cell in found[preset]["signature of trials like the recorded ones"].items():
+            if name in ("right", "left"):
+                rows[f"`{preset}`, {name} wrist"] = cell
+            elif "half against half" in name:
+                rows[f"*{name}*"] = cell
+    names = ("coverage", "w1_over_sd", "dtw_over_sd")
+    lines = [(name, *(f"{cell[key]:.3f}" for key in names)) for name, cell in sorted(rows.items(), reverse=True)]
+    return markdown(("", "coverage", "Wasserstein / sd", "time warping / sd"), lines)
+
+
 TABLES = {
     "peers-folds": peers_folds,
     "peers-sessions": peers_sessions,
@@ -84,4 +107,6 @@ TABLES = {
     "grammar-sessions": grammar_sessions,
     "table1": table1,
     "probes": probes,
+    "two-arm": two_arm,
+    "two-arm-fidelity": two_arm_fidelity,
 }

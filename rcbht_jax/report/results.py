@@ -112,8 +112,8 @@ def _two_arm(result: dict[str, Any], source: str) -> Iterator[Row]:
     for what, row in result.items():
         if isinstance(row, dict):
             yield Row(
-                "Two arms, states", f"{what} ({row['trials']} trials)", "", row["words"], None, None,
-                row["duration alone"], (LENGTHS,), source,
+                "Two arms, states", f"{what} ({row['trials']} trials)", "", row["words"]["mean"],
+                (row["words"]["low"], row["words"]["high"]), None, row["duration alone"]["mean"], (LENGTHS,), source,
             )  # fmt: skip
 
 
