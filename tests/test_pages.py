@@ -13,6 +13,7 @@ from experiments import pages
 from experiments.figures import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
+from rcbht_jax.tasks import CONFOUNDS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "experiments" / "results"
@@ -57,6 +58,10 @@ def numbers(value: Any) -> list[float]:
 @pytest.mark.parametrize("page", BY_HAND)
 def test_no_score_is_typed_in_by_hand(page: str) -> None:
     assert not SCORE.findall(pages.by_hand(ROOT / page))
+
+
+def test_no_score_is_typed_into_the_warnings_of_reports_and_data_cards() -> None:
+    assert not SCORE.findall(" ".join(CONFOUNDS.values()))
 
 
 def test_every_picture_has_a_command_that_draws_it() -> None:
