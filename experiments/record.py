@@ -15,12 +15,20 @@ import rcbht_jax
 
 COMMITTED = Path(__file__).resolve().parent / "results"
 RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
+_PICTURES = COMMITTED.parents[1] / "docs" / "images"
 
 
 def machine() -> str:
     """The machine in words."""
     devices = ", ".join(sorted({device.device_kind for device in jax.devices()}))
     return f"{os.cpu_count()} CPU cores ({platform.machine()}), JAX {jax.__version__} on {devices}"
+
+
+def pictures() -> Path:
+    """Folder of the pictures that an experiment draws while it measures: beside its results, wherever they go."""
+    folder = _PICTURES if RESULTS == COMMITTED else RESULTS / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def write_result(name: str, command: str, result: Any, seed: int | None = None, show: bool = True) -> Path:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.record import RESULTS, write_result
+from experiments.record import RESULTS, pictures, write_result
 from rcbht_jax.data.hiro import read_hiro
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
@@ -34,7 +34,6 @@ SEED, TRIALS, BLOCK = 0, 500, 125  # seed; trials per preset; trials per batch
 MAP_PRESET, PER_CELL = "B", 3
 OFFSETS = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)  # mm
 ROLLS = (-8.0, -4.0, 0.0, 4.0, 8.0)  # degrees
-PICTURE = Path(__file__).parents[1] / "docs/images/success-map.png"
 
 
 def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
@@ -127,7 +126,7 @@ def rates() -> dict[str, Any]:
 
 def mapped() -> dict[str, Any]:
     shares = success_map()
-    save(map_figure(shares), PICTURE)
+    save(map_figure(shares), pictures() / "success-map.png")
     return {
         "preset": MAP_PRESET,
         "trials_per_cell": PER_CELL,

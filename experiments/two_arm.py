@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from experiments.record import write_result
+from experiments.record import pictures, write_result
 from rcbht_jax.data import dat
 from rcbht_jax.data.hiro import read_hiro
 from rcbht_jax.types import Recordings
@@ -36,7 +36,6 @@ SOURCE = "SIM_HIRO_TWO_SA_SUCCESS"
 SEED = 0
 LIKE_RECORDED, MILD, CERTIFIED, FAULTY = 16, 64, 64, 64  # trials
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0)  # of the right arm's gains
-IMAGES = Path("docs/images")
 NAMES = {"R": "right", "L": "left"}
 
 
@@ -143,7 +142,7 @@ def signatures(recorded: Recordings, run: Rollouts, picture: bool) -> dict[str, 
         if picture:
             title = f"Two arms, {name} wrist, its own frame"
             figure = signature.signature_figure(reference, test, title, ("recorded", "simulated"))
-            figure.savefig(IMAGES / f"two-arm-{name}.png", dpi=70)
+            figure.savefig(pictures() / f"two-arm-{name}.png", dpi=70)
     full = np.isfinite(recorded.onset).all(1)
     out["median onsets, recorded, s"] = np.round(np.median(recorded.onset[full], axis=0), 3).tolist()
     out["median onsets, simulated, s"] = np.round(np.nanmedian(run.onset, axis=0), 3).tolist()
