@@ -40,7 +40,7 @@ from rcbht_jax.introspect.coupling import fit_probabilistic
 from rcbht_jax.introspect.features import names
 from rcbht_jax.introspect.levels import Alarm
 from rcbht_jax.introspect.observe import Sight
-from rcbht_jax.introspect.train import FAMILIES, RELATIVE, Looks, streamed, watch
+from rcbht_jax.introspect.train import TRIAL_FAMILIES, TRIAL_RELATIVE, Looks, streamed, watch
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import preset
 
@@ -175,14 +175,14 @@ def looked(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     items = sentences(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
     looks = streamed(items, round(1 / (RATE * config.dt)))
-    sight = Sight(FeatureSpec(families=FAMILIES))
+    sight = Sight(FeatureSpec(families=TRIAL_FAMILIES))
     with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
         x = watch(recordings, looks, sight, config, preset(), bar.update)
     family = np.array([name.split(".")[0] for name in names(sight.spec)] + ["elapsed"])
     elapsed = ((looks.now - looks.begin) * config.dt)[:, None]
     columns = {
         "all features": family != "elapsed",
-        "relative features": np.isin(family, RELATIVE),
+        "relative features": np.isin(family, TRIAL_RELATIVE),
         "time alone": family == "elapsed",
     }
     return Watched(items, looks, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns

@@ -20,10 +20,9 @@ from tqdm import tqdm
 from experiments.benchmarks import recorded, rounded
 from experiments.rows import Rows
 from experiments.table2 import MAIN_RATE, SETS, halves, watched
-from rcbht_jax.classify import select
 from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.introspect.coupling import fit_probabilistic
-from rcbht_jax.introspect.train import FAMILIES, GRID, Looks
+from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.introspect.train import ENDS, FAMILIES, GRID, Looks, learn
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.types import Recordings
 
@@ -35,10 +34,9 @@ def beliefs(x: dict[str, Any], items: Sentences, seed: int) -> tuple[Looks, np.n
     inside = halves(items, seed)
     columns = np.isin(x["family"], FAMILIES)
     fitted, looks = x["picked"], x["streamed"]
-    rows = inside[fitted.sentence]
-    sentence = fitted.sentence[rows]
-    y, group, train = items.y[sentence], items.trial[sentence], x["picked_x"][rows][:, columns]
-    machine = fit_probabilistic(train, y, group, items.classes, select({"": train}, y, group, GRID, seed), seed)
+    rows = np.flatnonzero(inside[fitted.sentence])
+    described, train = FeatureSpec(families=FAMILIES, balance=True), x["picked_x"][rows][:, columns]
+    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
     test = np.flatnonzero(~inside[looks.sentence])
     seen = looks.take(test)
     p = machine.probability(x["streamed_x"][test][:, columns])

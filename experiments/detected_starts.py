@@ -32,14 +32,14 @@ from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.introspect.coupling import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.introspect.levels import Confidence, Phases
 from rcbht_jax.introspect.observe import Sight
-from rcbht_jax.introspect.train import FAMILIES, GRID, Looks, from_the_beginning, picked, streamed, watch
+from rcbht_jax.introspect.train import TRIAL_FAMILIES, TRIAL_GRID, Looks, from_the_beginning, picked, streamed, watch
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # looks per second
 K, MARGIN, HOLD = 0.70, 0.05, 0.2  # as the introspector's; s
-SIGHT = Sight(FeatureSpec(families=FAMILIES))
+SIGHT = Sight(FeatureSpec(families=TRIAL_FAMILIES))
 NEAR = 0.5  # s, within which a beginning counts as found
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -
     rows = inside[view.looks.sentence]
     sentence = view.looks.sentence[rows]
     x, y, group = view.x[rows].astype(np.float64), items.y[sentence], items.trial[sentence]
-    return fit_probabilistic(x, y, group, items.classes, select({"": x}, y, group, GRID, seed), seed)
+    return fit_probabilistic(x, y, group, items.classes, select({"": x}, y, group, TRIAL_GRID, seed), seed)
 
 
 def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:

@@ -27,17 +27,16 @@ from tqdm import tqdm
 
 from experiments.record import RESULTS, write_result
 from rcbht_jax import metrics
-from rcbht_jax.classify import select
 from rcbht_jax.data.hiro import read_hiro
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.introspect.coupling import fit_probabilistic
 from rcbht_jax.introspect.features import names
 from rcbht_jax.introspect.observe import Sight
-from rcbht_jax.introspect.train import FAMILIES, GRID, RELATIVE, Looks, picked, streamed, watch
+from rcbht_jax.introspect.train import ENDS, FAMILIES, GRID, RELATIVE, Looks, learn, picked, streamed, watch
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import preset
 
+KINDS = {"all": FAMILIES, "relative": RELATIVE}
 MAIN_RATE = 10.0
 RATES = (MAIN_RATE, 2.0, 100.0)
 FRACTIONS = 10  # of the sub-task, for the early-classification curve
@@ -47,6 +46,9 @@ TARGETS = {
     "SIM1": {"full-sequence accuracy": 0.95, "OverallPr": 0.88},
 }
 PAPER = {"REAL": {"full-sequence accuracy": 0.95, "OverallPr": 0.84, "m at .70": [0.95, 0.10, 0.36, 0.68]}}
+
+WHOLE = "beliefs and classes of full sequences"
+CHANCE = "ECE full sequences, were they calibrated perfectly"
 
 Floats = NDArray[np.float64]
 
@@ -96,20 +98,18 @@ def early(p: Floats, looks: Looks, items: Sentences) -> Floats:
     return np.divide(hits, total, out=np.full(size, np.nan), where=total > 0).reshape(-1, FRACTIONS)
 
 
-def repeat(x: dict[str, Any], items: Sentences, families: tuple[str, ...], rate: float, seed: int, dt: float) -> Any:
+def repeat(x: dict[str, Any], items: Sentences, families: tuple[str, ...], seed: int, dt: float) -> Any:
     """All numbers of one half-split: trained on one half's looks, streamed over the other."""
     inside = halves(items, seed)
     columns = np.isin(x["family"], families)
     fitted, looks = x["picked"], x["streamed"]
-    rows = inside[fitted.sentence]
-    sentence = fitted.sentence[rows]
-    y, group = items.y[sentence], items.trial[sentence]
-    train = x["picked_x"][rows][:, columns]
-    spec = select({"": train}, y, group, GRID, seed)
-    machine = fit_probabilistic(train, y, group, items.classes, spec, seed)
+    rows = np.flatnonzero(inside[fitted.sentence])
+    described, train = FeatureSpec(families=families, balance=True), x["picked_x"][rows][:, columns]
+    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
     test = np.flatnonzero(~inside[looks.sentence])
     seen = looks.take(test)
     p, truth = machine.probability(x["streamed_x"][test][:, columns]), items.y[seen.sentence]
+    spec = machine.svm.spec
     whole = seen.whole
     return {
         "step accuracy": metrics.recall(truth, p.argmax(1), len(items.classes)),
@@ -126,6 +126,18 @@ def repeat(x: dict[str, Any], items: Sentences, families: tuple[str, ...], rate:
         "confusion of full sequences": metrics.confusion(truth[whole], p[whole].argmax(1), len(items.classes)),
         "reliability": metrics.reliability(p, truth),
         "chosen": f"{spec.kernel} C={spec.cost:g}",
+        WHOLE: (p[whole], truth[whole]),
+    }
+
+
+def together(runs: list[Any], seed: int) -> dict[str, float]:
+    """Calibration of full sequences over all repeats, and what so few of them score in one when nothing is wrong."""
+    parts, rng = [run.pop(WHOLE) for run in runs], np.random.default_rng(seed)
+    p, truth = (np.concatenate(part) for part in zip(*parts, strict=True))
+    drawn = [(one, (one.cumsum(1) < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
+    return {
+        "ECE full sequences, repeats together": round(metrics.calibration_error(p, truth), 4),
+        CHANCE: round(float(np.mean([metrics.calibration_error(*part) for part in drawn])), 4),
     }
 
 
@@ -174,9 +186,12 @@ def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, re
         "left out": items.dropped,
         "classes": items.classes,
     }
-    for kind, families in {"all": FAMILIES, **({"relative": RELATIVE} if relative else {})}.items():
+    for kind, families in KINDS.items():
+        if kind == "relative" and not relative:
+            continue
         seeds = tqdm(range(seed, seed + repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
-        result[kind] = summary([repeat(x, items, families, rate, s, config.dt) for s in seeds])
+        runs = [repeat(x, items, families, s, config.dt) for s in seeds]
+        result[kind] = together(runs, seed) | summary(runs)
     return result
 
 
@@ -201,7 +216,8 @@ def finished(repeats: int, seed: int) -> dict[str, Any]:
     """Rows that an earlier, perhaps interrupted run has kept."""
     path = RESULTS / "table2.json"
     record = json.loads(path.read_text()) if path.is_file() else {"seed": None}
-    same = record["seed"] == seed and record["result"]["repeats"] == repeats
+    about = record["seed"], record.get("result", {}).get("repeats"), record.get("result", {}).get("families")
+    same = about == (seed, repeats, {kind: list(families) for kind, families in KINDS.items()})
     return dict(record["result"]["rows"]) if same else {}
 
 
@@ -212,7 +228,7 @@ def keep(rows: dict[str, Any], repeats: int, seed: int) -> None:
         "repeats": repeats,
         "targets": TARGETS,
         "paper": PAPER,
-        "families": {"all": FAMILIES, "relative": RELATIVE},
+        "families": KINDS,
         "rows": rows,
     }
     write_result("table2", f"python -m experiments.table2 --repeats {repeats} --seed {seed}", result, seed)

@@ -10,12 +10,13 @@ from rcbht_jax.classify import SvmSpec
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.features import weights
 from rcbht_jax.introspect.model import Head, IntrospectionModel
 from rcbht_jax.introspect.observe import Sight, observe
 from rcbht_jax.thresholds import preset
 
 CONFIG = EncoderConfig()
-SIGHT = Sight(FeatureSpec(families=("histogram", "attributes", "edges")))
+SIGHT = Sight(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
 def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
@@ -32,7 +33,8 @@ def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: st
     kinds = np.repeat(np.arange(len(classes)), 6)
     x = [observe(CONFIG, preset(), SIGHT, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
     y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
-    machine = fit_probabilistic(np.concatenate(x), y, group, classes, SvmSpec(kernel, 1.0, True, floor=0.1))
+    spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
+    machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(SIGHT.spec))
     return Head(name, scope, SIGHT, machine, alarm)
 
 

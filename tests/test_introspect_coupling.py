@@ -110,6 +110,22 @@ def test_jax_probabilities_equal_numpy(kernel, scaling, ranks):
     assert said.dtype == jnp.float32
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_repeated_items_steps_and_weights(kernel):
+    """Items that count several times are one support vector; knots that are one make a step, with its middle on it."""
+    x, y = blobs(3, 60)
+    x[:, 0] = np.round(x[:, 0])  # most quantiles are the same few numbers
+    rows, weight = np.repeat(np.arange(60), 1 + np.arange(60) % 3), np.array([3.0, 1, 0.2, 1, 1])
+    spec = SvmSpec(kernel, 1.0, True, ranks=True)
+    model = coupling.fit_probabilistic(x[rows], y[rows], rows // 2, list("abc"), spec, weight=weight)
+    arrays = coupling.to_arrays(model)
+    assert len(arrays.support) < len(model.svm.support)
+    other = x[:30].copy()
+    other[::2, 0] += 0.3
+    said = [coupling.probability_jax(arrays, kernel, model.svm.gamma, 3, row) for row in other.astype(np.float32)]
+    np.testing.assert_allclose(said, model.probability(other.astype(np.float32)), atol=1e-4)
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 5), st.integers(5, 60), st.integers(5, 60))
 def test_sigmoid_is_the_maximum_likelihood_fit(seed, gap, ups, downs):
     rng = np.random.default_rng(seed)

@@ -5,9 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rcbht_jax.grammar import Intervals
-from rcbht_jax.introspect.train import picked, streamed
-from rcbht_jax.tasks import Sentences
+from rcbht_jax.classify import Grid
+from rcbht_jax.grammar import ABSOLUTE, FeatureSpec, Intervals
+from rcbht_jax.introspect.coupling import fit_probabilistic
+from rcbht_jax.introspect.features import names, weights
+from rcbht_jax.introspect.train import (
+    FAMILIES,
+    RELATIVE,
+    TRIAL_FAMILIES,
+    TRIAL_RELATIVE,
+    HeadSpec,
+    learn,
+    picked,
+    streamed,
+)
+from rcbht_jax.tasks import Sentences, TaskSpec
 
 
 def sentences_of(lengths: list[int]) -> Sentences:
@@ -35,3 +47,28 @@ def test_picked_looks(early):
     assert (np.sum(first < 1000) > 5) == early
     assert len(every.now[every.sentence == 3]) == 1
     assert np.sum(every.sentence == 0) == 500
+
+
+@pytest.mark.parametrize("time_alone", [False, True])
+def test_a_complete_sentence_counts_several_times(time_alone):
+    items = sentences_of([400] * 12)
+    looks = picked(items, 20, 4)
+    spec = FeatureSpec(families=("elapsed",) if time_alone else ("levels", "elapsed"), balance=True)
+    x = np.random.default_rng(0).normal(size=(len(looks), len(names(spec))))
+    grid = Grid(kernels=("rbf",), costs=(1.0,), scalings=(True,), ranks=True)
+    rows = np.concatenate([np.arange(len(looks)), *[np.flatnonzero(looks.whole)] * 2])
+    y, trial = items.y[looks.sentence[rows]], items.trial[looks.sentence[rows]]
+    made = learn(x, looks, items, spec, grid, 3, 0)
+    again = fit_probabilistic(x[rows], y, trial, items.classes, made.svm.spec, 0, weight=weights(spec))
+    np.testing.assert_allclose(made.probability(x), again.probability(x), atol=5e-3)
+    once = learn(x, looks, items, spec, grid, 1, 0)
+    assert np.abs(made.probability(x) - once.probability(x)).max() > 0.02
+
+
+def test_what_a_head_sees_depends_on_its_sentence():
+    state, phase = HeadSpec(TaskSpec()), HeadSpec(TaskSpec(), phase=True)
+    assert (state.sight.spec.families, state.sight.spec.balance) == (FAMILIES, True)
+    assert (phase.sight.spec.families, phase.sight.spec.balance) == (TRIAL_FAMILIES, False)
+    assert HeadSpec(TaskSpec("outcome"), ("edges",)).sight.spec.families == ("edges",)
+    assert not {"elapsed", "duration"} & {*TRIAL_FAMILIES, *RELATIVE}
+    assert not {*ABSOLUTE} & {*RELATIVE, *TRIAL_RELATIVE}

@@ -12,11 +12,12 @@ Families of features, each usable alone:
 * ``ngram``: share of each run of n successive labels;
 * ``attributes``: mean amplitude, slope and level relative to the sentence's mean level, per label group;
 * ``duration``: seconds, the family that gives away how long a state lasted;
+* ``elapsed``: seconds since the sentence began and nothing else, one column;
 * ``course``: first, last, highest and lowest value relative to the sentence's mean level;
 * ``offset``: absolute mean level per label group, a family that gives away sensor bias;
 * ``edges``: first, last, highest and lowest value, absolute, which give it away as well.
 
-Families that read the sentence back from its primitives at equally spaced moments, and so need the whole of it:
+Families that read the sentence back from its primitives at equally spaced moments:
 
 * ``parts``: level, slope, steepness, range and signs in three and in eight equal parts of the sentence;
 * ``spread``: quantiles of level and slope;
@@ -35,6 +36,7 @@ from rcbht_jax.grammar.features import (
     WHOLE,
     Features,
     FeatureSpec,
+    balanced_weights,
     both_arms,
     features,
     longest,
@@ -49,6 +51,7 @@ __all__ = [
     "FeatureSpec",
     "Features",
     "Intervals",
+    "balanced_weights",
     "both_arms",
     "features",
     "longest",

@@ -16,10 +16,11 @@ from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 _OF_WORDS = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
-FAMILIES = (*_OF_WORDS, *lines.FAMILIES)
-WHOLE = ("sentence", *lines.FAMILIES)  # families that need the whole sentence at once
+FAMILIES = (*_OF_WORDS, *lines.FAMILIES, "elapsed")
+WHOLE = ("sentence",)  # families that need the whole sentence at once
 
 ABSOLUTE = ("offset", "edges", "levels")  # families that a constant added to the wrench changes
+_KINDS = (ABSOLUTE, ("elapsed",))  # kinds of families that say something of their own in few columns
 
 _CHUNK = 64  # sentences handled at once, which bounds memory
 
@@ -33,7 +34,7 @@ class FeatureSpec:
     slots: tuple[int, int, int] = (64, 32, 16)  # L of the resampled sentence: primitive, mc, llb
     one_hot: bool = False  # resampled sentence as one column per slot and label, not one code per slot
     ngram: int = 2  # labels in a run
-    balance: bool = False  # the absolute families together weigh as much as all the others together
+    balance: bool = False  # absolute families, elapsed time and all other families weigh the same
 
     def __post_init__(self) -> None:
         known = set(self.families) <= set(FAMILIES) and set(self.layers) <= set(LAYERS)
@@ -72,19 +73,25 @@ class Features:
     def weights(self, spec: FeatureSpec) -> NDArray[np.float64] | None:
         """What scaled columns are multiplied by, ``[feature]``, mean square 1; None = all weigh the same.
 
-        With ``spec.balance`` where the force is (few columns) and how it moves (many) count the same, if both are told.
+        With ``spec.balance`` where the force is (few columns), the time that has passed (one) and how the force moves
+        (many) count the same, those of them that are told.
         """
-        absolute = np.isin(self.families, ABSOLUTE)
-        if not spec.balance or absolute.all() or not absolute.any():
-            return None
-        share = np.where(absolute, absolute.sum(), (~absolute).sum())
-        return np.asarray(np.sqrt(absolute.size / 2 / share), np.float64)
+        return balanced_weights(self.families) if spec.balance else None
 
     def select(self, families: Sequence[str]) -> Features:
         """Only the columns of these families."""
         keep = [i for i, family in enumerate(self.families) if family in families]
         pick = {f: tuple(getattr(self, f)[i] for i in keep) for f in ("names", "families", "meanings")}
         return Features(values=self.values[:, keep], **pick)
+
+
+def balanced_weights(families: Sequence[str]) -> NDArray[np.float64] | None:
+    """Weights of columns ``[feature]`` by their families, see :meth:`Features.weights`; None = all weigh the same."""
+    kind = sum((k + 1) * np.isin(families, members) for k, members in enumerate(_KINDS))
+    told, inverse, count = np.unique(kind, return_inverse=True, return_counts=True)
+    if len(told) < 2:
+        return None
+    return np.asarray(np.sqrt(len(families) / len(told) / count)[inverse], np.float64)
 
 
 def side_by_side(grammars: Mapping[str, Features]) -> Features:
@@ -116,9 +123,11 @@ def features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Fe
     recordings = int(np.asarray(tracks.primitive.label).shape[0])
     _check(intervals, recordings)
     blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec)]
+    seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
     if "duration" in spec.families:
-        seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
         blocks.append(Features(seconds, ("duration.total",), ("duration",), ("length of the sentence, s",)))
+    if "elapsed" in spec.families:
+        blocks.append(Features(seconds, ("elapsed",), ("elapsed",), ("time since the sentence began, s",)))
     return _side_by_side(blocks)
 
 

@@ -49,8 +49,12 @@ class Lines:
 
 def read_back(words: Words, dt: float) -> Lines:
     """Read primitives at the middle of MOMENTS equal slots; between words the one before lasts on."""
+    return read_at(words, (np.arange(MOMENTS) + 0.5) / MOMENTS * words.length[:, None], dt)
+
+
+def read_at(words: Words, moment: Values, dt: float) -> Lines:
+    """Read primitives at ``moment`` ``[sentence, MOMENTS]``, samples since the sentence began, increasing."""
     sentences, axes, slots = words.code.shape
-    moment = (np.arange(MOMENTS) + 0.5) / MOMENTS * words.length[:, None]
     # One search for all lanes: each lane's times are shifted behind those of the lane before.
     far = float(words.length.max(initial=0)) + 2
     lane = np.arange(sentences * axes).reshape(sentences, axes, 1)

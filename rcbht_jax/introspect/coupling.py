@@ -19,13 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.classify import DEGREE, Ints, Matrix, SvmModel, SvmSpec, fit, grouped_folds, pairs
+from rcbht_jax.classify import DEGREE, Ints, Matrix, SvmModel, SvmSpec, Weight, fit, grouped_folds, pairs
 from rcbht_jax.errors import InputError
 from rcbht_jax.scaling import SPREAD
 from rcbht_jax.types import Array
 
 CERTAIN = 1e-7  # pair probabilities are kept this far from 0 and 1, as in libsvm
 FOLDS = 5
+STEP = np.float32(1e30)  # slope of a ramp that is a step
 _STEPS = 100  # of Newton's method, at most
 _SHORTEST = 1e-10  # step of the line search
 _RIDGE = 1e-12  # keeps the Hessian invertible
@@ -52,6 +53,7 @@ def fit_probabilistic(
     spec: SvmSpec,
     seed: int = 0,
     folds: int = FOLDS,
+    weight: Weight = None,
 ) -> ProbabilisticSvm:
     """Train the SVM on all items and its sigmoids on held-out decision values.
 
@@ -63,22 +65,30 @@ def fit_probabilistic(
         spec: hyper-parameters.
         seed: of the folds.
         folds: fewer are used where a class has fewer trials.
+        weight: positive ``[feature]`` by which scaled features are multiplied; None = ones.
 
     Raises:
         InputError: a class has fewer than two trials, or a feature is not finite.
     """
-    held_out = held_out_decisions(x, y, groups, classes, spec, seed, folds)
-    return ProbabilisticSvm(fit(x, y, classes, spec), fit_sigmoids(held_out, y, len(classes)))
+    held_out = held_out_decisions(x, y, groups, classes, spec, seed, folds, weight)
+    return ProbabilisticSvm(fit(x, y, classes, spec, weight), fit_sigmoids(held_out, y, len(classes)))
 
 
 def held_out_decisions(
-    x: Matrix, y: Ints, groups: NDArray[Any], classes: Sequence[str], spec: SvmSpec, seed: int, folds: int = FOLDS
+    x: Matrix,
+    y: Ints,
+    groups: NDArray[Any],
+    classes: Sequence[str],
+    spec: SvmSpec,
+    seed: int,
+    folds: int = FOLDS,
+    weight: Weight = None,
 ) -> NDArray[np.float64]:
     """Decision values ``[item, pair]``, each by an SVM that saw no item of the same trial."""
     fewest = min(len(np.unique(groups[y == c])) for c in range(len(classes)))
     out = np.empty((len(y), len(classes) * (len(classes) - 1) // 2))
     for train, test in grouped_folds(y, groups, min(folds, fewest), seed):
-        out[test] = fit(x[train], y[train], classes, spec).decision(x[test])
+        out[test] = fit(x[train], y[train], classes, spec, weight).decision(x[test])
     return out
 
 
@@ -205,7 +215,8 @@ class SvmArrays:
 
     center: Array  # float32 [feature]
     scale: Array  # float32 [feature], one over the width
-    knots: Array  # float32 [knot, feature], ranks instead of values; [0, feature] = no ranks
+    knots: Array  # float32 [knot, feature], lower ends of the ramps whose mean is the rank; [0, feature] = no ranks
+    ramps: Array  # float32 [knot, feature], slopes of these ramps; STEP where two knots are one
     support: Array  # float32 [vector, feature]; [0, feature] for a linear kernel
     weight: Array  # float32 [vector, pair]; [feature, pair] for a linear kernel
     intercept: Array  # float32 [pair]
@@ -213,13 +224,20 @@ class SvmArrays:
 
 
 def to_arrays(model: ProbabilisticSvm) -> SvmArrays:
-    """A fitted machine for :func:`probability_jax`; a linear kernel becomes its normal vectors."""
+    """A fitted machine for :func:`probability_jax`; a linear kernel becomes its normal vectors.
+
+    Equal support vectors, of items that counted several times, become one.
+    """
     svm = model.svm
-    weight = svm.pair_weights()
-    support = svm.support
+    support, inverse = np.unique(svm.support, axis=0, return_inverse=True)
+    weight = np.zeros((len(support), svm.intercept.size))
+    np.add.at(weight, inverse.ravel(), svm.pair_weights())
     if svm.spec.kernel == "linear":
         weight, support = support.T @ weight, support[:0]
-    arrays = (svm.center, 1 / svm.width, svm.knots, support, weight, svm.intercept, model.sigmoid)
+    knots = svm.knots.astype(np.float32)
+    gap = np.diff(knots, axis=0)
+    ramps = np.where(gap > 1 / STEP, 1 / np.maximum(gap, 1 / STEP), STEP)
+    arrays = (svm.center, 1 / svm.width, knots[:-1], ramps, support, weight, svm.intercept, model.sigmoid)
     return SvmArrays(*(np.asarray(a, np.float32) for a in arrays))
 
 
@@ -241,10 +259,9 @@ def probability_jax(arrays: SvmArrays, kernel: str, gamma: float, classes: int, 
 
 def _scaled_jax(arrays: SvmArrays, x: Array) -> Array:
     if arrays.knots.shape[0] > 0:
-        low, high = arrays.knots[:-1], arrays.knots[1:]
-        ramp = jnp.clip((x[None] - low) / jnp.where(high > low, high - low, 1), 0, 1)
-        step = ((x[None] > low).astype(x.dtype) + (x[None] >= low).astype(x.dtype)) / 2
-        x = (jnp.mean(jnp.where(high > low, ramp, step), axis=0) - 0.5) * SPREAD
+        half = jnp.where(arrays.ramps < STEP, jnp.float32(0), jnp.float32(0.5))  # the middle of a step on it
+        ramp = jnp.clip((x[None] - arrays.knots) * arrays.ramps + half, 0, 1)
+        x = (jnp.mean(ramp, axis=0) - 0.5) * SPREAD
     return (x - arrays.center) * arrays.scale
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax.encoder import EncoderConfig, EncoderState, Published, drain, init, step_partial, unpack
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.introspect.features import Tally, add, check_online, describe, empty, names, restart, stack_words
+from rcbht_jax.introspect.features import Tally, add, check_online, describe, empty, grow, names, restart, stack_words
 from rcbht_jax.thresholds import Thresholds
 from rcbht_jax.types import Array
 
@@ -80,10 +80,10 @@ def tick(
     slot = jax.tree.map(lambda leaf: leaf[:, None], said)
     tallies, described = [], []
     for sight, old, begin in zip(sights, progress.tallies, begins, strict=True):
-        tally = restart(sight.spec, old, begin)
-        new = add(sight.spec, tally, stack_words(sight.spec, slot))
+        tally = grow(config.dt, restart(sight.spec, old, begin), now, config.window)
+        new = add(sight.spec, config.dt, tally, stack_words(sight.spec, slot))
         kept = jax.tree.map(lambda a, b: jnp.where(complete, a, b), new, tally)
-        seen = add(sight.spec, new, stack_words(sight.spec, held)) if sight.provisional else kept
+        seen = add(sight.spec, config.dt, new, stack_words(sight.spec, held)) if sight.provisional else kept
         described.append(describe(sight.spec, config.dt, seen, now))
         tallies.append(kept)
     encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, progress.encoder)

@@ -15,6 +15,7 @@ from rcbht_jax.evaluate import data_hash
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.introspect.alarms import conformal_level, held_out, peaks
 from rcbht_jax.introspect.coupling import ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.introspect.features import weights
 from rcbht_jax.introspect.introspector import PHASE
 from rcbht_jax.introspect.model import Head, IntrospectionModel, Scope
 from rcbht_jax.introspect.observe import Sight, observe_all
@@ -22,10 +23,20 @@ from rcbht_jax.tasks import OUTCOMES, Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import Thresholds, preset
 from rcbht_jax.types import Recordings
 
-# Words, their sizes, and where the signal is: without n-grams, whose 1254 columns cost time and help no task here.
-FAMILIES = ("histogram", "attributes", "offset", "course", "edges")
-RELATIVE = ("histogram", "attributes", "course")  # without duration and without absolute offset
-GRID = Grid(kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1)
+# A sub-task: words, the sentence in equal parts, where the force is, and for how long. Ranks, because attributes have
+# long tails; without what costs time and helps no task here: n-grams, quantiles, correlations, times of extremes.
+FAMILIES = ("histogram", "parts", "levels", "elapsed")
+RELATIVE = ("histogram", "parts")  # without time and without absolute offset
+# The radial kernel alone: what a force means depends on the time that has passed.
+GRID = Grid(kernels=("rbf",), costs=(0.3, 1.0, 3.0), scalings=(True,), balanced=True, inner=3, floor=0.1, ranks=True)
+ENDS = 6  # looks that a complete sentence counts for: what it says matters most and is seen least
+
+# A whole trial: nothing of the time that has passed, which tells sessions and controllers apart.
+TRIAL_FAMILIES = ("histogram", "attributes", "offset", "course", "edges")
+TRIAL_RELATIVE = ("histogram", "attributes", "course")
+TRIAL_GRID = Grid(
+    kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1
+)
 PICKED = 12  # looks per sentence and per spacing (even, geometric) for training
 
 
@@ -102,8 +113,7 @@ class HeadSpec:
     """What a head is to learn, and from which features."""
 
     task: TaskSpec
-    families: tuple[str, ...] = FAMILIES
-    grid: Grid = GRID
+    families: tuple[str, ...] = ()  # none = those of the module for the head's scope
     rate: float = 10.0  # looks per second
     phase: bool = False  # tell the states from the trial's sentence, to find out when a sub-task begins
     false_alarms: float = 0.0  # per nominal trial, for the head that alarms; 0 = leave its level to the introspector
@@ -115,9 +125,37 @@ class HeadSpec:
         return "subtask" if self.task.task == "states" and not self.phase else "trial"
 
     @property
+    def sight(self) -> Sight:
+        """What it sees; where the force is, how it moves and for how long weigh the same in a sub-task."""
+        subtask = self.scope == "subtask"
+        families = self.families or (FAMILIES if subtask else TRIAL_FAMILIES)
+        return Sight(FeatureSpec(families=families, balance=subtask))
+
+    @property
     def name(self) -> str:
         """Of the head."""
         return PHASE if self.phase else self.task.task
+
+
+def learn(
+    x: NDArray[np.floating[Any]], looks: Looks, items: Sentences, spec: FeatureSpec, grid: Grid, ends: int, seed: int
+) -> ProbabilisticSvm:
+    """A machine from looks at training sentences; kernel and cost are chosen by cross-validation grouped by trial.
+
+    Args:
+        x: features of ``spec``, ``[look, feature]``.
+        looks: where they come from.
+        items: the task.
+        spec: of the features; says how they are weighed.
+        grid: what to choose from.
+        ends: looks that a complete sentence counts for.
+        seed: of the folds.
+    """
+    rows = np.repeat(np.arange(len(looks)), np.where(looks.whole, ends, 1))
+    sentence = looks.sentence[rows]
+    y, groups, weight = items.y[sentence], items.trial[sentence], weights(spec)
+    chosen = select({"": x[rows]}, y, groups, grid, seed, {"": weight})
+    return fit_probabilistic(x[rows], y, groups, items.classes, chosen, seed, weight=weight)
 
 
 def train_head(
@@ -138,16 +176,16 @@ def train_head(
     items = sentences(recordings, spec.task)
     looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
     looks = from_the_beginning(looks) if spec.phase else looks
-    sight = Sight(FeatureSpec(families=spec.families))
+    sight, subtask = spec.sight, spec.scope == "subtask"
     total = len(looks)
     x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
-    y, groups = items.y[looks.sentence], items.trial[looks.sentence]
-    chosen = select({"": x}, y, groups, spec.grid, seed)
-    machine = fit_probabilistic(x, y, groups, items.classes, chosen, seed)
+    grid, ends = (GRID, ENDS) if subtask else (TRIAL_GRID, 1)
+    machine = learn(x, looks, items, sight.spec, grid, ends, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
     level = 0.0
     if alarm and spec.false_alarms:
-        level = _alarm_level(recordings, spec, config, thresholds, items, machine, (x, y, groups), seed)
+        training = x, items.y[looks.sentence], items.trial[looks.sentence]
+        level = _alarm_level(recordings, spec, config, thresholds, items, machine, training, seed)
     return Head(spec.name, spec.scope, sight, machine, alarm, level)
 
 
@@ -165,7 +203,7 @@ def _alarm_level(
     alarm = items.classes.index(OUTCOMES[0])
     looks = streamed(items, max(1, round(1 / (spec.rate * config.dt))))
     looks = looks.take(np.flatnonzero(items.y[looks.sentence] != alarm))
-    x = watch(recordings, looks, Sight(FeatureSpec(families=spec.families)), config, thresholds)
+    x = watch(recordings, looks, spec.sight, config, thresholds)
     groups = items.trial[looks.sentence]
     said = held_out(machine, *training, x, groups, seed)[:, alarm]
     return conformal_level(peaks(said, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
