@@ -69,7 +69,7 @@ def experiments(way: str) -> str:
 def pictures(way: str) -> str:
     """What draws every picture of the documentation."""
     drawn = dict.fromkeys(FIGURES, "python -m experiments.figures") | PICTURES
-    folder = way.replace("experiments/results/", "docs/images/")
+    folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
     lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]
     return markdown(("picture", "command"), lines)
 
