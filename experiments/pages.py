@@ -7,7 +7,8 @@ A page holds a table between two lines, ``<!-- table NAME: python -m experiments
 
 FORMAT is one of Python's for numbers (``.3f``, ``.0%``, ``,``), or ``s`` for text; ``.1f/1e9`` divides by 1e9 first.
 RESULT is a file in experiments/results; the keys lead to one value of its "result", and count from 0 in lists. A line
-may end wherever there is a space. What stands between is replaced. A test fails when a page differs.
+may end wherever there is a space inside a mark, but none may begin with one: that would end the paragraph. What stands
+between is replaced. A test fails when a page differs.
 
 Run: python -m experiments.pages
 """
@@ -26,6 +27,7 @@ from rcbht_jax.errors import InputError
 ROOT = Path(__file__).resolve().parents[1]
 _TABLE = re.compile(r"(<!-- table (.*?): python -m experiments\.pages -->\n).*?(<!-- end of table -->)", re.S)
 _NUMBER = re.compile(r"(<!--\s+number\s+(\S+)\s+(.+?)\s+-->)[^<]*(<!-- /number -->)", re.S)
+_FIRST = re.compile(r"^[ \t]*<!--\s+/?number", re.M)
 
 
 def pages() -> list[Path]:
@@ -82,7 +84,7 @@ def replaced(page: Path) -> str:
     """A page with the tables and numbers of today in place of the old ones.
 
     Raises:
-        InputError: it names a table or a number that does not exist.
+        InputError: it names a table or a number that does not exist, or a line begins with the mark of a number.
     """
     results = "../" * (len(page.relative_to(ROOT).parts) - 1) + "experiments/results/"
 
@@ -92,6 +94,9 @@ def replaced(page: Path) -> str:
         return f"{match[1]}{TABLES[match[2]](results)}\n{match[3]}"
 
     text = _TABLE.sub(table, page.read_text(encoding="utf-8"))
+    if found := _FIRST.search(text):
+        line = text.count("\n", 0, found.end()) + 1
+        raise InputError(f"{page}, line {line}: the mark of a number must not begin a line; move a word before it.")
     return _NUMBER.sub(lambda match: f"{match[1]}{number(match[2], match[3])}{match[4]}", text)
 
 

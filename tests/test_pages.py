@@ -98,6 +98,16 @@ def test_numbers_in_sentences(page: Path) -> None:
     assert shown(page, ".2f some\n> rows > A -> B |\nwords, 10 % > 0 > mean") == "0.99"  # a line may end anywhere
 
 
+def test_a_mark_does_not_begin_a_line(page: Path) -> None:
+    for text in (
+        "It is\n<!-- number d some > rows -->1<!-- /number -->",
+        "* It is\n  <!--\nnumber d some > rows -->1<!-- /number -->",
+    ):
+        page.write_text(text)
+        with pytest.raises(InputError, match=r"page.md, line \d: .* must not begin a line"):
+            pages.replaced(page)
+
+
 @pytest.mark.parametrize(
     ("mark", "why"),
     [
@@ -110,7 +120,7 @@ def test_numbers_in_sentences(page: Path) -> None:
     ],
 )
 def test_a_wrong_number_is_one_sentence(page: Path, mark: str, why: str) -> None:
-    page.write_text(f"<!-- number {mark} -->old<!-- /number -->")
+    page.write_text(f"It is <!-- number {mark} -->old<!-- /number -->")
     with pytest.raises(InputError, match=re.escape(why)):
         pages.replaced(page)
 
