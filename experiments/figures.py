@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments import calibration_figure, online_figure, sim_to_real_figure
+from experiments import calibration_figure, dots_figure, online_figure, sim_to_real_figure
 from experiments.compared import compared, result
 from experiments.figure_style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
@@ -148,12 +148,37 @@ def early() -> Figure:
     return online_figure.early(result("table2")["rows"])
 
 
+def table1() -> Figure:
+    """Table I of the paper on our labels, beside what duration alone reaches and what the paper prints."""
+    kinds = {
+        "paper's features, nested, grouped": "paper's features",
+        "words, nested, grouped": "words",
+        "duration alone": "duration alone",
+    }
+    rows, printed = {}, {}
+    for name, row in result("table1_ours")["rows"].items():
+        title = name.replace(" | ", ", ")
+        rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
+        if row["paper"] is not None:
+            printed[title] = row["paper"][1]
+    return dots_figure.draw(rows, "accuracy, trials kept together, kernel and cost chosen inside", printed)
+
+
+def probes() -> Figure:
+    """What tells failure, success and session without any assembly."""
+    rows = dots_figure.of_rows(result("probes")["rows"], "balanced_accuracy")
+    shown = {question: {kind: row[kind] for kind in list(row)[1:]} for question, row in rows.items()}
+    return dots_figure.draw(shown, "balanced accuracy")
+
+
 def calibration() -> Figure:
     """What each way of calibrating reaches in how much time."""
     return calibration_figure.draw(result("calibration_curves")["rows"])
 
 
 FIGURES = {
+    "table1": table1,
+    "probes": probes,
     "peers": peers,
     "training-size": curves,
     "kernel-cost": grids,
