@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from sim_mjx.rollout import Rollouts, TrialParams
 from sim_mjx.synth import Synthesis, synthesise
 
 JOB = Synthesis("B", 60, seed=5, shard=5)
+SMALL = replace(JOB, trials=12, shard=5)
 
 
 def fake_engine(params: TrialParams) -> Rollouts:

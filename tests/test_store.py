@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,13 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from hypothesis import given, settings
+from hypothesis import given
+from store_cases import files, folder_is_clean, same, simple
 
-from rcbht_jax.data import store, tracks, zarrio
+from rcbht_jax.data import store, zarrio
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
-from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from rcbht_jax.types import Recordings
 
 WORDS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\x00"), max_size=6)
 
@@ -61,44 +61,11 @@ def some_recordings(draw: st.DrawFn) -> Recordings:
     )
 
 
-def simple(count: int = 3, samples: int = 50) -> Recordings:
-    """Recordings with random wrenches, all of full length."""
-    name = np.array([f"t{k}" for k in range(count)])
-    return Recordings(
-        wrench=np.random.default_rng(0).normal(size=(count, samples, 6)).astype(np.float32),
-        length=np.full(count, samples, np.int32),
-        dt=0.005,
-        onset=np.tile([0.0, 0.1, 0.15, np.nan], (count, 1)),
-        onset_harmonised=np.tile([0.0, 0.1, 0.15, np.nan], (count, 1)),
-        trial=name,
-        arm=np.full(count, "R"),
-        source=np.full(count, "set"),
-        session=np.full(count, "A"),
-        outcome=np.full(count, "success"),
-        failure_type=np.full(count, ""),
-        deviation=np.full((count, 3), np.nan),
-        note=np.full(count, ""),
-    )
-
-
-def same(one: Recordings, two: Recordings) -> None:
-    for field in dataclasses.fields(Recordings):
-        left, right = np.asarray(getattr(one, field.name)), np.asarray(getattr(two, field.name))
-        assert left.dtype.kind == right.dtype.kind
-        assert left.shape == right.shape
-        # Bit for bit: the sign of zero counts, the width of a string's dtype does not.
-        assert zarrio.content_hash([left]) == zarrio.content_hash([right]), field.name
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "trials.zarr"
     store.write_recordings(path, simple(), {})
     return path
-
-
-def folder_is_clean(folder: Path, *expected: str) -> None:
-    assert sorted(entry.name for entry in folder.iterdir()) == sorted(expected)
 
 
 def test_every_field_has_a_variable() -> None:
@@ -247,10 +214,6 @@ def test_ctrl_c_waits_for_the_array_being_written(tmp_path: Path, monkeypatch: p
     folder_is_clean(tmp_path)
 
 
-def files(path: Path) -> Iterator[Path]:
-    return (entry for entry in sorted(path.rglob("*")) if entry.is_file())
-
-
 def test_every_lost_cut_or_changed_file_is_found(path: Path) -> None:
     silent, sentences = set(), []
     for entry in list(files(path)):
@@ -312,102 +275,3 @@ def test_attributes_must_be_json(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be stored as JSON"):
         store.write_recordings(tmp_path / "x.zarr", simple(), {"a": np.nan})
     folder_is_clean(tmp_path)
-
-
-def label_tracks(seed: int = 0, count: int = 3, slots: int = 4) -> LabelTracks:
-    rng = np.random.default_rng(seed)
-
-    def layer(slots: int) -> LabelTrack:
-        shape = (count, 6, slots)
-        whole = {name: rng.integers(-1, 9, shape).astype(np.int32) for name in ("t0", "t1", "emit")}
-        real = {name: rng.normal(size=shape).astype(np.float32) for name in ("vmax", "vmin", "avg", "grad")}
-        return LabelTrack(label=rng.integers(0, 9, shape).astype(np.int8), **whole, **real)
-
-    return LabelTracks(primitive=layer(slots), mc=layer(max(1, slots - 1)), llb=layer(1))
-
-
-def same_tracks(one: LabelTracks, two: LabelTracks) -> None:
-    for layer in ("primitive", "mc", "llb"):
-        for field in dataclasses.fields(LabelTrack):
-            left = getattr(getattr(one, layer), field.name)
-            right = getattr(getattr(two, layer), field.name)
-            np.testing.assert_array_equal(left, right, strict=True)
-
-
-@settings(max_examples=6)
-@given(seed=st.integers(0, 99), slots=st.integers(1, 9))
-def test_tracks_round_trip(seed: int, slots: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "x.zarr"
-        store.write_recordings(path, simple(), {})
-        tracks.write_tracks(path, "online-W5", label_tracks(seed, slots=slots), {"window": 5})
-        got, attrs = tracks.read_tracks(path, "online-W5")
-        same_tracks(got, label_tracks(seed, slots=slots))
-        assert attrs["window"] == 5
-        folder_is_clean(Path(folder), "x.zarr")
-
-
-def test_tracks_join_the_store(path: Path) -> None:
-    assert tracks.list_tracks(path) == []
-    tracks.write_tracks(path, "online-W5", label_tracks(1), {})
-    tracks.write_tracks(path, "offline-master", label_tracks(2), {})
-    assert tracks.list_tracks(path) == ["offline-master", "online-W5"]
-    same_tracks(tracks.read_tracks(path, "online-W5")[0], label_tracks(1))
-    same(store.read_recordings(path), simple())
-    assert xr.open_zarr(path)["wrench"].shape == (3, 50, 6)
-    layer = xr.open_zarr(path, group="labels/online-W5/mc")
-    assert layer["label"].dims == ("trial", "axis", "slot")
-    np.testing.assert_array_equal(layer["label"].values, label_tracks(1).mc.label)
-
-
-@pytest.mark.parametrize(
-    ("name", "count", "sentence"),
-    [
-        ("../escape", 3, "not a name"),
-        ("", 3, "not a name"),
-        (".hidden", 3, "not a name"),
-        ("taken", 3, "has label tracks taken already"),
-        ("other", 2, "expected \\[3 recordings"),
-    ],
-)
-def test_wrong_tracks_are_refused(path: Path, name: str, count: int, sentence: str) -> None:
-    tracks.write_tracks(path, "taken", label_tracks(), {})
-    with pytest.raises(InputError, match=sentence):
-        tracks.write_tracks(path, name, label_tracks(count=count), {})
-    assert tracks.list_tracks(path) == ["taken"]
-
-
-def test_track_dtypes_are_checked(path: Path) -> None:
-    good = label_tracks()
-    wrong = dataclasses.replace(good, mc=dataclasses.replace(good.mc, label=good.mc.label.astype(np.int64)))
-    with pytest.raises(InputError, match="mc label is int64"):
-        tracks.write_tracks(path, "x", wrong, {})
-
-
-def test_missing_and_damaged_tracks(path: Path) -> None:
-    with pytest.raises(InputError, match="no label tracks x; it has: none"):
-        tracks.read_tracks(path, "x")
-    tracks.write_tracks(path, "x", label_tracks(), {})
-    for entry in list(files(path / "labels" / "x")):
-        whole = entry.read_bytes()
-        entry.unlink()
-        with pytest.raises(InputError, match=r"damaged|incomplete|not a Zarr group"):
-            tracks.read_tracks(path, "x")
-        entry.write_bytes(whole)
-    same_tracks(tracks.read_tracks(path, "x")[0], label_tracks())
-
-
-def test_interrupted_tracks_leave_the_store_as_it_was(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = zarrio.write_array
-
-    def failing(group: Any, name: str, *rest: Any) -> None:
-        if name == "grad":
-            raise OSError("stopped")
-        real(group, name, *rest)
-
-    monkeypatch.setattr(zarrio, "write_array", failing)
-    with pytest.raises(OSError, match="stopped"):
-        tracks.write_tracks(path, "x", label_tracks(), {})
-    assert tracks.list_tracks(path) == []
-    folder_is_clean(path.parent, "trials.zarr")
-    same(store.read_recordings(path), simple())
