@@ -70,10 +70,12 @@ def words(recordings: Recordings, items: Sentences, limits: Floats) -> NDArray[n
     return np.stack([describe(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
-def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64]) -> NDArray[np.float32]:
+def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64], weight: Floats | None = None) -> NDArray[np.float32]:
     """Linear kernel ``[item, item]`` of ranks among the training items, its diagonal about 1."""
     varies = np.ptp(x[train], axis=0) > 0
-    z = fit_scale(x[train][:, varies], True, ranked=True)(x[:, varies])
+    z = fit_scale(x[train][:, varies], True, ranked=True, weight=None if weight is None else weight[varies])(
+        x[:, varies]
+    )
     return (z @ z.T / z.shape[1]).astype(np.float32)
 
 
@@ -107,6 +109,7 @@ class Near:
     groups: NDArray[np.str_]
     distance: Floats  # [candidate] octaves
     ranked: dict[str, Floats] = field(default_factory=dict)  # method -> [candidate], on simulated trials
+    weight: Floats | None = None  # [feature]
     _kernels: dict[bytes, NDArray[np.float32]] = field(default_factory=dict)
     _inside: dict[bytes, tuple[Floats, Floats]] = field(default_factory=dict)
 
@@ -118,13 +121,17 @@ class Near:
         accuracy, margin = self._inside_of(train, seed)
         chosen, cost = self._choice(method, accuracy, margin)
         kernel = kernels[chosen].mean(0)
-        if len(chosen) > 1:  # a cost for the average, by the same folds
-            cost = int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
+        if len(chosen) > 1:
+            cost = self._best_cost(kernel, train, seed)
+        return self._said(kernel, cost, train, test), {"candidates": chosen.tolist(), "cost": COSTS[cost]}
+
+    def _best_cost(self, kernel: Floats, train: NDArray[np.int64], seed: int) -> int:
+        """Index of the cost for an average of kernels, by the same folds as a single one's."""
+        return int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
+
+    def _said(self, kernel: Floats, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
         model = SVC(C=COSTS[cost], kernel="precomputed").fit(kernel[np.ix_(train, train)], self.y[train])
-        return model.predict(kernel[np.ix_(test, train)]).astype(np.int64), {
-            "candidates": chosen.tolist(),
-            "cost": COSTS[cost],
-        }
+        return model.predict(kernel[np.ix_(test, train)]).astype(np.int64)
 
     def _choice(self, method: str, accuracy: Floats, margin: Floats) -> tuple[NDArray[np.int64], int]:
         """Candidates and the index of a cost, from scores ``[candidate, cost, fold]``; ties to the nearest."""
@@ -151,7 +158,7 @@ class Near:
     def _kernels_of(self, train: NDArray[np.int64]) -> NDArray[np.float32]:
         """Kernels ``[candidate, item, item]``, scaled by the training items."""
         if train.tobytes() not in self._kernels:
-            self._kernels[train.tobytes()] = np.stack([kernel_of(x, train) for x in self.x])
+            self._kernels[train.tobytes()] = np.stack([kernel_of(x, train, self.weight) for x in self.x])
         return self._kernels[train.tobytes()]
 
     def _inside_of(self, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:

@@ -7,16 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rcbht_jax.batch import encode_recordings
 from rcbht_jax.calibrate import context
 from rcbht_jax.calibrate.corpus import corpus
 from rcbht_jax.calibrate.nested import CalibratedSvm, Library, fixed
 from rcbht_jax.calibrate.objective import Objective
 from rcbht_jax.calibrate.search import Space
 from rcbht_jax.classify import Grid
+from rcbht_jax.crossval import nested_svm
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.tasks import TaskSpec, sentences
+from rcbht_jax.tasks import TaskSpec, describe, sentences
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import LabelTrack, Recordings
 
@@ -143,3 +145,22 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
         assert before[1] == after[1]  # thresholds, kernel and cost
     assert any((a[0] != b[0]).any() for a, b in zip(answers[:3], answers[3:], strict=True))  # the poison works
     assert np.mean(answers[0][0] == items.y[test]) > 0.6
+
+
+def test_any_features_and_scaling_inside_the_folds():
+    """Ranks and balanced families: the same answers as the SVM on the features themselves."""
+    data = recordings()
+    items = sentences(data, TaskSpec())
+    train = np.flatnonzero(np.isin(items.trial, ["t0", "t1", "t2", "t4", "t6", "t7"]))
+    test = np.setdiff1d(np.arange(len(items.y)), train)
+    spec = FeatureSpec(families=("histogram", "spread", "levels"), balance=True)
+    grid = replace(QUICK, scalings=(True,), ranks=True)
+    said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset().limits), grid, spec).learner()(train, test, 0)
+    tracks = encode_recordings(CONFIG, preset(), data.wrench, data.length)
+    made = describe(tracks, items, spec)
+    assert made.weights(spec) is not None
+    learner = nested_svm({"0": made.values}, items.y, items.trial, grid, {"0": made.weights(spec)})
+    expected, same = learner(train, test, 0)
+    np.testing.assert_array_equal(said, expected)
+    assert chosen == {**same, "limits": np.asarray(preset().limits).tolist()}
+    assert chosen["ranks"]

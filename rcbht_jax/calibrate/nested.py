@@ -17,7 +17,7 @@ from rcbht_jax.calibrate.objective import Objective, scores
 from rcbht_jax.classify import Grid
 from rcbht_jax.crossval import Answer, Learner, nested_svm
 from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.grammar import FeatureSpec
+from rcbht_jax.grammar import Features, FeatureSpec
 from rcbht_jax.tasks import Sentences, describe
 from rcbht_jax.thresholds import Thresholds
 from rcbht_jax.types import Array, Recordings
@@ -69,8 +69,8 @@ class CalibratedSvm:
         items: sentences of one arm.
         config: static configuration of the encoder.
         choose: see :data:`Choose`.
-        grid: what the SVM's selection may choose from; it chooses among the threshold sets too.
-        spec: features of the labels.
+        grid: what the SVM's selection may choose from, ranks or not; it chooses among the threshold sets too.
+        spec: features of the labels, of any families, balanced or not.
     """
 
     recordings: Recordings
@@ -79,7 +79,7 @@ class CalibratedSvm:
     choose: Choose
     grid: Grid
     spec: FeatureSpec
-    _known: dict[bytes, NDArray[np.float32]] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[bytes, Features] = field(default_factory=dict, init=False, repr=False)
 
     def learner(self) -> Learner:
         """For :func:`rcbht_jax.crossval.cross_validate`."""
@@ -90,11 +90,13 @@ class CalibratedSvm:
         order = list(dict.fromkeys(spans.recording.tolist()))
         rows = np.array(sorted({order.index(r) for r in spans.recording[train].tolist()}), np.int64)
         sets = self.choose(rows, seed)
-        candidates = {str(k): self._features(limits) for k, limits in enumerate(sets)}
-        said, chosen = nested_svm(candidates, self.items.y, self.items.trial, self.grid)(train, test, seed)
+        made = {str(k): self._features(limits) for k, limits in enumerate(sets)}
+        matrices = {name: x.values for name, x in made.items()}
+        weights = {name: x.weights(self.spec) for name, x in made.items()}
+        said, chosen = nested_svm(matrices, self.items.y, self.items.trial, self.grid, weights)(train, test, seed)
         return said, {**chosen, "limits": sets[int(chosen["features"])].tolist()}
 
-    def _features(self, limits: Floats) -> NDArray[np.float32]:
+    def _features(self, limits: Floats) -> Features:
         key = limits.tobytes()
         if key not in self._known:
             (spans,) = self.items.intervals
@@ -102,7 +104,7 @@ class CalibratedSvm:
             wrench, length = self.recordings.wrench[rows], self.recordings.length[rows]
             tracks = encode_recordings(self.config, Thresholds(limits), wrench, length)
             local = replace(self.items, intervals=(replace(spans, recording=place),))
-            self._known[key] = describe(tracks, local, self.spec).values
+            self._known[key] = describe(tracks, local, self.spec)
         return self._known[key]
 
 
