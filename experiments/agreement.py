@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-_ABOUT = ("second", "minute", "time", "libraries")  # what no two runs share
+_ABOUT = ("second", "minute", "time", "libraries", "complete")  # what two runs need not share
 
 
 def numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:

@@ -64,8 +64,8 @@ EXPERIMENTS = (
     ),
     Experiment("sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
     Experiment(
-        "faults_online", 60, ("--folder", "{work}/faults", "--preset", "B", "C"), shorter_minutes=10,
-        shorter=("--nominal", "60", "--per-kind", "20", "--repeats", "2"),
+        "faults_online", 25, ("--folder", "{work}/faults", "--preset", "B", "C", "A"), shorter_minutes=5,
+        shorter=("--preset", "C", "--repeats", "2"),
     ),
     Experiment(
         "calibration", 180, (STORE,), ("data",), shorter_minutes=4,
@@ -73,7 +73,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         "calibration_curves", 120, (STORE,), ("data",), shorter_minutes=4,
-        shorter=("--methods", "random", "halving", "--seeds", "1"),
+        shorter=("--methods", "random", "halving"),
     ),
     Experiment("calibration_near", 6, (STORE,), ("data",)),
     Experiment("calibration_transfer", 10, (STORE,), ("data",)),
