@@ -76,6 +76,7 @@ EXPERIMENTS = (
         shorter=("--methods", "random", "halving"),
     ),
     Experiment("calibration_near", 6, (STORE,), ("data",)),
+    Experiment("calibration_bank", 6, (STORE,), ("data",)),
     Experiment("calibration_transfer", 10, (STORE,), ("data",)),
     Experiment("calibration_speed", 5, (STORE,), ("data",), ("calibration_speed_gpu",), GPU),
     Experiment(
