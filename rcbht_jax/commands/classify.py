@@ -67,7 +67,7 @@ class Classify(Command):
             "sentences": len(found.said),
             "classes": {name: said[name] for name in found.classes},
             "dropped": found.spans.dropped,
-            "known": int(found.known.sum()),
+            "known": int((found.known & ~found.seen).sum()),
             "accuracy": found.accuracy(),
             "trained_on": int(found.seen.sum()),
             "accuracy_of_those": found.accuracy(seen=True),
@@ -89,10 +89,10 @@ class Classify(Command):
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
         lines = [f"{result['out']}: {result['sentences']} sentences; {counts}"]
         lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
-        if not result["known"]:
+        if result["accuracy"] is None and result["accuracy_of_those"] is None:
             lines.append("The store does not say what they are.")
         if result["accuracy"] is not None:
-            lines.append(f"right: {result['accuracy']:.3f} of those whose class is known")
+            lines.append(f"right: {result['accuracy']:.3f} of {result['known']} whose class is known")
         if result["accuracy_of_those"] is not None:
             lines.append(
                 f"right: {result['accuracy_of_those']:.3f} of {result['trained_on']} sentences that the model was "
