@@ -49,6 +49,7 @@ SIMULATED_TRIALS = 40  # of each
 METHODS = ("preset", "best inside", "one standard error", "best margin inside", "average of the best", "average of all")
 
 Floats = NDArray[np.float64]
+Kernel = NDArray[np.floating[Any]]
 
 
 def candidates(count: int) -> tuple[Floats, Floats]:
@@ -125,11 +126,11 @@ class Near:
             cost = self._best_cost(kernel, train, seed)
         return self._said(kernel, cost, train, test), {"candidates": chosen.tolist(), "cost": COSTS[cost]}
 
-    def _best_cost(self, kernel: Floats, train: NDArray[np.int64], seed: int) -> int:
+    def _best_cost(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> int:
         """Index of the cost for an average of kernels, by the same folds as a single one's."""
         return int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
 
-    def _said(self, kernel: Floats, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _said(self, kernel: Kernel, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
         model = SVC(C=COSTS[cost], kernel="precomputed").fit(kernel[np.ix_(train, train)], self.y[train])
         return model.predict(kernel[np.ix_(test, train)]).astype(np.int64)
 
@@ -168,7 +169,7 @@ class Near:
             self._inside[train.tobytes()] = np.stack([b[0] for b in both]), np.stack([b[1] for b in both])
         return self._inside[train.tobytes()]
 
-    def _scores(self, kernel: NDArray[np.float32], train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
+    def _scores(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
         """Accuracy and mean margin ``[cost, fold]`` of grouped folds of the training items."""
         y, k = self.y[train], kernel[np.ix_(train, train)]
         folds = [f for r in range(INNER_REPEATS) for f in grouped_folds(y, self.groups[train], INNER, seed + r)]

@@ -107,7 +107,7 @@ def push(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]
 
 
 def _decide(a: Item, b: Item, x: Item, rules: PipeRules) -> list[Array]:
-    """Six of them: x arrived; it continues B; A and B merge; under A's label; A leaves; x joins the merger."""
+    """Whether x arrived; whether it continues B; A and B merge, under A's label; A leaves; x joins the merged item."""
     arrived, both = x.label > 0, (x.label > 0) & (a.label > 0)
     same = arrived & _same(b.label, x.label, rules)
     run = select(same, merge(b, x, b.label), b)  # B as it stands after the arrival
