@@ -38,6 +38,7 @@ from sim_mjx.randomize import Fault, Randomisation
 from sim_mjx.rollout import Rollouts
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
+Drawn = tuple[Any, list[Fault]]  # parameters of a shard's trials, and what is wrong with each
 # Trials per shard, unless said otherwise: what a kill costs at most. A GPU needs many to be busy.
 SHARD = {"native": 256, "mjx": 8192, "warp": 16384}
 ROBOT = "hiro"  # whose thresholds label the trials
@@ -108,8 +109,9 @@ def synthesise(
     with shards.working(folder, manifest):
         resumed = job.trials
         if not finished:
-            resumed = _simulate_missing(folder, job, simulate, progress)
-            _assemble(folder, target, job, manifest)
+            drawn = _simulate_missing(folder, job, simulate, progress)
+            resumed -= sum(len(faults) for _, faults in drawn.values())
+            _assemble(folder, target, job, manifest, drawn)
         shards.remove(folder)
     return _report(target, job, resumed)
 
@@ -178,24 +180,29 @@ def _indices(job: Synthesis, shard: int) -> range:
 
 def _simulate_missing(
     folder: Path, job: Synthesis, simulate: Simulate | None, progress: Callable[[Progress], None] | None
-) -> int:
-    """Simulate the shards that are not there; returns the number of trials that were."""
+) -> dict[int, Drawn]:
+    """Simulate the shards that are not there; returns what was drawn for them, by number."""
     count = -(-job.trials // job.shard)
     missing = [shard for shard in range(count) if shards.load(folder, shard) is None]
     left = sum(len(_indices(job, shard)) for shard in missing)
     resumed = done = job.trials - left
+    drawn: dict[int, Drawn] = {}
     start = time.perf_counter()
     if progress is not None:
         progress(Progress(done, job.trials, 0.0, None))
     for shard in missing:
         indices = _indices(job, shard)
-        params, _ = kind(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
-        shards.save(folder, shard, _shard_of(job, params, simulate))
+        drawn[shard] = _draw(job, indices)
+        shards.save(folder, shard, _shard_of(job, drawn[shard][0], simulate))
         done += len(indices)
         if progress is not None:
             rate = (done - resumed) / (time.perf_counter() - start)
             progress(Progress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
-    return resumed
+    return drawn
+
+
+def _draw(job: Synthesis, indices: range) -> Drawn:
+    return kind(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
 
 
 def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.Arrays:
@@ -212,8 +219,8 @@ def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.
     return trial_arrays.of_trials(out) | trial_arrays.of_labels(tracks, len(out.length))
 
 
-def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any]) -> None:
-    """Turn the shards into the store and put it in its place."""
+def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any], drawn: dict[int, Drawn]) -> None:
+    """Turn the shards into the store and put it in its place; what was ``drawn`` in this run is not drawn again."""
     loaded = [shards.load(folder, shard) for shard in range(-(-job.trials // job.shard))]
     parts = [part for part in loaded if part is not None]
     if len(parts) < len(loaded):
@@ -222,7 +229,10 @@ def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, An
     kept = np.flatnonzero(~diverged)
     if len(kept) == 0:
         raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
-    params, faults = kind(job.preset).draw_batch(job.preset, job.seed, kept.tolist(), job.spec)
+    batches = [drawn.get(shard) or _draw(job, _indices(job, shard)) for shard in range(len(parts))]
+    params = jax.tree.map(lambda *leaves: np.concatenate(leaves)[kept], *(params for params, _ in batches))
+    every = [fault for _, faults in batches for fault in faults]
+    faults = [every[index] for index in kept]
     plain = [name for name in parts[0] if name != "wrench" and "." not in name]
     rows = {name: np.concatenate([part[name] for part in parts])[kept] for name in plain}
     recordings = _recordings(job, rows, _wrench(parts, kept, rows["length"]), kept, faults)

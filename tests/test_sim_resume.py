@@ -205,3 +205,17 @@ def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: py
             synthesise(target, SMALL, simulate=fake_engine)
     assert not target.exists()
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 12
+
+
+def test_no_trial_is_drawn_twice_unless_another_run_drew_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    drawn: list[int] = []
+    real = synth._draw
+    monkeypatch.setattr(synth, "_draw", lambda job, indices: drawn.extend(indices) or real(job, indices))
+    synthesise(tmp_path / "again.zarr", SMALL, simulate=fake_engine)
+    assert drawn == list(range(12))
+    interrupted(tmp_path / "t.zarr", SMALL)
+    drawn.clear()
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+    assert drawn == [*range(5, 12), *range(5)]
+    assert tree(tmp_path / "t.zarr") == tree(tmp_path / "whole.zarr")
