@@ -82,9 +82,8 @@ def held_out(
     out = np.full((len(stream), len(machine.svm.classes)), np.nan)
     for train, test in grouped_folds(y, groups, _folds(y, groups), seed):
         one = ProbabilisticSvm(fit(x[train], y[train], machine.svm.classes, machine.svm.spec), machine.sigmoid)
-        for trial in np.intersect1d(groups[test], stream_group):
-            rows = stream_group == trial
-            out[rows] = one.probability(stream[rows])
+        rows = np.flatnonzero(np.isin(stream_group, groups[test]))
+        out[rows] = one.probability(stream[rows])
     if np.isnan(out).any():
         raise InputError("A streamed trial is not among those that train, so that nothing is held out for it.")
     return out
