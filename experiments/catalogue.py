@@ -64,7 +64,7 @@ EXPERIMENTS = (
     ),
     Experiment("sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
     Experiment(
-        "faults_online", 25, ("--folder", "{work}/faults", "--preset", "B", "C", "A"), shorter_minutes=5,
+        "faults_online", 15, ("--folder", "{work}/faults", "--preset", "B", "C", "A"), shorter_minutes=4,
         shorter=("--preset", "C", "--repeats", "2"),
     ),
     Experiment(

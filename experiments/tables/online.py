@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from experiments.compared import result
-from experiments.tables.cells import markdown
+from experiments.tables.cells import NONE, markdown, score
 
 
 def online(way: str) -> str:
@@ -36,7 +38,54 @@ def latency(way: str) -> str:
     return markdown(("six axes, 2 CPU cores", "time"), rows)
 
 
+WARNED = ("with contact", "at the boundary of success")
+
+
+def faults(way: str) -> str:
+    """Simulated faults noticed in time, by session."""
+    presets = result("faults_online")["presets"]
+    lines = []
+    for kind in next(iter(presets.values()))["kinds"]:
+        for part, title in zip(WARNED, (kind.replace("-", " "), "those at the boundary of success"), strict=True):
+            cells = [found["kinds"][kind][part] for found in presets.values()]
+            if kind != "missing-tab" or part == WARNED[0]:
+                lines.append((title, *(_counted(cell) for cell in cells)))
+    lines.append(("false alarms per nominal trial", *(_false(found) for found in presets.values())))
+    return markdown(("noticed before the failing sub-task ends", *presets), lines)
+
+
+def faults_apart(way: str) -> str:
+    """What the first table leaves out: faults without contact, and early stops by the words alone."""
+    presets = result("faults_online")["presets"]
+    lines = []
+    for kind in ("wedging", "moved-part", "early-stop"):
+        cells = [found["kinds"][kind]["without contact"] for found in presets.values()]
+        lines.append((f"{kind.replace('-', ' ')} without contact", *(_counted(cell) for cell in cells)))
+    stops = [found["kinds"]["early-stop"]["with contact"] for found in presets.values()]
+    for title, name in (("by the words", "by the words"), ("before the clock", "by the words, before the clock")):
+        said = (f"{cell[name]} of {cell['failures streamed']}" for cell in stops)
+        lines.append((f"early stop with contact, {title}", *said))
+    for kind in ("jamming", "wedging", "moved-part", "early-stop"):
+        cells = [found["kinds"][kind]["with contact"] for found in presets.values()]
+        said = (f"{cell['of them alarmed']} of {cell['seated all the same']}" for cell in cells)
+        lines.append((f"{kind.replace('-', ' ')} that seats all the same, alarmed", *said))
+    return markdown(("", *presets), lines)
+
+
+def _counted(cell: dict[str, Any]) -> str:
+    if not cell["failures streamed"]:
+        return NONE
+    return f"{score(cell['share detected'])}; {cell['detected']} of {cell['failures streamed']}"
+
+
+def _false(found: dict[str, Any]) -> str:
+    alarms, trials = (found[name] for name in ("false alarms in each repeat", "nominal trials streamed in each repeat"))
+    return f"{score(found['false alarms per nominal trial'])}; {sum(alarms)} of {sum(trials)}"
+
+
 TABLES = {
     "online": online,
+    "faults": faults,
+    "faults-apart": faults_apart,
     "latency": latency,
 }
