@@ -134,7 +134,7 @@ def together(runs: list[Any], seed: int) -> dict[str, float]:
     """Calibration of full sequences over all repeats, and what so few of them score in one when nothing is wrong."""
     parts, rng = [run.pop(WHOLE) for run in runs], np.random.default_rng(seed)
     p, truth = (np.concatenate(part) for part in zip(*parts, strict=True))
-    drawn = [(one, (one.cumsum(1) < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
+    drawn = [(one, (one.cumsum(1)[:, :-1] < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
     return {
         "ECE full sequences, repeats together": round(metrics.calibration_error(p, truth), 4),
         CHANCE: round(float(np.mean([metrics.calibration_error(*part) for part in drawn])), 4),

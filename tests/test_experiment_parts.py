@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_raw_learners import items
 
-from experiments import confidence, figures, peers, probes, table1_ours
+from experiments import confidence, figures, peers, probes, table1_ours, table2
 from experiments.benchmarks import BENCHMARKS
 from experiments.record import COMMITTED
 from rcbht_jax.introspect.train import Looks
@@ -48,6 +48,17 @@ def test_a_belief_stands_until_the_next() -> None:
     course = confidence.held(looks, np.array([0.2, 0.4, 9.0, 1.0]), 3, 100)
     expected = [0.4 if k >= 16 else 0.2 if k >= 10 else np.nan for k in range(confidence.PARTS)]
     np.testing.assert_array_equal(course, expected)
+
+
+def test_few_sequences_look_badly_calibrated_even_when_they_are_not() -> None:
+    rng, runs = np.random.default_rng(0), []
+    for _ in range(60):
+        p = rng.dirichlet([3, 1, 1], 40)
+        truth = (p.cumsum(1)[:, :2] < rng.random((40, 1))).sum(1)
+        runs.append({table2.WHOLE: (p, truth), "kept": 1})
+    found = table2.together(runs, 0)
+    assert runs == [{"kept": 1}] * 60
+    assert found["ECE full sequences, repeats together"] < 0.04 < 0.06 < found[table2.CHANCE]
 
 
 def test_moments_that_most_sentences_lack_are_left_out() -> None:
