@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+
 from experiments.compared import result
 from experiments.tables.cells import NONE, markdown, score
 
@@ -38,6 +40,55 @@ def calibration_near(way: str) -> str:
     return markdown(("", *sets), lines)
 
 
+def calibration_bank(way: str) -> str:
+    """Kernels of many thresholds and windows: one chosen, several averaged."""
+    rows = result("calibration_bank")["rows"]
+    sets = ("REAL A -> B", "REAL B -> A")
+    lines = []
+    for spec, method in dict.fromkeys(tuple(name.split(" | ")[::2]) for name in rows):
+        here = rows[f"{spec} | SIM1 | {method}"]
+        gain = NONE
+        if method != "preset":
+            gain = f"{here['gain']['mean']:+.3f} ({here['gain']['low']:+.3f} to {here['gain']['high']:+.3f})"
+        there = [score(rows[f"{spec} | {of} | {method}"]["accuracy"]) for of in sets]
+        lines.append((f"{spec}: {method}", score(here["accuracy"]), gain, *there))
+    return markdown(("", "SIM1", "gain over the preset", *sets), lines)
+
+
+def calibration_time(way: str) -> str:
+    """Objective over processor seconds on the seeds that all methods have; what training does to held-out trials."""
+    rows = result("calibration_curves")["rows"]
+    methods = {
+        "random": "random", "halving": "halving, then CMA-ES", "optuna": "Optuna's TPE, NumPy, one at a time",
+        "gradient of the fit": "gradient of `fit`", "gradient": "gradient of a classifier's loss",
+    }  # fmt: skip
+    made = {m: [row for name, row in rows.items() if name.split(" | ")[0] == m] for m in methods}
+    common = min(len(seeds) for seeds in made.values())
+    lines = []
+    for method, title in methods.items():
+        curves = [row["curve (seconds, objective, held-out accuracy, held-out log-loss)"] for row in made[method]]
+        best = statistics.median(curve[-1][1] for curve in curves[:common])
+        taken = statistics.median(curve[-1][0] for curve in curves[:common])
+        trained = [row.get("held-out training loss, first and last", ()) for row in made[method]]
+        ends = [row.get("held-out accuracy and log-loss at the end", (0, 0))[1] for row in made[method]]
+        own = _share([loss[1] < loss[0] for loss in trained if loss])
+        hard = _share([end < c[0][3] for end, c, loss in zip(ends, curves, trained, strict=True) if loss])
+        lines.append((title, f"{made[method][0]['evaluations']}", f"{best:.2f}", f"{taken:.1f} s", own, hard))
+    head = (
+        "",
+        "evaluations",
+        "best objective",
+        "found after",
+        "own held-out loss falls",
+        "log-loss of hard labels falls",
+    )
+    return markdown(head, lines)
+
+
+def _share(true: list[bool]) -> str:
+    return f"{sum(true)} of {len(true)}" if true else NONE
+
+
 def calibration_simulated(way: str) -> str:
     """Thresholds chosen on simulated failures: on other simulated ones, and on the authors'."""
     there, here = result("calibration_device_warp_failure_type")["svm"], result("calibration_transfer")["rows"]
@@ -63,5 +114,7 @@ def _bold(value: float | None, best: bool) -> str:
 TABLES = {
     "calibration": calibration,
     "calibration-near": calibration_near,
+    "calibration-bank": calibration_bank,
+    "calibration-time": calibration_time,
     "calibration-simulated": calibration_simulated,
 }
