@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from experiments import raw_learners
 from experiments.benchmarks import recorded, rounded, segments
+from experiments.calibration import trained_limits
 from experiments.rows import Rows
 from experiments.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.sim_to_real_sets import SEED as SEED_OF_SETS
@@ -40,6 +41,7 @@ from rcbht_jax.calibrate.search import SearchOptions, search
 from rcbht_jax.classify import Grid, SvmSpec, predictions, select
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.thresholds import Thresholds
 from rcbht_jax.types import Recordings
 
 SEED = 0
@@ -144,6 +146,8 @@ class Experiment:
             copy = context.AUTHORS_COPY if spec.thresholds == "context" else context.OWN
             rows = np.unique(items.intervals[0].recording)
             found = context.calibrate(trials, rows, config, copy=copy).thresholds
+        elif spec.thresholds == "gradient":
+            found = Thresholds(trained_limits(corpus(trials, items, config), config))
         else:
             options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
             found = search(corpus(trials, items, config), config, options).thresholds

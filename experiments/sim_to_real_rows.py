@@ -84,8 +84,8 @@ def _rows() -> dict[str, Row]:
     rows |= {f"features, without A and B | {name}": replace(others, candidates=(name,)) for name in CANDIDATES}
     rows |= {f"window | {samples} samples": replace(FEW, window=samples) for samples in (5, 10, 20)}
     rows |= {f"tare | {word}": replace(FEW, tare=tare) for word, tare in (("first second", True), ("none", False))}
-    for thresholds in ("preset", "context", "context, own axes", "search"):
-        for features in ("words", "all but duration"):
+    for thresholds in ("preset", "context", "context, own axes", "search", "gradient"):
+        for features in ("words", "all but duration")[: 1 if thresholds == "gradient" else 2]:
             name = f"thresholds | {thresholds}, {features}"
             rows[name] = replace(FEW, thresholds=thresholds, candidates=(features,))
             if thresholds != "search":  # where all presets are there, its gain does not carry over
