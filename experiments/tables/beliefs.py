@@ -46,4 +46,20 @@ def abnormal(way: str) -> str:
     return markdown(("mean recall", *head), lines)
 
 
-TABLES = {"detected": detected, "abnormal": abnormal}
+def failure_types(way: str) -> str:
+    """Failure types of the authors' simulation from the stream."""
+    found = result("failure_types_online")
+    lines = [
+        (
+            name,
+            *(f"{row[key]['mean']:.3f}" for key in ("at 50%", "at 75%", "at 100%", "at 100%, votes of pairs")),
+            f"{row['calibration error of steps']['mean']:.3f}",
+        )
+        for name, row in found["rows"].items()
+    ]
+    lines.append(("the most frequent class", *[f"{found['most frequent class']:.3f}"] * 4, ""))
+    head = ("half of the record", "three quarters", "all of it", "all of it, most votes", "calibration error, steps")
+    return markdown(("accuracy", *head), lines)
+
+
+TABLES = {"detected": detected, "abnormal": abnormal, "failure-types": failure_types}

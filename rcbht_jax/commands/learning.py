@@ -45,7 +45,7 @@ class _Learning(Command):
     ranks: bool = False
     """Always scale features, by their ranks among the training sentences; recommended with parts, spread and order."""
     balance: bool = False
-    """Let offset, edges and levels together weigh as much as all other families together."""
+    """Let offset, edges and levels together, elapsed, and all other families together weigh the same."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
     """Kernels to choose from."""
     costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))
