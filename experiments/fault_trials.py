@@ -78,8 +78,8 @@ def spec_of(kind: str, grade: int) -> Randomisation:
 
 def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int]]:
     """Kind, grade and number of trials of every store; nominal trials may come in several."""
-    # twice as many of a kind that has no grades: any of four tabs may be missing
-    each = {kind: 2 * per_kind if len(grades) == 1 else per_kind // len(grades) for kind, grades in GRADES.items()}
+    # a kind that has no grades is four kinds, any tab may be missing, and the hardest to see
+    each = {kind: 6 * per_kind if len(grades) == 1 else per_kind // len(grades) for kind, grades in GRADES.items()}
     faulty = [(kind, g, each[kind]) for kind, grades in GRADES.items() for g in range(len(grades))]
     first, *more = [(NOMINAL, 0, count) for count in nominal]
     return [first, *faulty, *more]

@@ -203,7 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--preset", nargs="+", default=["B"])
-    parser.add_argument("--nominal", type=int, nargs="+", default=[300, 300], help="one store each")
+    parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
     parser.add_argument("--per-kind", type=int, default=80)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
