@@ -108,7 +108,10 @@ def call(
     out: IO[str] | None = None,
     err: IO[str] | None = None,
 ) -> Spent:
-    """Run a process to its end; its own share of time is told even when others run beside it."""
+    """Run a process to its end; its own share of time is told even when others run beside it.
+
+    Its memory is at least that of this process, which must be small.
+    """
     start = time.perf_counter()
     process = subprocess.Popen(words, env={**os.environ, **(environment or {})}, stdout=out, stderr=err)
     try:
@@ -119,7 +122,7 @@ def call(
         raise
     process.returncode = os.waitstatus_to_exitcode(status)
     cpu = (used.ru_utime + used.ru_stime) / 60
-    return Spent(process.returncode, (time.perf_counter() - start) / 60, cpu, used.ru_maxrss / 1e6)
+    return Spent(process.returncode, (time.perf_counter() - start) / 60, cpu, used.ru_maxrss * 1024 / 1e9)
 
 
 def prepare(chosen: list[Form], work: Path) -> None:
