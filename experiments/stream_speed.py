@@ -7,7 +7,8 @@
 * fuzz: hostile messages to the reader of JSON lines and to the regulator, and hostile requests to the page.
 
 Run on an otherwise idle machine: python -m experiments.stream_speed MODEL --pushes 100000 --samples 10000000
-MODEL is made by "rcbht train-online". Reads the recorded trials (RCBHT_DATA) for the signal.
+MODEL is made by "rcbht train-online". Every part measured is kept; --parts measures some of them (again).
+Reads the recorded trials (RCBHT_DATA) for the signal.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.record import write_result
+from experiments.record import RESULTS, write_result
 from rcbht_jax.introspect.introspector import Introspector
 from rcbht_jax.introspect.model import load
 from rcbht_jax.streams.messages import Begin, Malformed, Message, Reset, Sample, read_lines
@@ -210,17 +211,24 @@ def main() -> None:
         "fuzzed messages": lambda: fuzz_stream(args.model, args.messages, args.seed),
         "fuzzed page": lambda: fuzz_page(args.model, args.requests, args.seed),
     }
-    result = {
-        "model": {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)},
-        "load of the machine before, processes": round(os.getloadavg()[0], 1),
-        **{part: parts[part]() for part in args.parts},
-    }
+    model = {"kernel": head.spec.kernel, "features": head.center.size, "support vectors": len(head.support)}
     sizes = f"--pushes {args.pushes} --samples {args.samples} --messages {args.messages} --requests {args.requests}"
     command = f"python -m experiments.stream_speed MODEL {sizes} --seed {args.seed}"
-    if len(args.parts) == len(PARTS):
-        write_result("stream_speed", command, result, args.seed)
-    else:  # a part of the measurement does not replace the whole
-        print(json.dumps(result, indent=1))
+    done = measured(command, model)
+    for part in args.parts:
+        busy = round(os.getloadavg()[0], 1)
+        done[part] = {"load of the machine before, processes": busy, **parts[part]()}
+        result = {"model": model, "complete": set(done) == set(PARTS), **done}
+        write_result("stream_speed", command, result, args.seed, show=part == args.parts[-1])
+
+
+def measured(command: str, model: dict[str, Any]) -> dict[str, Any]:
+    """Parts that are there already, of the same command and model."""
+    path = RESULTS / "stream_speed.json"
+    record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if record.get("command") != command or record["result"]["model"] != model:
+        return {}
+    return {part: record["result"][part] for part in PARTS if part in record["result"]}
 
 
 if __name__ == "__main__":
