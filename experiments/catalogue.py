@@ -78,7 +78,7 @@ EXPERIMENTS = (
     Experiment("calibration_near", 6, (STORE,), ("data",)),
     Experiment("calibration_bank", 6, (STORE,), ("data",)),
     Experiment("calibration_transfer", 10, (STORE,), ("data",)),
-    Experiment("calibration_speed", 5, (STORE,), ("data",), ("calibration_speed_gpu",), GPU),
+    Experiment("calibration_speed", 2, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True),
     Experiment(
         "calibration_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU
     ),
