@@ -118,7 +118,7 @@ def test_the_boundary_ends_with_the_first_grade_that_fails_half_of_the_time() ->
 def test_lots_of_trials_are_possible_and_go_on_after_the_end() -> None:
     lots = batches((30, 20), 10)
     assert [lot for lot in lots if lot[0] == NOMINAL] == [(NOMINAL, 0, 30), (NOMINAL, 0, 20)]
-    assert sum(count for kind, _, count in lots if kind != NOMINAL) == 60
+    assert sum(count for kind, _, count in lots if kind != NOMINAL) == 4 * 10 + 60  # any of four tabs may be missing
     for kind, grade, _ in lots:
         check(spec_of(kind, grade))
         assert spec_of(kind, grade).logs_on == TAIL
