@@ -64,8 +64,8 @@ EXPERIMENTS = (
     ),
     Experiment("sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
     Experiment(
-        "faults_online", 15, ("--folder", "{work}/faults", "--preset", "B", "C", "A"), shorter_minutes=4,
-        shorter=("--preset", "C", "--repeats", "2"),
+        "faults_online", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"), shorter_minutes=6,
+        shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
     ),
     Experiment(
         "calibration", 180, (STORE,), ("data",), shorter_minutes=4,
