@@ -7,7 +7,6 @@ names of the features, the encoder's configuration and thresholds, and where it 
 from __future__ import annotations
 
 import json
-import uuid
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,6 +23,7 @@ from rcbht_jax.classify import SvmModel, SvmSpec
 from rcbht_jax.errors import InputError
 from rcbht_jax.grammar import FeatureSpec
 from rcbht_jax.scaling import KNOTS
+from rcbht_jax.whole_file import whole_file
 
 FORMAT = "rcbht-model-1"
 
@@ -105,16 +105,12 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
     Raises:
         InputError: the folder does not exist, or ``meta`` is not JSON.
     """
-    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
     try:
         text = json.dumps(meta, allow_nan=False)
-        with draft.open("wb") as out:
+        with whole_file(path) as draft, draft.open("wb") as out:
             np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
-        draft.replace(path)
     except (OSError, TypeError, ValueError) as error:
         raise InputError(f"the model cannot be written to {path}: {error}.") from error
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import uuid
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.model_file import TrainedModel, load
 from rcbht_jax.predict import Classified, check_encoders, classify, encoders_of, task_of
 from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class Classify(Command):
         recordings = read_recordings(self.store)
         found = classify(model, recordings, tracks, spec)
         write = _csv if self.out.suffix == ".csv" else _json_lines
-        _replace(self.out, write(found, lines_of(found, recordings)))
+        with whole_file(self.out) as draft:
+            draft.write_text(write(found, lines_of(found, recordings)), encoding="utf-8")
         said = Counter(found.said.tolist())
         return {
             "out": str(self.out),
@@ -132,13 +133,3 @@ def _json_lines(found: Classified, lines: list[dict[str, Any]]) -> str:
         for line, decision in zip(lines, decisions, strict=True)
     )
     return "".join(f"{text}\n" for text in texts)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)

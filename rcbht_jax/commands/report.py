@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import sys
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +17,7 @@ from rcbht_jax.introspect import model as models
 from rcbht_jax.report import Options, page
 from rcbht_jax.report.page import chosen
 from rcbht_jax.report.results import read_results
+from rcbht_jax.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,8 @@ class Report(Command):
         count = len(chosen(data.recordings, options))
         with tqdm(total=count, desc="report", unit=" trials", file=sys.stderr, disable=None) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)
-        _write(self.out, text)
+        with whole_file(self.out) as draft:
+            draft.write_text(text, encoding="utf-8")
         return {
             "out": str(self.out),
             "shown": count,
@@ -86,13 +86,3 @@ def _check_target(out: Path) -> None:
         raise InputError(f"{out} does not end in .html; name the report for example report.html.")
     if out.is_dir():
         raise InputError(f"{out} is a folder; choose another name.")
-
-
-def _write(out: Path, text: str) -> None:
-    """Replace a file when the new one is complete."""
-    draft = out.with_name(f".{out.name}.partial-{uuid.uuid4().hex[:12]}")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, out)
-    finally:
-        draft.unlink(missing_ok=True)

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -33,6 +31,7 @@ from rcbht_jax.introspect.introspector import Chain, believe
 from rcbht_jax.introspect.model import IntrospectionModel
 from rcbht_jax.introspect.observe import begin_stream
 from rcbht_jax.types import Array
+from rcbht_jax.whole_file import whole_file
 
 FORMAT = "rcbht-chain-1"
 PLATFORMS = ("cpu", "cuda")
@@ -88,16 +87,12 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
     state = io.BytesIO()
     leaves = jax.tree.leaves(begin_stream(chain.sights))
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
-    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
     try:
         code = export_chain(model, platforms)
-        with zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
+        with whole_file(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(META, json.dumps(meta, indent=1))
             archive.writestr(STATE, state.getvalue())
             archive.writestr(STABLEHLO, code)
-        os.replace(draft, path)
     except (OSError, ValueError) as error:
         raise InputError(f"the chain cannot be written to {path}: {error}.") from error
-    finally:
-        draft.unlink(missing_ok=True)
     return meta

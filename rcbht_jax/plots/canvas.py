@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import uuid
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from matplotlib.patches import Patch
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.whole_file import whole_file
 
 # Fields written into the file that would differ from run to run are left out.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -90,13 +90,10 @@ def save(figure: Figure, path: Path) -> None:
         raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose another name for the figure.")
-    draft = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
     try:
-        figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
-        draft.replace(path)
+        with whole_file(path) as draft:
+            figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from error
-    finally:
-        draft.unlink(missing_ok=True)

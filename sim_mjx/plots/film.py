@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots.canvas import new_figure
 from rcbht_jax.types import Recordings
+from rcbht_jax.whole_file import whole_file
 from sim_mjx.plots.story import XYZ, shade_states, still
 from sim_mjx.replay import Replay
 
@@ -62,12 +62,8 @@ def film(
     rate = RATE[path.suffix.lower()]
     samples = np.arange(0, len(replay.qpos), max(speed / rate / replay.dt, 1.0)).astype(int)
     pictures = _pictures(replay, recordings, row, samples, progress)
-    draft = path.with_name(f".{path.stem}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
-    try:
+    with whole_file(path) as draft:
         (_write_gif if rate == RATE[".gif"] else _write_mp4)(draft, pictures, rate)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
     return len(samples)
 
 
