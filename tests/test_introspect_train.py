@@ -70,5 +70,10 @@ def test_what_a_head_sees_depends_on_its_sentence():
     assert (state.sight.spec.families, state.sight.spec.balance) == (FAMILIES, True)
     assert (phase.sight.spec.families, phase.sight.spec.balance) == (TRIAL_FAMILIES, False)
     assert HeadSpec(TaskSpec("outcome"), ("edges",)).sight.spec.families == ("edges",)
+    for head, families in (
+        (HeadSpec(TaskSpec(), relative=True), RELATIVE),
+        (HeadSpec(TaskSpec("outcome"), relative=True), TRIAL_RELATIVE),
+    ):
+        assert head.sight.spec.families == families
     assert not {"elapsed", "duration"} & {*TRIAL_FAMILIES, *RELATIVE}
     assert not {*ABSOLUTE} & {*RELATIVE, *TRIAL_RELATIVE}

@@ -14,7 +14,7 @@ from rcbht_jax.commands import Command
 from rcbht_jax.data.store import read_recordings
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.introspect.model import save
-from rcbht_jax.introspect.train import RELATIVE, TRIAL_RELATIVE, HeadSpec, train_model
+from rcbht_jax.introspect.train import HeadSpec, train_model
 from rcbht_jax.tasks import CONFOUNDS, TaskSpec
 from rcbht_jax.thresholds import preset
 
@@ -52,7 +52,15 @@ class TrainOnline(Command):
     def run(self) -> dict[str, Any]:
         recordings = read_recordings(self.store)
         tasks = [(task, False) for task in self.tasks] + [("states", True)] * self.detect
-        specs = tuple(self._head(task, phase) for task, phase in tasks)
+        specs = tuple(
+            HeadSpec(
+                TaskSpec(task, sources=self.source, sessions=self.session),
+                relative=self.features == "relative",
+                phase=phase,
+                false_alarms=self.false_alarms,
+            )
+            for task, phase in tasks
+        )
         config = EncoderConfig(window=self.window, dt=recordings.dt)
         with tqdm(desc="watch", unit=" looks", file=sys.stderr, disable=None) as bar:
 
@@ -73,16 +81,6 @@ class TrainOnline(Command):
             for spec, head in zip(specs, model.heads, strict=True)
         }
         return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
-
-    def _head(self, task: str, phase: bool) -> HeadSpec:
-        subtask = task == "states" and not phase
-        relative = RELATIVE if subtask else TRIAL_RELATIVE
-        return HeadSpec(
-            TaskSpec(task, sources=self.source, sessions=self.session),
-            relative if self.features == "relative" else (),
-            phase=phase,
-            false_alarms=self.false_alarms,
-        )
 
     def text(self, result: dict[str, Any]) -> str:
         lines = [f"{result['model']}: {len(result['heads'])} head(s)"]

@@ -114,6 +114,7 @@ class HeadSpec:
 
     task: TaskSpec
     families: tuple[str, ...] = ()  # none = those of the module for the head's scope
+    relative: bool = False  # of these, only families that hold neither time nor absolute values
     rate: float = 10.0  # looks per second
     phase: bool = False  # tell the states from the trial's sentence, to find out when a sub-task begins
     false_alarms: float = 0.0  # per nominal trial, for the head that alarms; 0 = leave its level to the introspector
@@ -128,7 +129,8 @@ class HeadSpec:
     def sight(self) -> Sight:
         """What it sees; where the force is, how it moves and for how long weigh the same in a sub-task."""
         subtask = self.scope == "subtask"
-        families = self.families or (FAMILIES if subtask else TRIAL_FAMILIES)
+        every, relative = (FAMILIES, RELATIVE) if subtask else (TRIAL_FAMILIES, TRIAL_RELATIVE)
+        families = self.families or (relative if self.relative else every)
         return Sight(FeatureSpec(families=families, balance=subtask))
 
     @property
