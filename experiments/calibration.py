@@ -134,7 +134,7 @@ def folds(repeats: int) -> Callable[[crossval.Learner, Sentences], dict[str, Any
     def measure(learner: crossval.Learner, items: Sentences) -> dict[str, Any]:
         splits = crossval.repeated_folds(items.y, items.trial, 5, repeats, SEED)
         made = crossval.cross_validate(learner, items.y, splits, SEED)
-        return {key: _rounded(made.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
+        return {key: rounded(made.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
 
     return measure
 
@@ -143,12 +143,12 @@ def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[...,
     def measure(learner: crossval.Learner, items: Sentences) -> dict[str, Any]:
         split = tuple(np.flatnonzero(np.isin(items.session, side)) for side in (train_on, test_on))
         made = crossval.transfer(learner, items.y, items.trial, (split[0], split[1]), SEED)
-        return {key: _rounded(value) for key, value in made.summary().items()}
+        return {key: rounded(value) for key, value in made.summary().items()}
 
     return measure
 
 
-def _rounded(values: dict[str, float]) -> dict[str, float]:
+def rounded(values: dict[str, float]) -> dict[str, float]:
     return {key: round(value, 4) for key, value in values.items()}
 
 

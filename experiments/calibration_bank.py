@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.calibration import REAL, SIM1, part_of
+from experiments.calibration import REAL, SIM1, part_of, rounded
 from experiments.calibration_near import Near
 from experiments.grammar import ALL, PLAIN, RICHER
 from experiments.rows import Rows
@@ -172,10 +172,6 @@ def main() -> None:
         "SIM1 trials whose S3 was filled in": len(np.unique(items.trial[filled_in(recordings, items)])),
     }
     Rows("calibration_bank", "python -m experiments.calibration_bank STORE.zarr", about, SEED).fill(wanted)
-
-
-def rounded(values: dict[str, float]) -> dict[str, float]:
-    return {key: round(value, 4) for key, value in values.items()}
 
 
 if __name__ == "__main__":

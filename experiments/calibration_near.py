@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 from sklearn.svm import SVC
 
-from experiments.calibration import REAL, SIM1, WORDS, part_of
+from experiments.calibration import REAL, SIM1, WORDS, part_of, rounded
 from experiments.rows import Rows
 from experiments.sim_to_real_sets import taken
 from rcbht_jax import crossval
@@ -210,9 +210,6 @@ def main() -> None:
             items = sentences(recordings, TaskSpec())
             made[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
         return made[source]
-
-    def rounded(values: dict[str, float]) -> dict[str, float]:
-        return {key: round(value, 4) for key, value in values.items()}
 
     def sim1(method: str) -> dict[str, Any]:
         learners, items = near(SIM1)
