@@ -10,7 +10,6 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +48,7 @@ def library_limits(count: int) -> np.ndarray:
 
 
 def part_of(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
-    rows = np.flatnonzero(np.isin(recordings.source, sources))
-    names = [f.name for f in fields(recordings) if f.name != "dt"]
-    return replace(recordings, **{name: getattr(recordings, name)[rows] for name in names})
+    return recordings.take(np.isin(recordings.source, sources))
 
 
 def methods(recordings: Recordings, items: Sentences, config: EncoderConfig, count: int) -> dict[str, Choose]:

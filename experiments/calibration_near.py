@@ -28,7 +28,6 @@ from sklearn.svm import SVC
 
 from experiments.calibration import REAL, SIM1, WORDS, part_of, rounded
 from experiments.rows import Rows
-from experiments.sim_to_real_sets import taken
 from rcbht_jax import crossval
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.classify import grouped_folds
@@ -85,7 +84,7 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
     parts = {}
     for name in SIMULATED:
         store = read_recordings(folder / f"mild-{name}.zarr")
-        recordings = taken(store, np.arange(min(SIMULATED_TRIALS, len(store))))
+        recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
         items = sentences(recordings, TaskSpec())
         parts[name] = words(recordings, items, limits), items.y
     out = {}

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from experiments import raw_learners as raw
 from experiments.benchmarks import BENCHMARKS, FOLDS, recorded, rounded, segments
 from experiments.rows import Rows
-from experiments.sim_to_real_sets import taken
 from experiments.table1_ours import papers_features
 from rcbht_jax import crossval, metrics
 from rcbht_jax.batch import encode_recordings
@@ -54,7 +53,7 @@ class Data:
     @cache  # noqa: B019 (one object lives as long as the program)
     def part(self, name: str) -> tuple[Recordings, Sentences]:
         spec = BENCHMARKS[name].task
-        trials = taken(self.recordings, np.flatnonzero(np.isin(self.recordings.source, spec.sources)))
+        trials = self.recordings.take(np.isin(self.recordings.source, spec.sources))
         return trials, sentences(trials, spec)
 
     @cache  # noqa: B019

@@ -32,7 +32,7 @@ from experiments.calibration import trained_limits
 from experiments.rows import Rows
 from experiments.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.sim_to_real_sets import SEED as SEED_OF_SETS
-from experiments.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets, joined, taken
+from experiments.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets
 from rcbht_jax import crossval, metrics
 from rcbht_jax.calibrate import context
 from rcbht_jax.calibrate.corpus import corpus
@@ -160,8 +160,8 @@ class Experiment:
             trials, items = self.sets.recordings(name, spec.tare), self.sets.items(name, "harmonised")
             rows = np.unique(items.intervals[0].recording)
             few = np.random.default_rng(SEED).permutation(rows)[:SEARCHING]
-            parts.append(taken(trials, np.sort(few)))
-        together = joined(parts)
+            parts.append(trials.take(np.sort(few)))
+        together = Recordings.join(parts)
         return together, sentences(together, TaskSpec(outcomes=()))
 
     def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:

@@ -8,13 +8,11 @@ kept. A set's name is a recorded session, or a level of randomisation and a pres
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.data.store import read_recordings
@@ -90,7 +88,7 @@ class Sets:
         """The trials of a set; a simulated one is made where it is missing."""
         if name in RECORDED:
             (session,) = RECORDED[name].sessions
-            found = taken(self.recorded, np.flatnonzero(self.recorded.session == session))
+            found = self.recorded.take(self.recorded.session == session)
         else:
             level, which = name.split()
             make(self.folder, level, which)
@@ -114,21 +112,6 @@ class Sets:
     def features(self, name: str, how: Labelling, boundaries: str) -> Features:
         """All families of features of a set's sentences."""
         return describe(self.tracks(name, how), self.items(name, boundaries), SPEC)
-
-
-def taken(recordings: Recordings, rows: NDArray[np.integer]) -> Recordings:
-    """The chosen recordings."""
-    names = [field.name for field in fields(recordings) if field.name != "dt"]
-    return replace(recordings, **{name: getattr(recordings, name)[rows] for name in names})
-
-
-def joined(parts: list[Recordings]) -> Recordings:
-    """Several sets as one, padded to the longest."""
-    longest = max(part.wrench.shape[1] for part in parts)
-    wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
-    names = [field.name for field in fields(parts[0]) if field.name not in ("dt", "wrench")]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], wrench=np.concatenate(wide), **columns)
 
 
 def tared(recordings: Recordings) -> Recordings:

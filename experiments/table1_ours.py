@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from experiments.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
 from experiments.rows import Rows
-from experiments.sim_to_real_sets import taken
 from rcbht_jax import crossval
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.classify import Grid, grouped_folds
@@ -94,7 +93,7 @@ class Data:
     @cache  # noqa: B019
     def recordings(self, sources: tuple[str, ...]) -> Recordings:
         if sources[0] not in SIMULATED:
-            return taken(self.authors(), np.flatnonzero(np.isin(self.authors().source, sources)))
+            return self.authors().take(np.isin(self.authors().source, sources))
         target = self.folder / f"table1-{SIMULATED[sources[0]]}.zarr"
         if not target.exists():
             spec = Randomisation(nominal_share=SHARE, longest=LONGEST)

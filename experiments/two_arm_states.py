@@ -7,11 +7,8 @@ Reads the authors' two-arm trials (RCBHT_DATA); simulates mildly randomised tria
 from __future__ import annotations
 
 import os
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from experiments.record import write_result
 from experiments.two_arm import SOURCE, as_recordings, simulated
@@ -42,23 +39,12 @@ KINDS = {
 }
 
 
-def joined(first: Recordings, second: Recordings) -> Recordings:
-    longest = max(first.wrench.shape[1], second.wrench.shape[1])
-
-    def padded(wrench: np.ndarray) -> np.ndarray:
-        return np.pad(wrench, ((0, 0), (0, longest - wrench.shape[1]), (0, 0)))
-
-    rows = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(Recordings) if
-            f.name not in ("dt", "wrench")}  # fmt: skip
-    return Recordings(wrench=np.concatenate([padded(first.wrench), padded(second.wrench)]), dt=first.dt, **rows)
-
-
 def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
     """Accuracy on four states from both arms' grammars; recorded boundaries, SVM, window 5."""
     config = EncoderConfig(window=5, dt=CONTROL_PERIOD)
     out: dict[str, Any] = {}
     for name, simulated_set in made.items():
-        both = joined(recorded, simulated_set)
+        both = Recordings.join([recorded, simulated_set])
         tracks = encode_recordings(config, thresholds(), both.wrench, both.length)
         forth = {"train_on": (name,), "test_on": ("SIM2",)}
         back = {"train_on": ("SIM2",), "test_on": (name,)}

@@ -6,12 +6,15 @@ unless a field says samples. Padding is stated per class.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
 
 Array = Any  # jax.Array or numpy.ndarray: host and device code share these containers
 
@@ -87,3 +90,24 @@ class Recordings:
 
     def __len__(self) -> int:
         return int(self.length.shape[0])
+
+    def take(self, rows: NDArray[Any]) -> Recordings:
+        """The chosen recordings, by their numbers in the order wished or by a mask ``[recording]``."""
+        names = [field.name for field in fields(self) if field.name != "dt"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @staticmethod
+    def join(parts: Sequence[Recordings]) -> Recordings:
+        """Several data sets as one, padded to the longest recording.
+
+        Raises:
+            InputError: there are none, or their sampling periods differ.
+        """
+        periods = sorted({part.dt for part in parts})
+        if len(periods) != 1:
+            raise InputError(f"data sets to be joined need one sampling period, these have {periods or 'none'}.")
+        longest = max(part.wrench.shape[1] for part in parts)
+        wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
+        names = [field.name for field in fields(parts[0]) if field.name not in ("dt", "wrench")]
+        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return replace(parts[0], wrench=np.concatenate(wide), **columns)

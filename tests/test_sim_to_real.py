@@ -13,7 +13,7 @@ from experiments.record import RESULTS
 from experiments.sim_to_real import Pool, choose, scored, some_trials
 from experiments.sim_to_real_figure import draw, lines
 from experiments.sim_to_real_rows import CANDIDATES, ROWS
-from experiments.sim_to_real_sets import RECORDED, SETS, joined, taken, tared
+from experiments.sim_to_real_sets import RECORDED, SETS, tared
 from rcbht_jax.grammar import FAMILIES
 from rcbht_jax.plots.canvas import save
 from rcbht_jax.types import Recordings
@@ -90,9 +90,9 @@ def test_tare_takes_the_first_second_and_nothing_later() -> None:
 
 
 def test_joined_sets_keep_every_trial() -> None:
-    whole = joined([trials((150, 400)), trials((90,))])
+    whole = Recordings.join([trials((150, 400)), trials((90,))])
     assert whole.wrench.shape == (3, 400, 6)
-    np.testing.assert_array_equal(taken(whole, np.array([2])).wrench[0, :90], trials((90,)).wrench[0])
+    np.testing.assert_array_equal(whole.take(np.array([2])).wrench[0, :90], trials((90,)).wrench[0])
     assert whole.trial.tolist() == ["trial 150", "trial 400", "trial 90"]
 
 
