@@ -25,21 +25,30 @@ from tqdm import tqdm
 from experiments.record import write_result
 from experiments.table2 import SETS, halves
 from rcbht_jax import metrics
-from rcbht_jax.classify import select
 from rcbht_jax.data.hiro import read_hiro
 from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.grammar import FeatureSpec
-from rcbht_jax.introspect.coupling import ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.introspect.coupling import ProbabilisticSvm
 from rcbht_jax.introspect.levels import Confidence, Phases
 from rcbht_jax.introspect.observe import Sight
-from rcbht_jax.introspect.train import TRIAL_FAMILIES, TRIAL_GRID, Looks, from_the_beginning, picked, streamed, watch
+from rcbht_jax.introspect.train import (
+    ENDS,
+    GRID,
+    TRIAL_GRID,
+    HeadSpec,
+    Looks,
+    from_the_beginning,
+    learn,
+    picked,
+    streamed,
+    watch,
+)  # fmt: skip
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # looks per second
 K, MARGIN, HOLD = 0.70, 0.05, 0.2  # as the introspector's; s
-SIGHT = Sight(FeatureSpec(families=TRIAL_FAMILIES))
+SIGHTS = {name: HeadSpec(TaskSpec(), phase=name == "phase").sight for name in ("state", "phase")}
 NEAR = 0.5  # s, within which a beginning counts as found
 
 Floats = NDArray[np.float64]
@@ -52,14 +61,15 @@ class View:
 
     looks: Looks
     x: NDArray[np.float32]
+    sight: Sight
 
 
 def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
-    """A machine for the state, trained on the looks at the training trials."""
+    """A machine for the state, trained on the looks at the training trials, as ``rcbht train-online`` does."""
     rows = inside[view.looks.sentence]
-    sentence = view.looks.sentence[rows]
-    x, y, group = view.x[rows].astype(np.float64), items.y[sentence], items.trial[sentence]
-    return fit_probabilistic(x, y, group, items.classes, select({"": x}, y, group, TRIAL_GRID, seed), seed)
+    grid, ends = (GRID, ENDS) if view.sight == SIGHTS["state"] else (TRIAL_GRID, 1)
+    x = view.x[rows].astype(np.float64)
+    return learn(x, view.looks.take(rows), items, view.sight.spec, grid, ends, seed)
 
 
 def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
@@ -100,7 +110,7 @@ def repeat(data: Recordings, items: Sentences, views: dict[str, View], seed: int
         errors.append([starts[recording].get(s, np.nan) - truth[s] for s in range(1, len(items.classes))])
     own = with_beginnings(looks, starts, dt)
     order = np.lexsort((own.now, own.recording))
-    x = watch(data, own.take(order), SIGHT, EncoderConfig(dt=dt), preset())
+    x = watch(data, own.take(order), given.sight, EncoderConfig(dt=dt), preset())
     mine = ~inside[given.looks.sentence]
     scores = {
         "given": (items.y[given.looks.sentence[mine]], state.probability(given.x[mine].astype(np.float64))),
@@ -147,7 +157,8 @@ def views_of(data: Recordings, items: Sentences) -> dict[str, View]:
     out = {}
     for name, looks in wanted.items():
         with tqdm(total=len(looks), desc=name, file=sys.stderr, disable=None) as bar:
-            out[name] = View(looks, watch(data, looks, SIGHT, config, preset(), bar.update))
+            sight = SIGHTS[name.split()[0]]
+            out[name] = View(looks, watch(data, looks, sight, config, preset(), bar.update), sight)
     return out
 
 
