@@ -42,7 +42,7 @@ GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
 }
 NOMINAL = "none"
 TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still
-_SHARD = 64
+_SHARD = 256
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, s
             synthesise(path, Synthesis(preset, count, 1000 * seed + number, shard=_SHARD, spec=spec_of(kind, grade)))
         lots.append(_lot(path, preset, kind, grade))
     columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
-    recordings = joined(columns.pop("recordings"))
+    recordings = Recordings.join(columns.pop("recordings"))
     return Trials(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
@@ -125,17 +125,3 @@ def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
     return Trials(
         recordings, np.full(len(recordings), kind), grades, touched, cause, truth["stop"], mating + planned.mating_time
     )
-
-
-def joined(parts: list[Recordings]) -> Recordings:
-    """Several data sets as one."""
-    longest = max(part.wrench.shape[1] for part in parts)
-    wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
-    rows = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in (
-            "length", "onset", "onset_harmonised", "trial", "arm", "source", "session", "outcome", "failure_type",
-            "deviation", "note",
-        )
-    }  # fmt: skip
-    return Recordings(wrench=np.concatenate(wide), dt=parts[0].dt, **rows)

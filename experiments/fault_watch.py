@@ -65,11 +65,6 @@ class Watched:
         return self.now * self.trials.recordings.dt
 
     @property
-    def learned(self) -> list[int]:
-        """Sub-tasks that there are machines for; few records are long enough for the last."""
-        return [stage for stage in (INSERTION, MATING, SETTLED) if (self.stage == stage).any()]
-
-    @property
     def elapsed(self) -> NDArray[np.float64]:
         """Since the sub-task began ``[look]``, s."""
         return (self.now - self.begin) * self.trials.recordings.dt
@@ -124,10 +119,14 @@ def monitor(w: Watched, inside: NDArray[np.bool_], seed: int) -> Monitor:
     """Learn from the trials ``inside``; the hold time is the one that finds most of their failures, held out."""
     limits = {stage: _limit(w, inside, stage) for stage in (APPROACH, INSERTION)}
     said = np.zeros(len(w.row))
-    machines = {stage: _learn(w, inside, stage, seed, said) for stage in w.learned}
+    machines = {}
+    for stage in (INSERTION, MATING, SETTLED):
+        rows = _lessons(w, inside, stage)
+        if len(np.unique(w.trials.cause[w.row[rows]])) > 1:  # few records are long enough for the last
+            machines[stage] = _learn(w, inside, stage, rows, seed, said)
     options = []
     for hold in HOLDS:
-        levels = {stage: _level(w, inside, stage, said, hold) for stage in machines}
+        levels = {stage: _level(w, inside, stage, said, hold, WORDS / len(machines)) for stage in machines}
         options.append(Monitor(machines, levels, hold, limits, _found(w, inside, said, levels, hold)))
     return max(options, key=lambda option: option.found)  # the shortest of equals
 
@@ -139,19 +138,30 @@ def _limit(w: Watched, inside: NDArray[np.bool_], stage: int) -> float:
     return conformal_level(lasted, CLOCK)
 
 
-def _learn(w: Watched, inside: NDArray[np.bool_], stage: int, seed: int, said: NDArray[np.float64]) -> ProbabilisticSvm:
-    """The machine of a sub-task; ``said`` gets what it says of its training trials when they are held out."""
+def _of_stage(w: Watched, inside: NDArray[np.bool_], stage: int) -> NDArray[np.bool_]:
+    """Looks at a sub-task of trials that went well or failed, among those ``inside``."""
+    return (w.stage == stage) & (inside & (w.trials.nominal | w.trials.failed))[w.row]
+
+
+def _lessons(w: Watched, inside: NDArray[np.bool_], stage: int) -> NDArray[np.int64]:
+    """The looks that the machine of a sub-task learns from."""
     those = w.trials
-    of_stage = (w.stage == stage) & (inside & (those.nominal | those.failed))[w.row]
     begun = w.time >= np.where(those.failed & (those.kind == "early-stop"), those.stop + SEEN, 0.0)[w.row]
-    rows = _spread(w.row, np.flatnonzero(of_stage & begun))
+    rows = _spread(w.row, np.flatnonzero(_of_stage(w, inside, stage) & begun))
     cause = those.cause[w.row[rows]]
     enough = [c for c in np.unique(cause) if len(np.unique(w.row[rows][cause == c])) >= FEWEST]
-    rows, cause = rows[np.isin(cause, enough)], cause[np.isin(cause, enough)]
-    x, y, group = w.x[rows].astype(np.float64), np.searchsorted(enough, cause), w.row[rows]
+    return rows[np.isin(cause, enough)]
+
+
+def _learn(
+    w: Watched, inside: NDArray[np.bool_], stage: int, rows: NDArray[np.int64], seed: int, said: NDArray[np.float64]
+) -> ProbabilisticSvm:
+    """The machine of a sub-task; ``said`` gets what it says of its training trials when they are held out."""
+    x, group, cause = w.x[rows].astype(np.float64), w.row[rows], w.trials.cause[w.row[rows]]
+    causes, y = np.unique(cause, return_inverse=True)
     spec = SvmSpec("linear", COST, scaling=True, balanced=True, floor=0.1)
-    machine = fit_probabilistic(x, y, group, [str(c) for c in enough], spec, seed)
-    streamed = np.flatnonzero(of_stage & np.isin(w.row, group))
+    machine = fit_probabilistic(x, y, group, causes.tolist(), spec, seed)
+    streamed = np.flatnonzero(_of_stage(w, inside, stage) & np.isin(w.row, group))
     said[streamed] = _failing(machine, held_out(machine, x, y, group, w.x[streamed], w.row[streamed], seed))
     return machine
 
@@ -163,8 +173,10 @@ def _failing(machine: ProbabilisticSvm, probability: NDArray[np.float64]) -> NDA
 
 def _spread(row: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.int64]:
     """A few of the chosen looks of every trial, evenly spaced."""
-    parts = np.split(chosen, np.flatnonzero(np.diff(row[chosen])) + 1)
-    return np.concatenate([p[np.unique(np.linspace(0, len(p) - 1, PICKED).round().astype(np.int64))] for p in parts])
+    parts = [part for part in np.split(chosen, np.flatnonzero(np.diff(row[chosen])) + 1) if len(part)]
+    return np.concatenate(
+        [chosen[:0], *(p[np.unique(np.linspace(0, len(p) - 1, PICKED).round().astype(np.int64))] for p in parts)]
+    )
 
 
 def _by_trial(w: Watched, stage: int, rows: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
@@ -176,10 +188,12 @@ def _by_trial(w: Watched, stage: int, rows: NDArray[np.bool_]) -> dict[int, NDAr
     return {int(w.row[part[0]]): part for part in parts}
 
 
-def _level(w: Watched, inside: NDArray[np.bool_], stage: int, said: NDArray[np.float64], hold: float) -> float:
-    """Of the words' alarm in a sub-task."""
+def _level(
+    w: Watched, inside: NDArray[np.bool_], stage: int, said: NDArray[np.float64], hold: float, share: float
+) -> float:
+    """Of the words' alarm in a sub-task, for a share of false alarms."""
     steps, calm = round(hold * RATE) + 1, _by_trial(w, stage, inside & w.trials.nominal)
-    return conformal_level(np.array([held_peak(said[looks], steps) for looks in calm.values()]), WORDS / len(w.learned))
+    return conformal_level(np.array([held_peak(said[looks], steps) for looks in calm.values()]), share)
 
 
 def _found(

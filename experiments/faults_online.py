@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,17 +35,23 @@ NOMINAL_SHARE = 2 / 3  # of the nominal trials train: levels for few false alarm
 
 
 @dataclass(frozen=True)
-class Run:
-    """One repeat."""
+class Streamed:
+    """What was heard of the trials that were streamed, in one repeat."""
 
-    inside: NDArray[np.bool_]  # [trial] trains
-    monitor: Monitor
+    inside: NDArray[np.bool_]  # [trial] trains, and is not streamed
     first: dict[str, NDArray[np.float64]]  # time of the first alarm [trial], s, of the words and of the clock
 
     @property
     def alarm(self) -> NDArray[np.float64]:
         """Time of the first alarm of either ``[trial]``, s."""
         return np.minimum(self.first["words"], self.first["clock"])
+
+
+@dataclass(frozen=True)
+class Run(Streamed):
+    """One repeat, with the monitor that learned from the others."""
+
+    monitor: Monitor
 
 
 def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
@@ -61,7 +68,7 @@ def run(w: Watched, seed: int) -> Run:
     """Learn from one part, stream the other."""
     inside = parts(w.trials, seed)
     learned = monitor(w, inside, seed)
-    return Run(inside, learned, alarms(w, learned, ~inside))
+    return Run(inside, alarms(w, learned, ~inside), learned)
 
 
 def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -71,7 +78,7 @@ def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray((alarm >= begins) & (alarm <= those.end))
 
 
-def cell(those: Trials, runs: list[Run], rows: NDArray[np.bool_]) -> dict[str, Any]:
+def cell(those: Trials, runs: Sequence[Streamed], rows: NDArray[np.bool_]) -> dict[str, Any]:
     """What happened to some trials whenever they were streamed."""
     failed = [rows & ~run.inside & those.failed for run in runs]
     seated = [rows & ~run.inside & ~those.failed for run in runs]
@@ -170,10 +177,9 @@ def moments(those: Trials) -> dict[str, dict[str, float]]:
     return out
 
 
-def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
-    """All numbers of a preset."""
-    runs = [run(w, s) for s in tqdm(range(seed, seed + repeats), file=sys.stderr, disable=None)]
-    calm = [w.trials.nominal & ~run.inside for run in runs]
+def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
+    """Alarms in nominal trials that were streamed, over the repeats."""
+    calm = [those.nominal & ~run.inside for run in runs]
     false = [int((mine & np.isfinite(run.alarm)).sum()) for mine, run in zip(calm, runs, strict=True)]
     by = {
         name: [int((mine & np.isfinite(run.first[name])).sum()) for mine, run in zip(calm, runs, strict=True)]
@@ -181,12 +187,20 @@ def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
     }
     streamed = [int(mine.sum()) for mine in calm]
     return {
-        "nominal trials": int((w.trials.kind == NOMINAL).sum()),
-        "of them seated": int(w.trials.nominal.sum()),
         "nominal trials streamed in each repeat": streamed,
         "false alarms in each repeat": false,
         "false alarms per nominal trial": _share(false, streamed, (1 - NOMINAL_SHARE) / NOMINAL_SHARE),
         "false alarms in each repeat, by watcher": by,
+    }
+
+
+def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
+    """All numbers of a preset."""
+    runs = [run(w, s) for s in tqdm(range(seed, seed + repeats), file=sys.stderr, disable=None)]
+    return {
+        "nominal trials": int((w.trials.kind == NOMINAL).sum()),
+        "of them seated": int(w.trials.nominal.sum()),
+        **false_alarms(w.trials, runs),
         "hold of each repeat, s": [run.monitor.hold for run in runs],
         "alarm levels of each repeat: insertion, mating, settled": [
             [round(level, 3) for level in run.monitor.levels.values()] for run in runs

@@ -1,0 +1,177 @@
+"""What a monitor must have seen: faults of other sessions, or of other kinds, before it notices those of this one.
+
+Four ways to learn, tried on the same streamed trials of a session, half of its failures and a third of its nominal
+trials (see ``experiments.faults_online``, whose first way is repeated here):
+
+* "own": its own faults and nominal trials.
+* "kind never seen": the same without the kind of fault that is streamed.
+* "others, own calm": the faults of other sessions, and its own nominal trials. So one would begin on a robot: faults
+  from a simulation, and trials that went well.
+* "others": faults and nominal trials of other sessions.
+
+Each learns from about as many trials.
+
+Run: python -m experiments.faults_across --folder faults --preset B C A --repeats 5 --seed 2
+Simulated trials are those of ``experiments.faults_online``; they and all alarms are kept in the folder, so that an
+interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments.fault_trials import GRADES, Trials
+from experiments.fault_watch import Monitor, Watched, alarms, monitor, watched
+from experiments.faults_online import Streamed, cell, false_alarms, parts
+from experiments.record import write_result
+from rcbht_jax.types import Recordings
+from rcbht_jax.whole_file import whole_file
+
+Rows = NDArray[np.bool_]
+WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
+WATCHERS = ("words", "clock")
+
+
+def chosen(w: Watched, rows: Rows) -> Watched:
+    """Some trials ``[trial]`` with their looks."""
+    columns = {field.name: getattr(w.trials, field.name) for field in fields(Trials)}
+    recordings = columns.pop("recordings").take(rows)
+    mine, place = rows[w.row], np.cumsum(rows) - 1
+    trials = Trials(recordings, **{name: column[rows] for name, column in columns.items()})
+    return Watched(trials, place[w.row[mine]], w.begin[mine], w.now[mine], w.stage[mine], w.x[mine])
+
+
+def together(sets: list[Watched]) -> Watched:
+    """Trials of several sessions as one set."""
+    columns = {field.name: [getattr(w.trials, field.name) for w in sets] for field in fields(Trials)}
+    trials = Trials(
+        Recordings.join(columns.pop("recordings")), **{name: np.concatenate(column) for name, column in columns.items()}
+    )
+    first = np.cumsum([0, *(len(w.trials.kind) for w in sets)])
+    row = np.concatenate([w.row + begin for w, begin in zip(sets, first.tolist(), strict=False)])
+    looks = {name: np.concatenate([getattr(w, name) for w in sets]) for name in ("begin", "now", "stage", "x")}
+    return Watched(trials, row, **looks)
+
+
+def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
+    """A share of the chosen nominal trials, and the same of the others."""
+    rng, out = np.random.default_rng(seed), np.zeros_like(rows)
+    for mine in (rows & those.nominal, rows & ~those.nominal):
+        out[rng.permutation(np.flatnonzero(mine))[: math.ceil(mine.sum() * share)]] = True
+    return out
+
+
+def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> Monitor:
+    """A monitor that saw faults of the other sessions; nominal trials are of this one (``calm``), or of those too.
+
+    It learns from about as many trials as one of the session's own.
+    """
+    there = [parts(other.trials, seed) & (other.trials.failed | ~np.bool_(calm)) for other in others]
+    seen = [
+        chosen(other, some(other.trials, rows, 1 / len(others), seed))
+        for other, rows in zip(others, there, strict=True)
+    ]
+    lessons = together([chosen(w, inside & w.trials.nominal), *seen] if calm else seen)
+    return monitor(lessons, np.ones(len(lessons.trials.kind), bool), seed)
+
+
+def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, Monitor]:
+    """For each kind of fault, the monitor that watches for it."""
+    if way == UNSEEN:
+        return {kind: monitor(w, inside & (w.trials.kind != kind), seed) for kind in GRADES}
+    if way == OWN:
+        return dict.fromkeys(GRADES, monitor(w, inside, seed))
+    return dict.fromkeys(GRADES, from_others(w, inside, others, seed, calm=way == CALM))
+
+
+def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
+    """One repeat of one way: kind of fault -> what was streamed; kept in a file, and read from it if it is there."""
+    inside = parts(w.trials, seed)
+    if not path.is_file():
+        made: dict[int, dict[str, NDArray[np.float64]]] = {}
+        found: dict[str, NDArray[np.float64]] = {}
+        for kind, one in learned(w, inside, others, seed, way).items():
+            if id(one) not in made:
+                made[id(one)] = alarms(w, one, ~inside)
+            found |= {f"{kind}/{watcher}": times for watcher, times in made[id(one)].items()}
+        with whole_file(path) as draft:
+            np.savez(draft, allow_pickle=False, **found)
+    with np.load(path, allow_pickle=False) as kept:
+        return {kind: Streamed(inside, {name: kept[f"{kind}/{name}"] for name in WATCHERS}) for kind in GRADES}
+
+
+def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dict[str, Any]:
+    """All numbers of a session: way -> false alarms, and detection by kind; from way -> repeat -> kind."""
+    out = {}
+    for way, heard_of in repeats.items():
+        kinds = {}
+        for kind in GRADES:
+            runs = [one[kind] for one in heard_of]
+            found = cell(those, runs, (those.kind == kind) & those.contact)
+            kinds[kind] = {name: found[name] for name in ("failures streamed", "detected", "share detected")}
+            kinds[kind] |= false_alarms(those, runs) if way == UNSEEN else {}  # a monitor for each kind
+        out[way] = {"kinds": kinds, **({} if way == UNSEEN else false_alarms(those, runs))}
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
+    parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
+    parser.add_argument("--per-kind", type=int, default=80)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
+    args = parser.parse_args()
+    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
+    seeds = range(args.seed, args.seed + args.repeats)
+    lot = f"{'-'.join(str(count) for count in args.nominal)}-{args.per_kind}-{args.seed}"
+
+    def one(preset: str, way: str, seed: int) -> dict[str, Streamed]:
+        others = [other for name, other in sets.items() if name != preset]
+        name = way.replace(" ", "-").replace(",", "")
+        path = args.folder / f"{''.join(args.preset)}-{preset}-{lot}-{name}-{seed}-alarms.npz"
+        found = heard(sets[preset], others, seed, way, path)
+        bar.update()
+        return found
+
+    done: dict[str, Any] = {}
+    with (
+        tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar,
+        ThreadPoolExecutor(args.jobs) as pool,  # the machines learn outside of Python's lock
+    ):
+        for preset, w in sets.items():
+            todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}
+            done[preset] = measure(w.trials, {way: [job.result() for job in jobs] for way, jobs in todo.items()})
+            keep(done, args, complete=len(done) == len(sets))
+
+
+def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None:
+    """Write the sessions that are done."""
+    result = {
+        "what": "failures with contact noticed in the stream of simulated trials, by what the monitor learned from",
+        "complete": complete,
+        "presets": done,
+    }
+    nominal = " ".join(str(count) for count in args.nominal)
+    sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
+    presets = " ".join(args.preset)
+    write_result(
+        "faults_across", f"python -m experiments.faults_across --folder FOLDER --preset {presets} {sizes}",
+        result, args.seed, show=complete,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
