@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments import calibration_figure, dots_figure, online_figure, sim_to_real_figure
+from experiments import calibration_figure, dots_figure, faults_figure, online_figure, sim_to_real_figure
 from experiments.compared import compared, result
 from experiments.figure_style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
@@ -135,6 +135,11 @@ def confidence() -> Figure:
 
 def sim_to_real() -> Figure:
     """What each choice does to the accuracy on recorded trials of a learner that saw simulated ones only."""
+    return sim_to_real_figure.draw(result("sim_to_real")["rows"], sim_to_real_figure.STORY)
+
+
+def sim_to_real_all() -> Figure:
+    """The same with all that was tried."""
     return sim_to_real_figure.draw(result("sim_to_real")["rows"])
 
 
@@ -176,6 +181,20 @@ def calibration() -> Figure:
     return calibration_figure.draw(result("calibration_curves")["rows"])
 
 
+def faults() -> Figure:
+    """Simulated faults: what fails, and what is noticed, by severity."""
+    return faults_figure.faults(result("faults_online")["presets"])
+
+
+def failure_types() -> Figure:
+    """What each kind of the authors' failures is taken for by the best of the streamed heads."""
+    found = result("failure_types_online")
+    at = "at 100%, votes of pairs"
+    name, row = max(found["rows"].items(), key=lambda item: item[1][at]["mean"])
+    title = f"{name}: {row[at]['mean']:.3f} of {found['trials']} failures, streamed, trials not trained on"
+    return faults_figure.failure_types(list(found["classes"]), row[f"true and said {at}"], title)
+
+
 FIGURES = {
     "table1": table1,
     "probes": probes,
@@ -185,7 +204,10 @@ FIGURES = {
     "confidence": confidence,
     "online-reliability": reliability,
     "online-early": early,
+    "online-faults": faults,
+    "failure-types": failure_types,
     "sim-to-real": sim_to_real,
+    "sim-to-real-all": sim_to_real_all,
     "calibration-curves": calibration,
 }
 # Pictures of trials and of experiments that draw while they measure, and the command that writes each.

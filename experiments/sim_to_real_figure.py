@@ -13,20 +13,28 @@ TITLES = {"merged": "three states (rotation and insertion merged)", "harmonised"
 GOALS = {"merged": 0.92, "harmonised": 0.80}
 SESSIONS = {"A": ("o", "#1f77b4"), "B": ("s", "#d95f02")}
 POOLED = "A+B"
+# What moved the score: the main rows, what others would do, and each choice where no preset was fitted to A or B.
+FAR = "without A and B"
+STORY = ("main |", "baseline |", f"randomisation | none, {FAR}", f"randomisation | mild, {FAR}",
+         f"randomisation | wide, {FAR}", f"mating | own time, {FAR}", f"mating | 1 to 20 s, {FAR}", "amount |",
+         f"features, {FAR} |")  # fmt: skip
 
 
-def lines(rows: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Name as shown -> rows behind it, several where the same was done with several draws of trials."""
+def lines(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> dict[str, list[dict[str, Any]]]:
+    """Name as shown -> rows behind it, several where the same was done with several draws of trials.
+
+    Only rows whose name begins with one of ``begins``.
+    """
     shown: dict[str, list[dict[str, Any]]] = {}
     for name, row in rows.items():
-        if "|" in name and POOLED in row.get("merged", {}):
+        if "|" in name and POOLED in row.get("merged", {}) and name.startswith(begins):
             shown.setdefault(name.split(", draw")[0], []).append(row)
     return shown
 
 
-def draw(rows: dict[str, Any]) -> Figure:
-    """Dots per session and the 95 % interval of both together, one line per row."""
-    shown = lines(rows)
+def draw(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> Figure:
+    """Dots per session and the 95 % interval of both together, one line per row that begins so."""
+    shown = lines(rows, begins)
     figure = new_figure((12.0, 0.21 * len(shown) + 1.6), 110)
     panels = figure.subplots(1, 2, sharey=True)
     for panel, (boundaries, title) in zip(panels, TITLES.items(), strict=True):
