@@ -1,24 +1,25 @@
-"""Sub-tasks that nobody announces: only forwards, only when certain, and the same as if they had been announced."""
+"""Sub-tasks that nobody announces: only forwards, by all that was seen, and the same as if they had been announced."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from introspect_models import head, model, trial
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.events import Belief, SubtaskStarted
 from rcbht_jax.introspect.introspector import PHASE, Introspector
-from rcbht_jax.introspect.levels import Phases
+from rcbht_jax.introspect.levels import LEAST, Phases
 from rcbht_jax.introspect.model import IntrospectionModel
 from rcbht_jax.introspect.train import HeadSpec, from_the_beginning, streamed
 from rcbht_jax.tasks import TaskSpec
-
-HOLD = 0.2
 
 
 @cache
@@ -31,23 +32,52 @@ def story() -> np.ndarray:
     return np.concatenate([trial(0, 70, 300), trial(1, 71, 500), trial(2, 72, 400)])
 
 
-def test_phases_go_forwards_when_certain_long_enough():
-    phases = Phases(("a", "b", "c", "d"), 0.2)
-    told = [
-        ("a", 9.0, True), ("b", 0.1, True), ("b", 0.5, False), ("b", 0.2, True), ("b", 0.3, True), ("a", 9.0, True),
-        ("d", 0.2, True), ("c", 9.0, True),
-    ]  # fmt: skip
-    assert [phases.update(*one) for one in told] == [False, False, False, True, False, False, True, False]
+LOOKS = st.lists(
+    st.tuples(st.floats(0.02, 0.5), st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)), min_size=1, max_size=4
+)
+
+
+@given(LOOKS)
+def test_the_filter_sums_over_all_ways_to_go_forwards(looks):
+    stay, memory = 0.7, 0.15
+    phases, time = Phases(("a", "b", "c"), stay, memory), 0.0
+    for passed, p in looks:
+        time += passed
+        phases.update(p, time)
+    weight = np.zeros(3)
+    for path in itertools.combinations_with_replacement(range(3), len(looks)):
+        total = 1.0
+        for before, after, (passed, p) in zip((0, *path), path, looks, strict=False):
+            mean, steps = passed / stay, after - before
+            if after == 2:  # the last stays, however many would follow
+                moved = 1.0 - sum(math.exp(-mean) * mean**k / math.factorial(k) for k in range(steps))
+            else:
+                moved = math.exp(-mean) * mean**steps / math.factorial(steps)
+            total *= moved * max(p[after], LEAST) ** min(passed / memory, 1.0)
+        weight[path[-1]] += total
+    np.testing.assert_allclose(phases.filtered, weight / weight.sum(), rtol=1e-6, atol=1e-12)
+
+
+def test_phases_go_forwards_and_no_single_look_decides():
+    phases, time, began = Phases(("a", "b", "c", "d")), 0.0, []
+    for wanted in [*"aaaaa", "c", *"aaa", *"bbb", *"aaaaaaaa", *"ddddd", *"ccc"]:
+        time += 0.1
+        began.append(phases.update([0.85 if name == wanted else 0.05 for name in "abcd"], time))
+    assert not any(began[:9])  # the look at c was an accident
+    assert sum(began[9:12]) == 1
+    assert not any(began[12:20])  # none comes back
     assert phases.current == 3
+    assert not any(began[25:])
     phases.reset()
-    assert phases.update("b", 0.2, True)
-    with pytest.raises(InputError, match="held"):
-        Phases(("a", "b"), -1.0)
+    assert phases.current == 0
+    for stay, memory in ((0.0, 0.1), (1.0, -1.0), (np.inf, 0.1)):
+        with pytest.raises(InputError, match="positive"):
+            Phases(("a", "b"), stay, memory)
 
 
 @pytest.mark.parametrize("cuts", [[], [7, 300, 301, 555]])
 def test_noticed_is_as_good_as_told(cuts):
-    signal, introspector = story(), Introspector(with_phases(), hold=HOLD, detect=True)
+    signal, introspector = story(), Introspector(with_phases(), detect=True)
     events = []
     for a, b in itertools.pairwise([0, *cuts, len(signal)]):
         events += introspector.push(signal[a:b])
@@ -56,13 +86,13 @@ def test_noticed_is_as_good_as_told(cuts):
     assert all(e.detected and e.begin == e.sample for e in starts)
 
     # What the beliefs of the head say, by the rule.
-    phases, expected = Phases(("calm", "push", "shake"), HOLD), []
+    phases, expected = Phases(("calm", "push", "shake")), []
     for e in events:
-        if isinstance(e, Belief) and e.head == PHASE and phases.update(e.label, e.certain_for, e.level == "certain"):
+        if isinstance(e, Belief) and e.head == PHASE and phases.update(e.probabilities, e.time):
             expected.append(e.sample)
     assert [e.begin for e in starts] == expected
 
-    told, same = Introspector(with_phases(), hold=HOLD), []
+    told, same = Introspector(with_phases()), []
     for a, b in itertools.pairwise([0, *expected, len(signal)]):
         same += told.push(signal[a:b])
         if b in expected:
@@ -73,6 +103,10 @@ def test_noticed_is_as_good_as_told(cuts):
     introspector.reset()
     again = introspector.push(signal)
     assert [e.begin for e in again if isinstance(e, SubtaskStarted)] == expected
+
+    introspector.reset()
+    stamped = introspector.push(signal, time=1.7e9)
+    assert [e.begin for e in stamped if isinstance(e, SubtaskStarted)] == expected
 
 
 def test_a_model_that_cannot():

@@ -12,6 +12,7 @@ def detected(way: str) -> str:
     ways = {
         "beginnings given (harmonised)": "given",
         'beginnings noticed by the head "phase"': "noticed",
+        "the state that was noticed, itself": "filter alone",
         'the head "phase" itself': "phase alone",
     }
     lines = [

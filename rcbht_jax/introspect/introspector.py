@@ -103,9 +103,9 @@ class Introspector:
         k: probability above which a belief is certain (paper: 0.70 ... 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
-            and below 0.5 before it is cleared; for which a sub-task must be certain before it is said to have begun.
-        detect: nobody says when a sub-task begins; the model's head "phase" does. The sentence begins when it is
-            noticed, not when it began.
+            and below 0.5 before it is cleared.
+        detect: nobody says when a sub-task begins; the model's head "phase" does (see
+            :class:`rcbht_jax.introspect.levels.Phases`). The sentence begins when it is noticed, not when it began.
 
     Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
     gives the same bits.
@@ -131,7 +131,7 @@ class Introspector:
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
-        self._phases = Phases(_head(model, PHASE).classes, hold) if detect else None
+        self._phases = Phases(_head(model, PHASE).classes) if detect else None
         self._failure: tuple[str, str] | None = None  # label and level that were told last
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -253,7 +253,7 @@ class Introspector:
         if self._phases is None:
             return []
         belief = self.latest[PHASE]
-        began = self._phases.update(belief.label, belief.certain_for, belief.level == "certain")
+        began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
         return self.begin(detected=True) if began else []
 
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspect.events import Level
 from rcbht_jax.metrics import INADMISSIBLE
+
+LEAST = 1e-4  # probability that a belief gives a sub-task at least: no single look may rule one out
 
 
 class Confidence:
@@ -63,25 +67,39 @@ class Alarm:
 
 
 class Phases:
-    """Which sub-task goes on, from beliefs alone: the next one begins when a later class has been certain long enough.
+    """Which sub-task goes on, from beliefs alone: the filter of a Markov chain that only goes forwards.
 
-    Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back.
+    Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back. The
+    next one begins when it is likelier than not that the present one is over.
+
+    Args:
+        classes: in the order of the sub-tasks.
+        stay: seconds that a sub-task lasts in the mean, before anything is seen. A guess of the right order will do.
+        memory: seconds after which another belief is as good as an independent one; looks that are nearer count less.
     """
 
-    def __init__(self, classes: Sequence[str], hold: float) -> None:
-        if not 0 <= hold < float("inf"):
-            raise InputError(f"the beginning of a sub-task cannot be held for {hold} s; expected zero or more.")
-        self._classes, self._hold = tuple(classes), hold
+    def __init__(self, classes: Sequence[str], stay: float = 1.0, memory: float = 0.1) -> None:
+        if not (0 < stay < float("inf") and 0 < memory < float("inf")):
+            raise InputError(f"sub-tasks that last {stay} s with a memory of {memory} s: both have to be positive.")
+        self._count, self._stay, self._memory = len(classes), stay, memory
         self.reset()
 
     def reset(self) -> None:
         """The first sub-task goes on."""
-        self.current = 0
+        self.current, self._time = 0, 0.0
+        self.filtered = np.eye(self._count)[0]  # probability of each sub-task, given all that was seen
 
-    def update(self, label: str, certain_for: float, certain: bool) -> bool:
-        """Whether a new sub-task begins now, given the likeliest class and how long it has been certain."""
-        number = self._classes.index(label)
-        if number <= self.current or not certain or certain_for < self._hold - 1e-9:
-            return False
-        self.current = number
-        return True
+    def update(self, probabilities: Sequence[float], time: float) -> bool:
+        """Whether a new sub-task begins now, given the belief ``[class]`` and the time since the trial began, s."""
+        passed, self._time = time - self._time, time
+        mean = passed / self._stay
+        # Probability that so many sub-tasks pass meanwhile (Poisson).
+        moves = np.exp(-mean) * np.cumprod([1.0, *(mean / k for k in range(1, self._count))])
+        ahead = np.convolve(self.filtered, moves)[: self._count]
+        ahead[-1] += 1.0 - ahead.sum()
+        seen = ahead * np.maximum(probabilities, LEAST) ** min(passed / self._memory, 1.0)
+        self.filtered = seen / seen.sum()
+        number = int(np.searchsorted(self.filtered.cumsum(), 0.5))  # of which and of later ones more than half
+        began = number > self.current
+        self.current = max(number, self.current)
+        return began
