@@ -10,7 +10,6 @@ Run: python -m experiments.calibration_transfer STORE.zarr
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from experiments.calibration import FAILURES, WORDS, folds, part_of
-from experiments.record import RESULTS
+from experiments.compared import result
 from experiments.rows import Rows
 from rcbht_jax import crossval
 from rcbht_jax.batch import encode_recordings
@@ -39,7 +38,7 @@ def main() -> None:
     parser.add_argument("store", type=Path)
     parser.add_argument("--repeats", type=int, default=2, help="of the five folds")
     given = parser.parse_args()
-    found = json.loads((RESULTS / f"{SOURCE}.json").read_text(encoding="utf-8"))["result"]
+    found = result(SOURCE)  # the committed one: it takes a GPU to make it
     limits = {"preset": np.asarray(preset().limits)}
     limits |= {f"simulated, {name}": np.array(found[name]["limits"]) for name in ("search", "gradient")}
     recordings = part_of(read_recordings(given.store), (FAILURES,))
