@@ -28,6 +28,7 @@ from sklearn.svm import SVC
 
 from experiments.calibration import REAL, SIM1, WORDS, part_of, rounded
 from experiments.rows import Rows
+from experiments.sim_to_real_sets import make, store_of
 from rcbht_jax import crossval
 from rcbht_jax.batch import encode_recordings
 from rcbht_jax.classify import grouped_folds
@@ -83,7 +84,8 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
     """Accuracy ``[candidate]`` of states learnt on one simulated session and told on another one."""
     parts = {}
     for name in SIMULATED:
-        store = read_recordings(folder / f"mild-{name}.zarr")
+        make(folder, "mild", name)
+        store = read_recordings(store_of(folder, "mild", name))
         recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
         items = sentences(recordings, TaskSpec())
         parts[name] = words(recordings, items, limits), items.y
@@ -187,7 +189,7 @@ class Near:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("store", type=Path)
-    parser.add_argument("--simulated", type=Path, help="folder with mild-A.zarr, mild-B.zarr, mild-C.zarr, ...")
+    parser.add_argument("--simulated", type=Path, help="folder of simulated sets; those that are missing are made")
     parser.add_argument("--candidates", type=int, default=64)
     parser.add_argument("--repeats", type=int, default=3, help="of the five outer folds of SIM1")
     given = parser.parse_args()

@@ -31,9 +31,9 @@ from sim_mjx.rollout import stack
 from sim_mjx.scene import one_arm
 
 SEED, TRIALS, BLOCK = 0, 500, 1000  # seed; trials per preset; trials per batch
-MAP_PRESET, PER_CELL = "B", 5
-OFFSETS = tuple(float(mm) for mm in range(-6, 7))
-ROLLS = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)  # degrees
+MAP_PRESET, PER_CELL = "B", 3
+OFFSETS = tuple(float(mm) for mm in range(-5, 6))
+ROLLS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # degrees
 
 
 def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def success_map(
 
 def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: tuple[float, ...] = ROLLS) -> Figure:
     """Heat maps over x and y, one per roll; the recorded outcomes of session B on that without roll."""
-    figure = new_figure((2.2 * len(rolls) + 1.0, 3.3), 110)
+    figure = new_figure((2.4 * len(rolls) + 1.0, 3.5), 110)
     figure.set_layout_engine("constrained")
     panels = np.atleast_1d(figure.subplots(1, len(rolls), sharex=True, sharey=True))
     half = (offsets[1] - offsets[0]) / 2
@@ -93,7 +93,7 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
     for panel, roll, share in zip(panels, rolls, shares, strict=True):
         image = panel.imshow(share, origin="lower", extent=(*span, *span), vmin=0, vmax=1, cmap="RdYlGn")
         panel.set(
-            title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[::3], yticks=offsets[::3]
+            title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
         )
         if roll == 0 and MAP_PRESET == "B":
             for cell in sessions.GRID:

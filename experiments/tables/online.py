@@ -72,6 +72,32 @@ def faults_apart(way: str) -> str:
     return markdown(("", *presets), lines)
 
 
+def faults_across(way: str) -> str:
+    """Simulated faults noticed by monitors that saw others; a cell has a share per session."""
+    presets = result("faults_across")["presets"]
+    ways = list(next(iter(presets.values())))
+    lines = []
+    for kind in presets[next(iter(presets))][ways[0]]["kinds"]:
+        cells = [[found[one]["kinds"][kind]["share detected"] for found in presets.values()] for one in ways]
+        lines.append((kind.replace("-", " "), *(_means(row) for row in cells)))
+    calm = [
+        [found[one].get("false alarms per nominal trial") or _worst(found[one]) for found in presets.values()]
+        for one in ways
+    ]
+    lines.append(("false alarms per nominal trial", *(_means(row) for row in calm)))
+    return markdown((f"sessions {', '.join(presets)}", *ways), lines)
+
+
+def _worst(found: dict[str, Any]) -> dict[str, float]:
+    """Most false alarms of the monitors that each lack a kind."""
+    shares = [kind["false alarms per nominal trial"] for kind in found["kinds"].values()]
+    return max(shares, key=lambda share: share["mean"])
+
+
+def _means(shares: list[dict[str, float] | None]) -> str:
+    return ", ".join(NONE if share is None else f"{share['mean']:.3f}" for share in shares)
+
+
 def _counted(cell: dict[str, Any]) -> str:
     if not cell["failures streamed"]:
         return NONE
@@ -87,5 +113,6 @@ TABLES = {
     "online": online,
     "faults": faults,
     "faults-apart": faults_apart,
+    "faults-across": faults_across,
     "latency": latency,
 }
