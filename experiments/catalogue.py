@@ -77,7 +77,7 @@ EXPERIMENTS = (
     ),
     Experiment("calibration_near", 6, (STORE, "--simulated", SETS), ("data",)),
     Experiment("calibration_bank", 8, (STORE,), ("data",)),
-    Experiment("calibration_transfer", 10, (STORE,), ("data",)),
+    Experiment("calibration_transfer", 1, (STORE,), ("data",)),
     Experiment("calibration_speed", 3, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True),
     Experiment(
         "calibration_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU

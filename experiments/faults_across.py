@@ -18,7 +18,6 @@ interrupted run goes on.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -32,14 +31,14 @@ from tqdm import tqdm
 
 from experiments.fault_trials import GRADES, Trials
 from experiments.fault_watch import Monitor, Watched, alarms, monitor, watched
-from experiments.faults_online import Streamed, cell, false_alarms, parts
-from experiments.record import write_result
+from experiments.faults_online import Streamed, arguments, cell, false_alarms, keep_faults, parts
 from rcbht_jax.types import Recordings
 from rcbht_jax.whole_file import whole_file
 
 Rows = NDArray[np.bool_]
 WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
 WATCHERS = ("words", "clock")
+WHAT = "failures with contact noticed in the stream of simulated trials, by what the monitor learned from"
 
 
 def chosen(w: Watched, rows: Rows) -> Watched:
@@ -125,13 +124,7 @@ def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dic
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
-    parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
-    parser.add_argument("--per-kind", type=int, default=80)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=2)
+    parser = arguments(__doc__)
     parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
     args = parser.parse_args()
     sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
@@ -154,23 +147,8 @@ def main() -> None:
         for preset, w in sets.items():
             todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}
             done[preset] = measure(w.trials, {way: [job.result() for job in jobs] for way, jobs in todo.items()})
-            keep(done, args, complete=len(done) == len(sets))
-
-
-def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None:
-    """Write the sessions that are done."""
-    result = {
-        "what": "failures with contact noticed in the stream of simulated trials, by what the monitor learned from",
-        "complete": complete,
-        "presets": done,
-    }
-    nominal = " ".join(str(count) for count in args.nominal)
-    sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
-    presets = " ".join(args.preset)
-    write_result(
-        "faults_across", f"python -m experiments.faults_across --folder FOLDER --preset {presets} {sizes}",
-        result, args.seed, show=complete,
-    )  # fmt: skip
+            complete = len(done) == len(sets)
+            keep_faults("faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
 
 
 if __name__ == "__main__":

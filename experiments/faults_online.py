@@ -8,7 +8,7 @@ record goes on for three seconds after that, and an alarm in a nominal trial is 
 well. A trial with a fault that seats nevertheless is a success: alarms about those are counted apart. So are faults
 without contact.
 
-Run: python -m experiments.faults_online --folder faults --preset B C A --repeats 5 --seed 0
+Run: python -m experiments.faults_online --folder faults --preset B C A --repeats 5 --seed 2
 Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
 """
 
@@ -213,15 +213,20 @@ def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(about: str | None) -> argparse.ArgumentParser:
+    """What both experiments on simulated faults are told."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--preset", nargs="+", default=["B"])
+    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
     parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
     parser.add_argument("--per-kind", type=int, default=80)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    parser.add_argument("--seed", type=int, default=2)
+    return parser
+
+
+def main() -> None:
+    args = arguments(__doc__).parse_args()
     done: dict[str, Any] = {}
     for preset in args.preset:
         w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
@@ -243,13 +248,15 @@ def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None
         "complete": complete,
         "presets": done,
     }
-    nominal = " ".join(str(count) for count in args.nominal)
+    keep_faults("faults_online", result, args)
+
+
+def keep_faults(name: str, result: dict[str, Any], args: argparse.Namespace) -> None:
+    """Write a result with the command that makes it."""
+    presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
     sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
-    presets = " ".join(args.preset)
-    write_result(
-        "faults_online", f"python -m experiments.faults_online --folder FOLDER --preset {presets} {sizes}",
-        result, args.seed, show=complete,
-    )  # fmt: skip
+    command = f"python -m experiments.{name} --folder FOLDER --preset {presets} {sizes}"
+    write_result(name, command, result, args.seed, show=result["complete"])
 
 
 if __name__ == "__main__":
