@@ -68,8 +68,8 @@ EXPERIMENTS = (
         shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
     ),
     Experiment(
-        "faults_across", 65, ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "3", "--seed", "2"),
-        shorter_minutes=15, shorter=("--repeats", "1", "--nominal", "300", "300", "--per-kind", "40"),
+        "faults_across", 45, ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
+        shorter_minutes=15, shorter=("--nominal", "300", "300", "--per-kind", "40"),
     ),
     Experiment(
         "calibration", 180, (STORE,), ("data",), shorter_minutes=4,

@@ -122,7 +122,8 @@ def monitor(w: Watched, inside: NDArray[np.bool_], seed: int) -> Monitor:
     machines = {}
     for stage in (INSERTION, MATING, SETTLED):
         rows = _lessons(w, inside, stage)
-        if len(np.unique(w.trials.cause[w.row[rows]])) > 1:  # few records are long enough for the last
+        causes = set(w.trials.cause[w.row[rows]].tolist())
+        if NOMINAL in causes and len(causes) > 1:  # few records are long enough for the last
             machines[stage] = _learn(w, inside, stage, rows, seed, said)
     options = []
     for hold in HOLDS:

@@ -11,7 +11,7 @@ trials (see ``experiments.faults_online``, whose first way is repeated here):
 
 Each learns from about as many trials.
 
-Run: python -m experiments.faults_across --folder faults --preset B C A --repeats 5 --seed 2
+Run: python -m experiments.faults_across --folder faults --preset B C A --repeats 1 --seed 2
 Simulated trials are those of ``experiments.faults_online``; they and all alarms are kept in the folder, so that an
 interrupted run goes on.
 """

@@ -90,6 +90,13 @@ def test_a_monitor_finds_what_differs_and_keeps_calm_otherwise() -> None:
     assert found[6.0] > 0.9
 
 
+def test_a_sub_task_that_no_nominal_trial_shows_has_no_machine() -> None:
+    w = seen(made_up(600, 20, 0), 6.0)
+    kept = ~((w.stage == MATING) & w.trials.nominal[w.row])
+    some = Watched(w.trials, *(getattr(w, name)[kept] for name in ("row", "begin", "now", "stage", "x")))
+    assert list(monitor(some, online.parts(w.trials, 0), 0).machines) == [INSERTION]
+
+
 def test_the_table_counts_each_failure_once_per_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(online, "GRADES", {kind: GRADES[kind][:1] for kind in ("jamming", "early-stop")})
     w = seen(made_up(600, 12, 12), 6.0)
