@@ -69,7 +69,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         "faults_across", 45, ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
-        shorter_minutes=15, shorter=("--nominal", "300", "300", "--per-kind", "40"),
+        shorter_minutes=25, shorter=("--nominal", "300", "300", "--per-kind", "40"),
     ),
     Experiment(
         "calibration", 180, (STORE,), ("data",), shorter_minutes=4,
