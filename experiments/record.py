@@ -12,6 +12,7 @@ from typing import Any
 import jax
 
 import rcbht_jax
+from rcbht_jax.whole_file import whole_file
 
 COMMITTED = Path(__file__).resolve().parent / "results"
 RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
@@ -43,9 +44,8 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None, 
     }
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.json"
-    draft = path.with_suffix(".partial")
-    draft.write_text(json.dumps(record, indent=1) + "\n")
-    draft.replace(path)
+    with whole_file(path) as draft:
+        draft.write_text(json.dumps(record, indent=1) + "\n")
     if show:
         print(path.read_text())
     return path

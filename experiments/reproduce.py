@@ -31,6 +31,7 @@ import rcbht_jax
 from experiments import agreement
 from experiments.catalogue import DATA, EXPERIMENTS, GOLDEN, MODEL, SHARED, STORE, Experiment
 from experiments.record import COMMITTED, RESULTS, machine
+from rcbht_jax.whole_file import whole_file
 
 RCBHT = ("-c", "import sys; from rcbht_jax.cli import main; sys.exit(main(sys.argv[1:]))")
 _writing = Lock()
@@ -162,9 +163,8 @@ def note(form: Form, spent: Spent) -> None:
         known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"experiments": {}}
         known |= {"rcbht_jax_version": rcbht_jax.__version__, "machine": machine()}
         known["experiments"][form.experiment.module] = entry
-        draft = path.with_suffix(".partial")
-        draft.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-        draft.replace(path)
+        with whole_file(path) as draft:
+            draft.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 def compare(forms: list[Form]) -> list[str]:

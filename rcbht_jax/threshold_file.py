@@ -14,6 +14,7 @@ import rcbht_jax
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.thresholds import Thresholds, validate
+from rcbht_jax.whole_file import whole_file
 
 FORMAT, FORMAT_VERSION = "rcbht-thresholds", 1
 LIMITS = ("impulse", "big", "medium", "small")
@@ -44,9 +45,8 @@ def write_thresholds(path: Path, thresholds: Thresholds, provenance: Mapping[str
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "provenance": dict(provenance),
     }
-    draft = path.with_name(path.name + ".partial")
-    draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    draft.replace(path)
+    with whole_file(path) as draft:
+        draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def read_thresholds(path: Path) -> tuple[Thresholds, dict[str, Any]]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.whole_file import whole_file
 
 
 class Ledger:
@@ -49,7 +50,5 @@ class Ledger:
             raise ValueError(f"evaluation {first} does not follow the {len(known)} known ones")
         self._scores = np.concatenate([known, scores])
         if self._path is not None:
-            draft = self._path.with_suffix(".partial")
-            with draft.open("wb") as file:
+            with whole_file(self._path) as draft, draft.open("wb") as file:
                 np.savez(file, fingerprint=np.array(self._fingerprint), scores=self._scores)
-            draft.replace(self._path)
