@@ -30,25 +30,13 @@ from rcbht_jax.data.hiro import read_hiro
 from rcbht_jax.encoder import EncoderConfig
 from rcbht_jax.introspect.coupling import ProbabilisticSvm
 from rcbht_jax.introspect.levels import Phases
-from rcbht_jax.introspect.observe import Sight
-from rcbht_jax.introspect.train import (
-    ENDS,
-    GRID,
-    TRIAL_GRID,
-    HeadSpec,
-    Looks,
-    from_the_beginning,
-    learn,
-    picked,
-    streamed,
-    watch,
-)  # fmt: skip
+from rcbht_jax.introspect.train import HeadSpec, Looks, from_the_beginning, learn, picked, streamed, watch
 from rcbht_jax.tasks import Sentences, TaskSpec, sentences
 from rcbht_jax.thresholds import preset
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # looks per second
-SIGHTS = {name: HeadSpec(TaskSpec(), phase=name == "phase").sight for name in ("state", "phase")}
+HEADS = {name: HeadSpec(TaskSpec(), phase=name == "phase") for name in ("state", "phase")}
 NEAR = 0.5  # s, within which a beginning counts as found
 
 Floats = NDArray[np.float64]
@@ -61,15 +49,14 @@ class View:
 
     looks: Looks
     x: NDArray[np.float32]
-    sight: Sight
+    head: HeadSpec
 
 
 def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
     """A machine for the state, trained on the looks at the training trials, as ``rcbht train-online`` does."""
     rows = inside[view.looks.sentence]
-    grid, ends = (GRID, ENDS) if view.sight == SIGHTS["state"] else (TRIAL_GRID, 1)
     x = view.x[rows].astype(np.float64)
-    return learn(x, view.looks.take(rows), items, view.sight.spec, grid, ends, seed)
+    return learn(x, view.looks.take(rows), items, view.head.sight.spec, *view.head.learning, seed)
 
 
 def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
@@ -117,7 +104,7 @@ def repeat(data: Recordings, items: Sentences, views: dict[str, View], seed: int
         errors.append([starts[recording].get(s, np.nan) - truth[s] for s in range(1, len(items.classes))])
     own = with_beginnings(looks, starts, dt)
     order = np.lexsort((own.now, own.recording))
-    x = watch(data, own.take(order), given.sight, EncoderConfig(dt=dt), preset())
+    x = watch(data, own.take(order), given.head.sight, EncoderConfig(dt=dt), preset())
     mine = ~inside[given.looks.sentence]
     scores = {
         "given": (items.y[given.looks.sentence[mine]], state.probability(given.x[mine].astype(np.float64))),
@@ -165,8 +152,8 @@ def views_of(data: Recordings, items: Sentences) -> dict[str, View]:
     out = {}
     for name, looks in wanted.items():
         with tqdm(total=len(looks), desc=name, file=sys.stderr, disable=None) as bar:
-            sight = SIGHTS[name.split()[0]]
-            out[name] = View(looks, watch(data, looks, sight, config, preset(), bar.update), sight)
+            head = HEADS[name.split()[0]]
+            out[name] = View(looks, watch(data, looks, head.sight, config, preset(), bar.update), head)
     return out
 
 

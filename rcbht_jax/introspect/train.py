@@ -134,6 +134,11 @@ class HeadSpec:
         return Sight(FeatureSpec(families=families, balance=subtask))
 
     @property
+    def learning(self) -> tuple[Grid, int]:
+        """What kernel and cost are chosen from, and the looks that a complete sentence counts for."""
+        return (GRID, ENDS) if self.scope == "subtask" else (TRIAL_GRID, 1)
+
+    @property
     def name(self) -> str:
         """Of the head."""
         return PHASE if self.phase else self.task.task
@@ -178,11 +183,9 @@ def train_head(
     items = sentences(recordings, spec.task)
     looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
     looks = from_the_beginning(looks) if spec.phase else looks
-    sight, subtask = spec.sight, spec.scope == "subtask"
-    total = len(looks)
+    sight, total = spec.sight, len(looks)
     x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
-    grid, ends = (GRID, ENDS) if subtask else (TRIAL_GRID, 1)
-    machine = learn(x, looks, items, sight.spec, grid, ends, seed)
+    machine = learn(x, looks, items, sight.spec, *spec.learning, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
     level = 0.0
     if alarm and spec.false_alarms:
