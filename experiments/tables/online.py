@@ -75,9 +75,9 @@ def faults_apart(way: str) -> str:
 def faults_across(way: str) -> str:
     """Simulated faults noticed by monitors that saw others; a cell has a share per session."""
     presets = result("faults_across")["presets"]
-    ways = list(next(iter(presets.values())))
+    ways = next(iter(presets.values()))
     lines = []
-    for kind in presets[next(iter(presets))][ways[0]]["kinds"]:
+    for kind in ways["own"]["kinds"]:
         cells = [[found[one]["kinds"][kind]["share detected"] for found in presets.values()] for one in ways]
         lines.append((kind.replace("-", " "), *(_means(row) for row in cells)))
     calm = [
