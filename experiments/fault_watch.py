@@ -27,6 +27,7 @@ from rcbht_jax.introspect.coupling import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.introspect.levels import Alarm
 from rcbht_jax.introspect.observe import Sight, observe_all
 from rcbht_jax.thresholds import preset as thresholds
+from rcbht_jax.whole_file import whole_file
 
 RATE = 10.0  # looks per second
 APPROACH, INSERTION, MATING, SETTLED = range(4)
@@ -98,9 +99,8 @@ def watched(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, 
     if not path.is_file():
         with tqdm(total=len(now), desc=f"watch {preset}", file=sys.stderr, disable=None) as bar:
             x = observe_all(config, thresholds(), SIGHT, recordings.wrench, row, begin, now, bar.update)
-        draft = path.with_suffix(".partial.npz")
-        np.savez(draft, x=x)
-        draft.replace(path)
+        with whole_file(path) as draft:
+            np.savez(draft, x=x)
     return Watched(those, row, begin, now, stage, np.load(path)["x"])
 
 

@@ -38,6 +38,8 @@ from rcbht_jax.whole_file import whole_file
 Rows = NDArray[np.bool_]
 WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
 WATCHERS = ("words", "clock")
+EVERY = "every kind"  # of fault: what the one monitor of a way watches for
+SHOWN = ("failures streamed", "detected", "share detected")
 WHAT = "failures with contact noticed in the stream of simulated trials, by what the monitor learned from"
 
 
@@ -75,51 +77,47 @@ def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm
 
     It learns from about as many trials as one of the session's own.
     """
-    there = [parts(other.trials, seed) & (other.trials.failed | ~np.bool_(calm)) for other in others]
-    seen = [
-        chosen(other, some(other.trials, rows, 1 / len(others), seed))
-        for other, rows in zip(others, there, strict=True)
-    ]
+    seen = []
+    for other in others:
+        rows = parts(other.trials, seed)
+        rows = rows & other.trials.failed if calm else rows
+        seen.append(chosen(other, some(other.trials, rows, 1 / len(others), seed)))
     lessons = together([chosen(w, inside & w.trials.nominal), *seen] if calm else seen)
     return monitor(lessons, np.ones(len(lessons.trials.kind), bool), seed)
 
 
 def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, Monitor]:
-    """For each kind of fault, the monitor that watches for it."""
+    """The monitor of a way, or one for each kind of fault where it must not have seen that kind."""
     if way == UNSEEN:
         return {kind: monitor(w, inside & (w.trials.kind != kind), seed) for kind in GRADES}
-    if way == OWN:
-        return dict.fromkeys(GRADES, monitor(w, inside, seed))
-    return dict.fromkeys(GRADES, from_others(w, inside, others, seed, calm=way == CALM))
+    one = monitor(w, inside, seed) if way == OWN else from_others(w, inside, others, seed, calm=way == CALM)
+    return {EVERY: one}
 
 
 def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
-    """One repeat of one way: kind of fault -> what was streamed; kept in a file, and read from it if it is there."""
+    """One repeat of one way: monitor -> what it said of the streamed trials; kept in a file, and read from it."""
     inside = parts(w.trials, seed)
     if not path.is_file():
-        made: dict[int, dict[str, NDArray[np.float64]]] = {}
-        found: dict[str, NDArray[np.float64]] = {}
-        for kind, one in learned(w, inside, others, seed, way).items():
-            if id(one) not in made:
-                made[id(one)] = alarms(w, one, ~inside)
-            found |= {f"{kind}/{watcher}": times for watcher, times in made[id(one)].items()}
+        said = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
+        found = {f"{name}/{watcher}": times for name, first in said.items() for watcher, times in first.items()}
         with whole_file(path) as draft:
             np.savez(draft, allow_pickle=False, **found)
     with np.load(path, allow_pickle=False) as kept:
-        return {kind: Streamed(inside, {name: kept[f"{kind}/{name}"] for name in WATCHERS}) for kind in GRADES}
+        names = dict.fromkeys(key.split("/")[0] for key in kept.files)
+        return {name: Streamed(inside, {one: kept[f"{name}/{one}"] for one in WATCHERS}) for name in names}
 
 
 def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dict[str, Any]:
-    """All numbers of a session: way -> false alarms, and detection by kind; from way -> repeat -> kind."""
-    out = {}
+    """All numbers of a session: way -> false alarms, and detection by kind; from way -> repeat -> monitor."""
+    out: dict[str, Any] = {}
     for way, heard_of in repeats.items():
-        kinds = {}
+        out[way] = {"kinds": {}}
         for kind in GRADES:
-            runs = [one[kind] for one in heard_of]
+            runs = [one.get(kind) or one[EVERY] for one in heard_of]
             found = cell(those, runs, (those.kind == kind) & those.contact)
-            kinds[kind] = {name: found[name] for name in ("failures streamed", "detected", "share detected")}
-            kinds[kind] |= false_alarms(those, runs) if way == UNSEEN else {}  # a monitor for each kind
-        out[way] = {"kinds": kinds, **({} if way == UNSEEN else false_alarms(those, runs))}
+            out[way]["kinds"][kind] = {name: found[name] for name in SHOWN}
+            where = out[way]["kinds"][kind] if way == UNSEEN else out[way]  # that of its monitor
+            where |= false_alarms(those, runs)
     return out
 
 

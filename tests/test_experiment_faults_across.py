@@ -56,7 +56,7 @@ def test_its_own_way_is_that_of_the_experiment_beside_it(sessions: tuple[Watched
     first = sessions[0]
     heard, run = across.heard(first, [], 3, across.OWN, tmp_path / "own.npz"), online.run(first, 3)
     for watcher, times in run.first.items():
-        np.testing.assert_array_equal(heard["jamming"].first[watcher], times)
+        np.testing.assert_array_equal(heard[across.EVERY].first[watcher], times)
 
 
 def test_a_kind_that_is_never_seen_is_not_among_what_is_learned(
