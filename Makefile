@@ -50,11 +50,11 @@ reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FO
 	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force) $(if $(LONG),--long)
 
 figures: $(INSTALLED) ## draw the figures, and write the tables and numbers of the pages, from the committed results
-	$(BIN)/python -m experiments.figures
+	$(BIN)/python -m experiments.figures.all
 	$(BIN)/python -m experiments.pages
 
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own
-	$(PEERS)/bin/python -m experiments.peers
+	$(PEERS)/bin/python -m experiments.classification.peers
 
 $(PEERS)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(PEERS)

@@ -20,7 +20,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.record import COMMITTED
+from experiments._lib.results_io import COMMITTED
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
 

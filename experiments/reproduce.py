@@ -28,12 +28,12 @@ from typing import IO, Any
 from tqdm import tqdm
 
 import rcbht_jax
-from experiments import agreement
-from experiments.catalogue import DATA, EXPERIMENTS, GOLDEN, MODEL, SHARED, STORE, Experiment
-from experiments.record import COMMITTED, RESULTS, machine
-from rcbht_jax.whole_file import whole_file
+from experiments._lib import agreement
+from experiments._lib.catalogue import DATA, EXPERIMENTS, GOLDEN, MODEL, SHARED, STORE, Experiment
+from experiments._lib.results_io import COMMITTED, RESULTS, machine
+from rcbht_jax._util.atomic import whole_file
 
-RCBHT = ("-c", "import sys; from rcbht_jax.cli import main; sys.exit(main(sys.argv[1:]))")
+RCBHT = ("-c", "import sys; from rcbht_jax.cli.main import main; sys.exit(main(sys.argv[1:]))")
 _writing = Lock()
 
 
@@ -62,7 +62,7 @@ class Form:
     @property
     def begun(self) -> Path:
         """A file that is there while it runs, and after it was interrupted."""
-        return self.work / f"{self.experiment.module}{'.shorter' if self.short else ''}.begun"
+        return self.work / f"{self.experiment.name}{'.shorter' if self.short else ''}.begun"
 
     def finished(self) -> bool:
         """Are its results there, of this version, and not left by an interruption?"""
@@ -162,7 +162,7 @@ def note(form: Form, spent: Spent) -> None:
     with _writing:
         known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"experiments": {}}
         known |= {"rcbht_jax_version": rcbht_jax.__version__, "machine": machine()}
-        known["experiments"][form.experiment.module] = entry
+        known["experiments"][form.experiment.name] = entry
         with whole_file(path) as draft:
             draft.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
@@ -186,13 +186,13 @@ def compare(forms: list[Form]) -> list[str]:
 def choose(args: argparse.Namespace) -> list[Form]:
     """What is to be run, said for each that is not."""
     todo = []
-    for experiment in (e for e in EXPERIMENTS if not args.only or e.module in args.only):
+    for experiment in (e for e in EXPERIMENTS if not args.only or e.name in args.only):
         whole = Form(experiment, False, args.work)
         form = Form(experiment, bool(experiment.shorter) and not args.long, args.work)
         if reason := lacking(experiment, args.peers):
-            print(f"{experiment.module}: not run here, {reason}", flush=True)
+            print(f"{experiment.name}: not run here, {reason}", flush=True)
         elif (whole.finished() or form.finished()) and not args.force:
-            print(f"{experiment.module}: is there", flush=True)
+            print(f"{experiment.name}: is there", flush=True)
         else:
             todo.append(form)
     return todo
@@ -208,8 +208,8 @@ def run_all(todo: list[Form], args: argparse.Namespace) -> tuple[list[str], floa
         note(form, spent)
         cpu.append(spent.cpu_minutes)
         if spent.status:
-            failed.append(form.experiment.module)
-        name = form.experiment.module + (", shorter form" if form.short else "")
+            failed.append(form.experiment.name)
+        name = form.experiment.name + (", shorter form" if form.short else "")
         took = f"{spent.minutes:.1f} min, {spent.cpu_minutes:.1f} CPU min of about {form.minutes:g}"
         bar.write(f"{name}: {'failed' if spent.status else 'done'}, {took}")
         bar.update(form.minutes)
@@ -227,7 +227,7 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--force", action="store_true", help="make results again that are there")
     parser.add_argument("--long", action="store_true", help="run what takes hours whole, not in its shorter form")
-    parser.add_argument("--only", nargs="+", choices=[e.module for e in EXPERIMENTS], help="these experiments")
+    parser.add_argument("--only", nargs="+", choices=[e.name for e in EXPERIMENTS], help="these experiments")
     parser.add_argument("--peers", type=Path, help="Python of the environment that has the libraries of the peers")
     parser.add_argument("--jobs", type=int, default=1, help="experiments at a time; those that measure speed run alone")
     args = parser.parse_args()

@@ -8,14 +8,14 @@ from pathlib import Path
 from jaxtyping import install_import_hook
 
 # Shapes and types are checked at run time under pytest only; must come before any import of the package.
-install_import_hook("rcbht_jax", "typechecking.check")
+install_import_hook("rcbht_jax", "tests.support.typechecking.check")
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-from rcbht_jax.data.hiro import import_hiro  # noqa: E402
-from rcbht_jax.data.store import read_recordings  # noqa: E402
+from rcbht_jax.io.hiro.importer import import_hiro  # noqa: E402
+from rcbht_jax.io.store import read_recordings  # noqa: E402
 from rcbht_jax.types import Recordings  # noqa: E402
 
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -12,14 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from rcbht_jax.batch import encode_recordings
-from rcbht_jax.encoder import EncoderConfig
-from rcbht_jax.export.dataset import words
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure, text_color
 from rcbht_jax.plots.trial import fitted_lines
-from rcbht_jax.thresholds import preset
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"

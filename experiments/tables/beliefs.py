@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from experiments.compared import result
+from experiments._lib.peer_rows import result
 from experiments.tables.cells import markdown
 
 

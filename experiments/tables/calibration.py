@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 
-from experiments.compared import result
+from experiments._lib.peer_rows import result
 from experiments.tables.cells import NONE, markdown, score
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from experiments.compared import result
-from experiments.record import COMMITTED
+from experiments._lib.peer_rows import result
+from experiments._lib.results_io import COMMITTED
 from experiments.tables.cells import markdown
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"

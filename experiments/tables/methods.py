@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from experiments.compared import compared, result
+from experiments._lib.peer_rows import compared, result
 from experiments.tables.cells import NONE, markdown, score
 
 FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")

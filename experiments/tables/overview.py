@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from experiments.catalogue import EXPERIMENTS
-from experiments.figures import FIGURES, PICTURES
-from experiments.record import COMMITTED
+from experiments._lib.catalogue import EXPERIMENTS
+from experiments._lib.results_io import COMMITTED
+from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables.cells import NONE, markdown
 from rcbht_jax.errors import InputError
 from rcbht_jax.report.results import Row, read_results
@@ -53,7 +53,7 @@ def experiments(way: str) -> str:
     """What ``make reproduce`` runs, and what it cannot."""
     lines = []
     for experiment in EXPERIMENTS:
-        text = (MODULES / f"{experiment.module}.py").read_text(encoding="utf-8")
+        text = (MODULES / f"{experiment.module.replace('.', '/')}.py").read_text(encoding="utf-8")
         about = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
         needs = ", ".join(NEEDS[need] for need in experiment.needs) or NONE
         minutes = experiment.elsewhere or f"{experiment.minutes:g}"
@@ -68,7 +68,7 @@ def experiments(way: str) -> str:
 
 def pictures(way: str) -> str:
     """What draws every picture of the documentation."""
-    drawn = dict.fromkeys(FIGURES, "python -m experiments.figures") | PICTURES
+    drawn = dict.fromkeys(FIGURES, "python -m experiments.figures.all") | PICTURES
     folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
     lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]
     return markdown(("picture", "command"), lines)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspect.events import Belief, Event, SubtaskStarted
+from rcbht_jax.events import Belief, Event, SubtaskStarted
 from rcbht_jax.plots.canvas import new_figure
 
 

@@ -12,10 +12,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from rcbht_jax._util.atomic import whole_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
-from rcbht_jax.whole_file import whole_file
 
 # Fields written into the file that would differ from run to run are left out.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rcbht_jax.calibrate.corpus import Corpus
+from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.encoding.thresholds import Thresholds
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots.canvas import new_figure
-from rcbht_jax.thresholds import Thresholds
 
 _NAMES = ("impulse", "big", "medium", "small")
 _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.export.dataset import words
-from rcbht_jax.introspect.events import Belief
-from rcbht_jax.introspect.introspector import Introspector
+from rcbht_jax.events import Belief
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.plots.trial import state_marks
 from rcbht_jax.types import LabelTracks, Recordings

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.errors import InputError
-from rcbht_jax.evaluate import data_hash
-from rcbht_jax.export.card import confounds
-from rcbht_jax.export.dataset import DataSet
-from rcbht_jax.introspect.introspector import Introspector
-from rcbht_jax.introspect.model import IntrospectionModel
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.io.export.card import confounds
+from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
+from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.report.pack import believe, pack
 from rcbht_jax.report.results import FLAGS, Results, cells
 from rcbht_jax.types import Recordings
@@ -42,7 +42,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     """The whole report as HTML.
 
     Args:
-        data: recordings with labels, see :func:`rcbht_jax.export.load`.
+        data: recordings with labels, see :func:`rcbht_jax.io.export.load`.
         options: see there.
         progress: called with the number of recordings packed since the last call.
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from sim_mjx.rollout import Rollouts
-    from sim_mjx.scene import Scene
+    from sim_mjx.assembly.rollout import Rollouts
+    from sim_mjx.assembly.scene import Scene
 
 ENGINES = ("native", "mjx", "warp")
 IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp"}  # of MJX

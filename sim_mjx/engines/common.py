@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_mjx import parts, task
-from sim_mjx.rollout import Rollouts
+from sim_mjx.assembly import parts, task
+from sim_mjx.assembly.rollout import Rollouts
 
 Array = Any
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos

@@ -21,11 +21,11 @@ import numpy as np
 from mujoco import mjx
 from numpy.typing import NDArray
 
-from sim_mjx import task
+from sim_mjx.assembly import task
+from sim_mjx.assembly.rollout import Program, Reading, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
-from sim_mjx.presets import CONTROL_PERIOD
-from sim_mjx.rollout import Program, Reading, Rollouts, as_float32, batch_size
-from sim_mjx.scene import Scene
+from sim_mjx.presets.sessions import CONTROL_PERIOD
 
 Array = Any
 LANES = 16

@@ -24,10 +24,10 @@ import numpy as np
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
-from sim_mjx import task
+from sim_mjx.assembly import task
+from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips, sane
-from sim_mjx.rollout import Program, Rollouts, as_float32, batch_size
-from sim_mjx.scene import Scene
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS

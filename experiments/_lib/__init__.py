@@ -1,0 +1,1 @@
+"""What experiments share: benchmarks, raw-signal baselines, results on disk."""

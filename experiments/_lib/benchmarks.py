@@ -1,0 +1,106 @@
+"""The classification benchmarks on the recorded trials, and how a learner is scored on them: one place for all."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Split
+from rcbht_jax.learning.tasks import CONFOUNDS, Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+FOLDS = 5
+REAL, SIM1 = "REAL_HIRO_ONE_SA_SUCCESS", "SIM_HIRO_ONE_SA_SUCCESS"
+SIM2, FAILURES = "SIM_HIRO_TWO_SA_SUCCESS", "SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob"
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A task, and how training and test are divided."""
+
+    task: TaskSpec
+    train_on: tuple[str, ...] = ()  # sessions; empty = repeated grouped folds
+    test_on: tuple[str, ...] = ()
+
+    def splits(self, items: Sentences, repeats: int, seed: int) -> list[list[Split]]:
+        """``[repeat][fold]``; one split where sessions decide."""
+        if not self.train_on:
+            return validation.repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
+        train, test = (np.flatnonzero(np.isin(items.session, side)) for side in (self.train_on, self.test_on))
+        return [[(train, test)]]
+
+    def score(self, learner: validation.Learner, items: Sentences, repeats: int, seed: int) -> dict[str, Any]:
+        """Accuracy and balanced accuracy with their 95% intervals, and the seconds it took."""
+        began = time.perf_counter()
+        splits = self.splits(items, repeats, seed)
+        if self.train_on:
+            found = validation.transfer(learner, items.y, items.trial, splits[0][0], seed).summary()
+        else:
+            found = validation.cross_validate(learner, items.y, splits, seed).summary()
+        return rounded(found) | {"seconds": round(time.perf_counter() - began, 1)}
+
+    def about(self, items: Sentences) -> dict[str, Any]:
+        """What must be known to read a score."""
+        across = f"{' '.join(self.train_on)} to {' '.join(self.test_on)}"
+        return {
+            "classes": list(items.classes),
+            "items": len(items.y),
+            "trials": len(np.unique(items.trial)),
+            "left out": items.dropped,
+            "boundaries": self.task.boundaries if self.task.task == "states" else "whole record",
+            "split": across if self.train_on else f"{FOLDS} folds, grouped by trial",
+            "confounds": CONFOUNDS[self.task.task],
+        }
+
+
+def _across(boundaries: str, train_on: str, test_on: str) -> Benchmark:
+    return Benchmark(TaskSpec(boundaries=boundaries, sources=(REAL,)), (train_on,), (test_on,))
+
+
+BENCHMARKS = {
+    "REAL states": Benchmark(TaskSpec(sources=(REAL,))),
+    "SIM1 states": Benchmark(TaskSpec(sources=(SIM1,))),
+    "SIM2 states": Benchmark(TaskSpec(sources=(SIM2,), arms="both")),
+    "REAL states, A to B": _across("harmonised", "A", "B"),
+    "REAL states, B to A": _across("harmonised", "B", "A"),
+    "REAL merged states, A to B": _across("merged", "A", "B"),
+    "REAL merged states, B to A": _across("merged", "B", "A"),
+    "failure types": Benchmark(TaskSpec("failure-type", sources=(FAILURES,))),
+}
+
+
+def recorded() -> Recordings:
+    """The authors' trials, from the folder that RCBHT_DATA names."""
+    return read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))[0]
+
+
+def segments(recordings: Recordings, items: Sentences) -> list[Floats]:
+    """The wrench of every item ``[time, 6 x arms]``, N and Nm."""
+    arms = [
+        [recordings.wrench[row, start:end] for row, start, end in zip(i.recording, i.start, i.end, strict=True)]
+        for i in items.intervals
+    ]
+    return [np.concatenate(parts, 1).astype(np.float64) for parts in zip(*arms, strict=True)]
+
+
+def items_of(recordings: Recordings, benchmark: Benchmark) -> Sentences:
+    return sentences(recordings, benchmark.task)
+
+
+def rounded(value: Any) -> Any:
+    """Numbers of a nested result to four places."""
+    if isinstance(value, dict):
+        return {key: rounded(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [rounded(part) for part in value]
+    return round(value, 4) if isinstance(value, float) else value

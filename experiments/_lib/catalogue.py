@@ -1,0 +1,91 @@
+"""Every experiment: what makes it, what it takes, and a shorter form of those that take hours."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+DATA = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro"))
+GOLDEN = Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden"))
+STORE, MODEL, SETS = "{work}/hiro.zarr", "{work}/online.model", "{work}/sets"
+# What experiments share, and the command that makes it.
+SHARED = {
+    STORE: ("rcbht", "import", "hiro", str(DATA), STORE),
+    MODEL: ("rcbht", "train-online", STORE, "--source", "REAL_HIRO_ONE_SA_SUCCESS", "-o", MODEL),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A module that writes results, and what it takes; minutes are about those of an idle CPU core."""
+
+    name: str  # also that of its result
+    module: str  # below experiments
+    minutes: float
+    options: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()  # "data", "golden", "peers"
+    results: tuple[str, ...] = ()  # names of the files; empty = the name
+    elsewhere: str = ""  # why it is not run here
+    alone: bool = False  # it measures speed, so nothing else may run meanwhile
+    shorter: tuple[str, ...] = ()  # options beside the others, of a form that takes less
+    shorter_minutes: float = 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.results or (self.name,)
+
+
+GPU = "needs a GPU"
+EXPERIMENTS = (
+    Experiment("table1_published", "classification.table1_published", 2, needs=("golden",)),
+    Experiment("table1_ours", "classification.table1_ours", 14, (SETS,), ("data",)),
+    Experiment("peers", "classification.peers", 14, needs=("data", "peers")),
+    Experiment("grammar", "classification.grammar", 8, needs=("data",)),
+    Experiment("probes", "classification.probes", 3, needs=("data",)),
+    Experiment("curves", "classification.curves", 2, needs=("data",)),
+    Experiment("table2", "online.table2", 36, needs=("data",)),
+    Experiment("confidence", "online.confidence", 2, needs=("data",)),
+    Experiment("abnormal_real", "online.abnormal_real", 3, needs=("data",)),
+    Experiment("failure_types_online", "online.failure_types", 10, needs=("data",)),
+    Experiment("detected_starts", "online.detected_starts", 2, needs=("data",)),
+    Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
+    Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
+    Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
+    Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),
+    Experiment("sim_success", "simulation.success", 14, needs=("data",)),
+    Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
+    Experiment("engines", "simulation.engines", 8, alone=True),
+    Experiment("parity_floor", "simulation.parity_floor", 1),
+    Experiment("kill_resume", "simulation.kill_resume", 3, alone=True),
+    Experiment("bench", "simulation.bench", 1, alone=True),
+    Experiment(
+        "stream_speed", "online.stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,
+        shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
+    ),
+    Experiment("sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
+    Experiment(
+        "faults_online", "online.faults", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"), shorter_minutes=6,
+        shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
+    ),
+    Experiment(
+        "faults_across", "online.faults_across", 45, ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
+        shorter_minutes=25, shorter=("--nominal", "300", "300", "--per-kind", "40"),
+    ),
+    Experiment(
+        "calibration", "calibration.methods", 180, (STORE,), ("data",), shorter_minutes=4,
+        shorter=("--tasks", "sim1-to-real", "--candidates", "128", "--repeats", "1"),
+    ),
+    Experiment(
+        "calibration_curves", "calibration.curves", 120, (STORE,), ("data",), shorter_minutes=4,
+        shorter=("--methods", "random", "halving"),
+    ),
+    Experiment("calibration_near", "calibration.near_preset", 6, (STORE, "--simulated", SETS), ("data",)),
+    Experiment("calibration_bank", "calibration.bank", 8, (STORE,), ("data",)),
+    Experiment("calibration_transfer", "calibration.transfer", 1, (STORE,), ("data",)),
+    Experiment("calibration_speed", "calibration.speed", 3, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True),
+    Experiment(
+        "calibration_device", "calibration.on_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU
+    ),
+    Experiment("engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"), elsewhere=GPU),
+)  # fmt: skip

@@ -1,0 +1,51 @@
+"""One way to keep a result: small JSON with what is needed to repeat it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jax
+
+import rcbht_jax
+from rcbht_jax._util.atomic import whole_file
+
+COMMITTED = Path(__file__).resolve().parents[1] / "results"
+RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
+_PICTURES = COMMITTED.parents[1] / "docs" / "images"
+
+
+def machine() -> str:
+    """The machine in words."""
+    devices = ", ".join(sorted({device.device_kind for device in jax.devices()}))
+    return f"{os.cpu_count()} CPU cores ({platform.machine()}), JAX {jax.__version__} on {devices}"
+
+
+def pictures() -> Path:
+    """Folder of the pictures that an experiment draws while it measures: beside its results, wherever they go."""
+    folder = _PICTURES if RESULTS == COMMITTED else RESULTS / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_result(name: str, command: str, result: Any, seed: int | None = None, show: bool = True) -> Path:
+    """Write ``<name>.json`` in ``RESULTS``, whole or not at all, and print it if ``show``."""
+    record = {
+        "command": command,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": machine(),
+        "rcbht_jax_version": rcbht_jax.__version__,
+        "seed": seed,
+        "result": result,
+    }
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    with whole_file(path) as draft:
+        draft.write_text(json.dumps(record, indent=1) + "\n")
+    if show:
+        print(path.read_text())
+    return path

@@ -1,0 +1,1 @@
+"""What calibrated gradient thresholds are worth, and what they cost."""

@@ -1,0 +1,178 @@
+"""A bank of thresholds instead of one set: grammars of many scales and windows, averaged as kernels.
+
+Each member of the bank is an encoder: the preset's limits times 1/256 ... 2, forces and moments together or apart,
+windows of 5, 10 and 20 samples. Features are plain words, richer words (both without duration and absolute offset) or
+all families; ranks, a linear kernel per member. One member is chosen inside the training side, or kernels are averaged:
+all of them, those of one window, the best eight, or weighted by how well each agrees with the classes of the training
+side. Compared with the preset alone on the same features and folds: "gain" is the difference fold by fold. "wrong"
+counts, sentence by sentence, the repeats that said another state.
+
+Run: python -m experiments.calibration.bank STORE.zarr
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections import Counter
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments._lib.checkpointed_rows import Rows
+from experiments.calibration.methods import REAL, SIM1, part_of, rounded
+from experiments.calibration.near_preset import Near
+from experiments.classification.grammar import ALL, PLAIN, RICHER
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.features import Features, FeatureSpec
+from rcbht_jax.io.store import read_recordings
+from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.types import LabelTracks, Recordings
+
+WINDOWS = (5, 10, 20)  # samples
+SCALES = (1.0, 2.0, 1 / 4, 1 / 16, 1 / 64, 1 / 256)  # of the preset's limits
+APART = tuple((s, t) for s, t in itertools.permutations((1.0, 1 / 16, 1 / 64), 2) if 1.0 in (s, t))
+# Window, factor on the limits of the forces, of the moments; the preset first.
+BANK = (*((w, s, s) for w in WINDOWS for s in SCALES), *((WINDOWS[0], s, t) for s, t in APART))
+SPECS = {
+    "words": FeatureSpec(families=PLAIN),
+    "richer words": FeatureSpec(families=RICHER),
+    "all families": FeatureSpec(families=ALL, balance=True),
+}
+METHODS = (
+    "preset", "best inside", "average of the best", "average of all", "average, window 5 only", "weighted by alignment",
+)  # fmt: skip
+FILLED = 0.015  # s; a mark within this of one second after the one before, or before the end, was filled in by hand
+SEED = 0
+
+
+class Bank(Near):
+    """Learners on the kernels of the bank."""
+
+    def _learn(self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+        uniform = np.array([w == WINDOWS[0] for w, _, _ in BANK], float)
+        weights = {"weighted by alignment": self.alignment, "average, window 5 only": lambda _: uniform / uniform.sum()}
+        if method not in weights:
+            return super()._learn(method, train, test, seed)
+        weight = weights[method](train)
+        kernel = np.tensordot(weight, self._kernels_of(train), 1)
+        cost = self._best_cost(kernel, train, seed)
+        return self._said(kernel, cost, train, test), {"candidates": np.argsort(-weight, kind="stable").tolist()}
+
+    def alignment(self, train: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Weights ``[member]``, sum 1: the centred alignment (Cortes, Mohri, Rostamizadeh 2012) with the classes."""
+        same = (self.y[train, None] == self.y[train]).astype(np.float64)
+        middle = np.eye(len(train)) - 1 / len(train)
+        ideal = middle @ same @ middle
+        kernels = [middle @ k[np.ix_(train, train)] @ middle for k in self._kernels_of(train)]
+        value = np.array([max(0.0, (k * ideal).sum() / np.linalg.norm(k)) for k in kernels])
+        return value / value.sum()
+
+
+def labelled(recordings: Recordings) -> list[LabelTracks]:
+    """The labels that each member of the bank gives."""
+    tracks = []
+    for window, forces, moments in BANK:
+        limits = np.asarray(preset().limits) * np.repeat([forces, moments], 3)[:, None]
+        config = EncoderConfig(window, recordings.dt)
+        tracks.append(encode_recordings(config, Thresholds(limits), recordings.wrench, recordings.length))
+    return tracks
+
+
+def bank(recordings: Recordings, items: Sentences, tracks: list[LabelTracks], spec: FeatureSpec) -> Bank:
+    made: list[Features] = [describe(track, items, spec) for track in tracks]
+    distance = np.array([abs(np.log2([s, t, w / WINDOWS[0]])).max() for w, s, t in BANK])
+    x = np.stack([one.values.astype(np.float32) for one in made])
+    return Bank(x, items.y, items.trial, distance, weight=made[0].weights(spec))
+
+
+def filled_in(recordings: Recordings, items: Sentences) -> NDArray[np.bool_]:
+    """Sentences ``[item]`` of trials whose last mark stands one second after the one before, or before the end."""
+    (spans,) = items.intervals
+    last, before = recordings.onset[spans.recording, 3], recordings.onset[spans.recording, 2]
+    end = recordings.length[spans.recording] * recordings.dt
+    gaps = np.stack([last - before, end - last])
+    return np.asarray((np.abs(gaps - 1) < FILLED).any(0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("--repeats", type=int, default=10, help="of the five outer folds of SIM1")
+    given = parser.parse_args()
+    store = read_recordings(given.store)
+
+    @cache
+    def of(source: str) -> tuple[Recordings, Sentences, list[LabelTracks]]:
+        recordings = part_of(store, (source,))
+        return recordings, sentences(recordings, TaskSpec()), labelled(recordings)
+
+    @cache
+    def learners(source: str, spec: str) -> Bank:
+        return bank(*of(source), SPECS[spec])
+
+    @cache
+    def folds(spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
+        items, made, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
+        splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
+
+        def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+            said, chosen = made.learner(method)(train, test, seed)
+            wrong.update(test[said != items.y[test]].tolist())
+            return said, chosen
+
+        return validation.cross_validate(learn, items.y, splits, SEED), wrong
+
+    def sim1(spec: str, method: str) -> dict[str, Any]:
+        recordings, items, _ = of(SIM1)
+        found, wrong = folds(spec, method)
+        halved = (1 + found.accuracy - folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
+        gain = (2 * limit - 1 for limit in metrics.corrected_interval(halved, 1 / 4))
+        filled = filled_in(recordings, items)
+        chosen = Counter(choice["candidates"][0] for repeat in found.chosen for choice in repeat)
+        return {
+            "accuracy": rounded(found.summary()["accuracy"]),
+            "gain": rounded(dict(zip(("mean", "low", "high"), gain, strict=True))),
+            "chosen": {about["bank"][member]: times for member, times in chosen.most_common()},
+            "confusion": found.confusion.tolist(),
+            "wrong": {
+                f"{items.trial[i]} {items.classes[items.y[i]]}{', S3 filled in' if filled[i] else ''}": times
+                for i, times in sorted(wrong.items())
+            },
+        }
+
+    def transfer(one: str, other: str, spec: str, method: str) -> dict[str, Any]:
+        _, items, _ = of(REAL)
+        train, test = (np.flatnonzero(items.session == session) for session in (one, other))
+        learner = learners(REAL, spec).learner(method)
+        found = validation.transfer(learner, items.y, items.trial, (train, test), SEED)
+        return {
+            "accuracy": rounded(found.summary()["accuracy"]),
+            "chosen": about["bank"][found.chosen["candidates"][0]],
+        }
+
+    wanted: dict[str, Callable[[], Any]] = {}
+    for spec, method in itertools.product(SPECS, METHODS):
+        wanted[f"{spec} | SIM1 | {method}"] = partial(sim1, spec, method)
+        wanted[f"{spec} | REAL A -> B | {method}"] = partial(transfer, "A", "B", spec, method)
+        wanted[f"{spec} | REAL B -> A | {method}"] = partial(transfer, "B", "A", spec, method)
+    recordings, items, _ = of(SIM1)
+    about = {
+        "bank": [f"W{w}, forces x {s:g}, moments x {t:g}" for w, s, t in BANK],
+        "features": {name: spec.families for name, spec in SPECS.items()},
+        "repeats": given.repeats,
+        "SIM1 trials": len(np.unique(items.trial)),
+        "SIM1 trials whose S3 was filled in": len(np.unique(items.trial[filled_in(recordings, items)])),
+    }
+    Rows("calibration_bank", "python -m experiments.calibration.bank STORE.zarr", about, SEED).fill(wanted)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""What each way of calibrating reaches in how much time: random search, halving with CMA-ES, gradients, Optuna's TPE.
+
+All on the states of the authors' simulated one-arm trials with the same objective: the accuracy of a ridge classifier
+on time shares, each training trial left out in turn, plus half its explained variance, on hard labels. A quarter of the
+trials is held out per seed; a classifier trained on the training trials scores the chosen thresholds there, and
+nothing is chosen by that. Training follows the loss of a classifier that it trains along, or (fit) the smooth part of
+the objective itself. Times are processor seconds of this process, compilation not counted. Optuna (extra
+``search``) asks for one candidate at a time: its clock is its own time plus what the NumPy taxonomy takes for
+the training trials, measured here; the scores come from the same labels as everybody's.
+
+Run: python -m experiments.calibration.curves STORE.zarr [--methods random halving ...]
+Every finished row is kept; run it again to go on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import log_loss
+
+from experiments._lib.checkpointed_rows import Rows
+from experiments.calibration.methods import SIM1, part_of
+from experiments.calibration.speed import numpy_rate
+from rcbht_jax.calibration import gradient
+from rcbht_jax.calibration.dataset import Corpus, corpus
+from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.objective import Objective, shares
+from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.io.store import read_recordings
+from rcbht_jax.learning.tasks import TaskSpec, sentences
+
+SPREAD = 0.3  # standard deviation of the logarithm of the preset's steps, from which training starts
+SPACE = Space()  # all 24 numbers
+WEIGHTS = Objective().weights()
+
+
+@dataclass(frozen=True)
+class Side:
+    """The trials of one seed."""
+
+    inside: Corpus
+    outside: Corpus
+    config: EncoderConfig
+
+    def values(self, limits: np.ndarray) -> np.ndarray:
+        """Objective ``[candidate]`` on the training trials."""
+        return evaluate(self.inside, self.config, limits).astype(np.float64) @ WEIGHTS
+
+    def held_out(self, limits: np.ndarray) -> tuple[float, float]:
+        """Accuracy and log-loss on the held-out trials of a classifier trained on the others."""
+        x, test = (self._shares(data, limits) for data in (self.inside, self.outside))
+        model = LogisticRegression(C=10.0, max_iter=2000).fit(x, self.inside.y.ravel())
+        truth, said = self.outside.y.ravel(), model.predict_proba(test)
+        return float((said.argmax(1) == truth).mean()), float(log_loss(truth, said, labels=model.classes_))
+
+    def _shares(self, data: Corpus, limits: np.ndarray) -> np.ndarray:
+        one = jnp.asarray(limits[None], data.windows.slope.dtype)
+        times = label_times(self.config, one, data.windows, jnp.asarray(data.edges), group=1)
+        return np.sqrt(np.asarray(shares(times[0]))).reshape(data.y.size, -1)
+
+
+def side_of(data: Corpus, config: EncoderConfig, seed: int) -> Side:
+    order = np.random.default_rng([seed, 1]).permutation(len(data))
+    quarter = len(data) // 4
+    return Side(data.take(np.sort(order[quarter:])), data.take(np.sort(order[:quarter])), config)
+
+
+def start_of(seed: int) -> Thresholds:
+    """The preset with every step between limits changed at random."""
+    rng = np.random.default_rng(seed)
+    ascending = np.asarray(preset().limits)[:, ::-1]
+    steps = np.diff(ascending, axis=1, prepend=0) * np.exp(SPREAD * rng.normal(size=(6, 4)))
+    return Thresholds(np.cumsum(steps, axis=1)[:, ::-1])
+
+
+def row(side: Side, seconds: np.ndarray, values: np.ndarray, limits: np.ndarray) -> dict[str, Any]:
+    """The best so far over time, and what it is worth on the held-out trials whenever it changes."""
+    best = np.maximum.accumulate(values)
+    news = np.flatnonzero(np.diff(best, prepend=-np.inf) > 0)
+    points = []
+    for at in news:
+        accuracy, loss = side.held_out(limits[at])
+        points.append([float(seconds[at]), float(best[at]), accuracy, loss])
+    return {
+        "evaluations": len(values),
+        "seconds": round(float(seconds[-1]), 2),
+        "curve (seconds, objective, held-out accuracy, held-out log-loss)": np.round(points, 4).tolist(),
+    }
+
+
+def random_search(side: Side, seed: int, count: int) -> dict[str, Any]:
+    """Sobol points, the preset among them, a chunk at a time."""
+    options = SearchOptions(space=SPACE, candidates=count, seed=seed)
+    limits, chunk = SPACE.limits(options.points()), 128
+    side.values(limits[:chunk])  # compiles
+    seconds, values, start = [], [], time.process_time()
+    for first in range(0, count, chunk):
+        made = side.values(limits[first : first + chunk])
+        values.append(made)
+        seconds.append(np.full(len(made), time.process_time() - start))
+    return row(side, np.concatenate(seconds), np.concatenate(values), limits)
+
+
+def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
+    """Successive halving over the trials, then CMA-ES around the best, replayed from what the search notes."""
+    options = SearchOptions(space=SPACE, candidates=count, rungs=(0.25, 1.0), generations=16, seed=seed)
+    side.values(SPACE.limits(options.points()[:128]))
+    search(side.inside, side.config, SearchOptions(space=SPACE, candidates=128, rungs=(0.25, 1.0), generations=1))
+    notes: list[float] = []
+    start = time.process_time()
+    found = search(side.inside, side.config, options, progress=lambda _: notes.append(time.process_time() - start))
+    accuracy, loss = side.held_out(np.asarray(found.thresholds.limits))
+    share = notes[-1] / found.history[-1][1]  # processor seconds for a second of the clock
+    points = [[round(s * share, 4), round(value, 4), None, None] for _, s, value in found.history]
+    points[-1][2:] = [round(accuracy, 4), round(loss, 4)]
+    return {
+        "evaluations": found.evaluations,
+        "seconds": round(notes[-1], 2),
+        "curve (seconds, objective, held-out accuracy, held-out log-loss)": points,
+    }
+
+
+def by_gradient(side: Side, seed: int, steps: int, loss: Literal["logistic", "fit"]) -> dict[str, Any]:
+    """Training from a start of its own; the objective on hard labels is taken afterwards, off the clock."""
+    options = gradient.GradientOptions(steps=steps, rate=0.1, temperature=(0.7, 0.1), seed=seed, loss=loss)
+    start = start_of(seed)
+    gradient.calibrate(side.inside, side.config, start, replace(options, steps=1))
+    clock: list[float] = []
+    began = time.process_time()
+    made = gradient.calibrate(
+        side.inside, side.config, start, options, progress=lambda _: clock.append(time.process_time() - began)
+    )
+    watched = gradient.calibrate(side.inside, side.config, start, options, held_out=side.outside)
+    path = np.concatenate([np.asarray(start.limits)[None], made.path])
+    out = row(side, np.array([0.0, *clock]), side.values(path), path)
+    losses = [watched.history[k][2] for k in (0, -1)]
+    last = side.held_out(made.path[-1])
+    return out | {
+        "objective at the start and at the end": [round(float(v), 4) for v in side.values(path[[0, -1]])],
+        "held-out training loss, first and last": [round(value, 4) for value in losses],
+        "held-out accuracy and log-loss at the end": [round(value, 4) for value in last],
+    }
+
+
+def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
+    """Optuna's sampler over the same space, one candidate at a time."""
+    import optuna  # type: ignore[import-not-found,unused-ignore]
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    samples = 6 * int(side.inside.windows.length.sum())
+    each = samples / numpy_rate(side.inside, clock=time.process_time)
+    study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=seed))
+    study.enqueue_trial({f"x{k}": float(v) for k, v in enumerate(SPACE.point(SPACE.base))})
+    seconds, values, tried, own = [], [], [], 0.0
+    for _ in range(count):
+        start = time.process_time()
+        trial = study.ask()
+        point = np.array([trial.suggest_float(f"x{k}", 0, 1) for k in range(SPACE.dimensions)])
+        own += time.process_time() - start
+        limits = SPACE.limits(point[None])
+        value = float(side.values(limits)[0])
+        start = time.process_time()
+        study.tell(trial, value)
+        own += time.process_time() - start
+        tried.append(limits[0])
+        values.append(value)
+        seconds.append(own + len(values) * each)
+    out = row(side, np.array(seconds), np.array(values), np.array(tried))
+    return out | {"seconds of the NumPy taxonomy per candidate": round(each, 3), "optuna": optuna.__version__}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("--methods", nargs="+", default=[], help="some of them; default all")
+    parser.add_argument("--seeds", type=int, default=3, help="of the searches; training has ten")
+    parser.add_argument("--candidates", type=int, default=2048)
+    parser.add_argument("--steps", type=int, default=80)
+    parser.add_argument("--asked", type=int, default=200, help="candidates that Optuna asks for")
+    given = parser.parse_args()
+    recordings = part_of(read_recordings(given.store), (SIM1,))
+    config = EncoderConfig(5, recordings.dt)
+    data = corpus(recordings, sentences(recordings, TaskSpec()), config)
+    ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
+        "gradient": (10, partial(by_gradient, steps=given.steps, loss="logistic")),
+        "gradient of the fit": (10, partial(by_gradient, steps=given.steps, loss="fit")),
+        "random": (given.seeds, partial(random_search, count=given.candidates)),
+        "halving": (given.seeds, partial(halving, count=given.candidates // 2)),
+        "optuna": (given.seeds, partial(tpe, count=given.asked)),
+    }
+    wanted: dict[str, Callable[[], Any]] = {
+        f"{name} | seed {seed}": partial(lambda way, seed: way(side_of(data, config, seed), seed), way, seed)
+        for name, (seeds, way) in ways.items()
+        for seed in range(seeds)
+    }
+    about = {
+        "task": "SIM1 states, harmonised; a quarter of the trials held out per seed",
+        "candidates": given.candidates, "steps": given.steps, "asked": given.asked, "trials": len(data),
+    }  # fmt: skip
+    rows = Rows("calibration_curves", "python -m experiments.calibration.curves STORE.zarr", about, seed=0)
+    rows.fill(wanted, lambda name: not given.methods or name.split(" | ")[0] in given.methods)
+
+
+if __name__ == "__main__":
+    main()

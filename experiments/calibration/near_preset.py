@@ -1,0 +1,249 @@
+"""Thresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
+
+A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, each by a factor of at most eight: the
+small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no
+duration, no offset), scaled by ranks, a linear kernel per candidate. Everything is chosen inside the training side, by
+repeated grouped folds: the best candidate, the one nearest to the preset within a standard error of it, the best by
+margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated, a
+folder that experiments.classification.sim_to_real_sets makes (--sets mild), candidates are ranked by how well states learnt on one
+simulated session are told on another one; the preset identified from the tested session takes no part in that.
+
+Run: python -m experiments.calibration.near_preset STORE.zarr [--simulated FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+from sklearn.svm import SVC
+
+from experiments._lib.checkpointed_rows import Rows
+from experiments.calibration.methods import REAL, SIM1, WORDS, part_of, rounded
+from experiments.classification.sim_to_real_sets import make, store_of
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.io.store import read_recordings
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.scaling import fit_scale
+from rcbht_jax.learning.svm import grouped_folds
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.types import Recordings
+
+OCTAVES = 3.0  # the three numbers vary by a factor of 2 ** -OCTAVES ... 2 ** OCTAVES
+COSTS = (1.0, 10.0, 100.0)  # of the SVM, for kernels whose diagonal is about 1
+INNER, INNER_REPEATS = 4, 2
+TOP = 8
+SEED = 0
+SIMULATED = ("A", "B", "C", "openhrp")
+SIMULATED_TRIALS = 40  # of each
+METHODS = ("preset", "best inside", "one standard error", "best margin inside", "average of the best", "average of all")
+
+Floats = NDArray[np.float64]
+Kernel = NDArray[np.floating[Any]]
+
+
+def candidates(count: int) -> tuple[Floats, Floats]:
+    """Thresholds ``[candidate, 6, 4]``, the preset first, and their distance from it in octaves."""
+    points = (2 * qmc.Sobol(3, rng=SEED).random(count) - 1) * OCTAVES
+    points[0] = 0
+    limits = np.repeat(np.asarray(preset().limits)[None], count, axis=0)
+    forces, moments, larger = (2.0**points.T)[:, :, None]
+    limits[:, :, :3] *= larger[..., None]
+    limits[:, :3, 3] *= forces
+    limits[:, 3:, 3] *= moments
+    return np.maximum.accumulate(limits[..., ::-1], axis=-1)[..., ::-1], np.abs(points).max(1)
+
+
+def words(recordings: Recordings, items: Sentences, limits: Floats) -> NDArray[np.float32]:
+    """Features ``[candidate, item, feature]``."""
+    config = EncoderConfig(5, recordings.dt)
+    tracks = (encode_recordings(config, Thresholds(one), recordings.wrench, recordings.length) for one in limits)
+    return np.stack([describe(track, items, WORDS).values.astype(np.float32) for track in tracks])
+
+
+def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64], weight: Floats | None = None) -> NDArray[np.float32]:
+    """Linear kernel ``[item, item]`` of ranks among the training items, its diagonal about 1."""
+    varies = np.ptp(x[train], axis=0) > 0
+    z = fit_scale(x[train][:, varies], True, ranked=True, weight=None if weight is None else weight[varies])(
+        x[:, varies]
+    )
+    return (z @ z.T / z.shape[1]).astype(np.float32)
+
+
+def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Floats]:
+    """Accuracy ``[candidate]`` of states learnt on one simulated session and told on another one."""
+    parts = {}
+    for name in SIMULATED:
+        make(folder, "mild", name)
+        store = read_recordings(store_of(folder, "mild", name))
+        recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
+        items = sentences(recordings, TaskSpec())
+        parts[name] = words(recordings, items, limits), items.y
+    out = {}
+    for one, other in itertools.permutations(SIMULATED, 2):
+        (x, y), (test, truth) = parts[one], parts[other]
+        train = np.arange(len(y))
+        right = []
+        for k in range(len(limits)):
+            kernel = kernel_of(np.concatenate([x[k], test[k]]), train)
+            model = SVC(C=COSTS[1], kernel="precomputed").fit(kernel[: len(y), : len(y)], y)
+            right.append((model.predict(kernel[len(y) :, : len(y)]) == truth).mean())
+        out[one, other] = np.array(right)
+    return out
+
+
+@dataclass
+class Near:
+    """Learners that share the kernels of a training side."""
+
+    x: NDArray[np.float32]  # [candidate, item, feature]
+    y: NDArray[np.int64]
+    groups: NDArray[np.str_]
+    distance: Floats  # [candidate] octaves
+    ranked: dict[str, Floats] = field(default_factory=dict)  # method -> [candidate], on simulated trials
+    weight: Floats | None = None  # [feature]
+    _kernels: dict[bytes, NDArray[np.float32]] = field(default_factory=dict)
+    _inside: dict[bytes, tuple[Floats, Floats]] = field(default_factory=dict)
+
+    def learner(self, method: str) -> validation.Learner:
+        return partial(self._learn, method)
+
+    def _learn(self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+        kernels = self._kernels_of(train)
+        accuracy, margin = self._inside_of(train, seed)
+        chosen, cost = self._choice(method, accuracy, margin)
+        kernel = kernels[chosen].mean(0)
+        if len(chosen) > 1:
+            cost = self._best_cost(kernel, train, seed)
+        return self._said(kernel, cost, train, test), {"candidates": chosen.tolist(), "cost": COSTS[cost]}
+
+    def _best_cost(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> int:
+        """Index of the cost for an average of kernels, by the same folds as a single one's."""
+        return int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
+
+    def _said(self, kernel: Kernel, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
+        model = SVC(C=COSTS[cost], kernel="precomputed").fit(kernel[np.ix_(train, train)], self.y[train])
+        return model.predict(kernel[np.ix_(test, train)]).astype(np.int64)
+
+    def _choice(self, method: str, accuracy: Floats, margin: Floats) -> tuple[NDArray[np.int64], int]:
+        """Candidates and the index of a cost, from scores ``[candidate, cost, fold]``; ties to the nearest."""
+        order = np.argsort(self.distance, kind="stable")
+        mean = accuracy.mean(-1)
+        if method.startswith("simulated"):
+            ranked = order[np.argsort(-self.ranked[method][order], kind="stable")]
+            several = method.endswith("average")
+            return (ranked[:TOP], 0) if several else (ranked[:1], int(mean[ranked[0]].argmax()))
+        value = (margin if method == "best margin inside" else accuracy).mean(-1).max(-1)
+        best = order[value[order].argmax()]
+        if method == "preset":
+            best = np.int64(0)
+        if method == "one standard error":
+            folds = accuracy[best, mean[best].argmax()]
+            least = folds.mean() - folds.std(ddof=1) / np.sqrt(len(folds))
+            best = order[np.flatnonzero(value[order] >= least)[0]]
+        if method == "average of all":
+            return np.arange(len(mean)), 0
+        if method == "average of the best":
+            return order[np.argsort(-value[order], kind="stable")[:TOP]], 0
+        return np.array([best]), int(mean[best].argmax())
+
+    def _kernels_of(self, train: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Kernels ``[candidate, item, item]``, scaled by the training items."""
+        if train.tobytes() not in self._kernels:
+            self._kernels[train.tobytes()] = np.stack([kernel_of(x, train, self.weight) for x in self.x])
+        return self._kernels[train.tobytes()]
+
+    def _inside_of(self, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
+        if train.tobytes() not in self._inside:
+            kernels = self._kernels_of(train)
+            both = [self._scores(kernel, train, seed) for kernel in kernels]
+            self._inside[train.tobytes()] = np.stack([b[0] for b in both]), np.stack([b[1] for b in both])
+        return self._inside[train.tobytes()]
+
+    def _scores(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
+        """Accuracy and mean margin ``[cost, fold]`` of grouped folds of the training items."""
+        y, k = self.y[train], kernel[np.ix_(train, train)]
+        folds = [f for r in range(INNER_REPEATS) for f in grouped_folds(y, self.groups[train], INNER, seed + r)]
+        accuracy, margin = np.zeros((2, len(COSTS), len(folds)))
+        for place, (a, b) in enumerate(folds):
+            for row, cost in enumerate(COSTS):
+                model = SVC(C=cost, kernel="precomputed").fit(k[np.ix_(a, a)], y[a])
+                said = model.decision_function(k[np.ix_(b, a)])
+                true = np.arange(said.shape[1]) == y[b, None]
+                accuracy[row, place] = (said.argmax(1) == y[b]).mean()
+                lead = said[true] - np.where(true, -np.inf, said).max(1)
+                margin[row, place] = np.minimum(lead, 1).mean()
+        return accuracy, margin
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", type=Path)
+    parser.add_argument("--simulated", type=Path, help="folder of simulated sets; those that are missing are made")
+    parser.add_argument("--candidates", type=int, default=64)
+    parser.add_argument("--repeats", type=int, default=3, help="of the five outer folds of SIM1")
+    given = parser.parse_args()
+    store = read_recordings(given.store)
+    limits, distance = candidates(given.candidates)
+    made: dict[str, tuple[Near, Sentences]] = {}
+
+    @cache
+    def told() -> dict[tuple[str, str], Floats]:
+        return simulated_transfer(given.simulated, limits)
+
+    def without(preset_of_test: str) -> Floats:
+        pairs = [value for pair, value in told().items() if preset_of_test not in pair]
+        return np.asarray(np.mean(pairs, axis=0), np.float64)
+
+    def near(source: str) -> tuple[Near, Sentences]:
+        if source not in made:
+            recordings = part_of(store, (source,))
+            items = sentences(recordings, TaskSpec())
+            made[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
+        return made[source]
+
+    def sim1(method: str) -> dict[str, Any]:
+        learners, items = near(SIM1)
+        if method.startswith("simulated"):
+            learners.ranked[method] = without("openhrp")
+        splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
+        found = validation.cross_validate(learners.learner(method), items.y, splits, SEED)
+        chosen = [choice["candidates"][0] for repeat in found.chosen for choice in repeat]
+        return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": chosen}
+
+    def transfer(one: str, other: str, method: str) -> dict[str, Any]:
+        learners, items = near(REAL)
+        if method.startswith("simulated"):
+            learners.ranked[method] = without(other)
+        train, test = (np.flatnonzero(items.session == session) for session in (one, other))
+        found = validation.transfer(learners.learner(method), items.y, items.trial, (train, test), SEED)
+        return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": found.chosen["candidates"][:1]}
+
+    wanted: dict[str, Callable[[], Any]] = {}
+    methods = (*METHODS, *(("simulated, best", "simulated, average") if given.simulated else ()))
+    for method in methods:
+        wanted[f"REAL A -> B | {method}"] = partial(transfer, "A", "B", method)
+        wanted[f"REAL B -> A | {method}"] = partial(transfer, "B", "A", method)
+    wanted |= {f"SIM1 | {method}": partial(sim1, method) for method in methods}
+    about = {
+        "features": "words, scaled by ranks; states, harmonised",
+        "candidates": given.candidates, "repeats": given.repeats, "octaves": OCTAVES, "costs": COSTS,
+    }  # fmt: skip
+    command = "python -m experiments.calibration.near_preset STORE.zarr" + (
+        " --simulated FOLDER" if given.simulated else ""
+    )
+    Rows("calibration_near", command, about, SEED).fill(wanted)
+
+
+if __name__ == "__main__":
+    main()

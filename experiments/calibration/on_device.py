@@ -1,0 +1,321 @@
+"""Thresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
+
+Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). On a CPU, to see it work: --engine mjx
+--trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
+--agreement-trials 8
+Tasks: types of simulated failures (default), and the states of simulated successes, which are easy. A fifth of the
+trials is held out of everything that chooses. The result is written after each part, so that an interrupted run
+keeps what it has. Parts: rollouts, agreement, search, gradient, storage, svm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments._lib.results_io import write_result
+from rcbht_jax.calibration import contextual, gradient
+from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.objective import SCORES, Objective
+from rcbht_jax.calibration.on_device import device_corpus
+from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.encoding.compact import encode_on_device
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.io.label_store import write_tracks
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.tasks import FAILURE_TYPES, STATES, TaskSpec, describe, sentences
+from rcbht_jax.types import Recordings
+from sim_mjx import engines
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.engines import device
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.randomization.trials import Randomisation, draw_batch
+from sim_mjx.synthesis.calibration_data import states_corpus, whole_corpus
+
+SEED = 0
+CONFIG = EncoderConfig(5, CONTROL_PERIOD)
+SPACE = Space(groups=(0, 0, 0, 1, 1, 1))
+WORDS = FeatureSpec(families=("histogram", "ngram", "attributes"))  # no duration, no absolute offset
+GRID = Grid(kernels=("linear",), costs=(0.01, 0.1, 1.0), scalings=(True,))
+
+
+@dataclass
+class Run:
+    """What the parts hand on."""
+
+    given: argparse.Namespace
+    result: dict[str, Any]
+    data: Corpus = field(init=False)  # on the device; training trials first
+    training: int = field(init=False)  # trials
+    recordings: Recordings = field(init=False)  # the same on the host
+    limits: dict[str, np.ndarray] = field(default_factory=lambda: {"preset": np.asarray(preset().limits)})  # [6, 4]
+
+    def parts(self) -> tuple[Corpus, Corpus]:
+        """Training and held-out trials, on the device."""
+        return _rows(self.data, slice(self.training)), _rows(self.data, slice(self.training, None))
+
+
+def _rows(data: Corpus, span: slice) -> Corpus:
+    return device_corpus(CONFIG, data.wrench[span], data.edges[span], data.y[span], data.classes)
+
+
+def seconds_of(work: Callable[[], Any]) -> tuple[Any, float]:
+    """What it makes, and how long that took on the device."""
+    start = time.perf_counter()
+    made = jax.block_until_ready(work())
+    return made, round(time.perf_counter() - start, 2)
+
+
+def unseen(work: Callable[[], Any], direction: Any) -> tuple[Any, str]:
+    """Run under a guard that forbids implicit copies; where it strikes, once more without it, and say so."""
+    try:
+        with direction("disallow"):
+            return work(), "none"
+    except jax.errors.JaxRuntimeError as error:
+        if "isallowed" not in str(error):
+            raise
+        return work(), str(error)[:200]
+
+
+def rollouts(run: Run) -> dict[str, Any]:
+    """Simulate; the compiled programs do not depend on how long the trials last, so short ones compile them."""
+    given, scene, impl = run.given, one_arm(), engines.IMPLEMENTATIONS[run.given.engine]
+    share = 1.0 if given.task == "states" else 0.0
+    spec = Randomisation(nominal_share=share, faults=("pose",), longest=given.longest)
+    start = time.perf_counter()
+    params, faults = draw_batch(given.preset, SEED, range(given.trials), spec)
+    drawn = round(time.perf_counter() - start, 2)
+    short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
+    _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)
+    start = time.perf_counter()
+    out, copies = unseen(lambda: device.run(scene, params, impl), jax.transfer_guard_device_to_host)
+    jax.block_until_ready(out.wrench)
+    simulated = time.perf_counter() - start
+    if given.task == "states":
+        run.data = states_corpus(out, CONFIG)
+    else:
+        kinds = [fault.failure_type for fault in faults]
+        y = np.array([FAILURE_TYPES.index(kind) if kind in FAILURE_TYPES else -1 for kind in kinds])
+        run.data = whole_corpus(out, y, FAILURE_TYPES, CONFIG)
+    run.training = round(len(run.data) * 0.8)
+    periods = int(out.length.sum())
+    return {
+        "trials": given.trials, "usable": len(run.data), "training": run.training,
+        "seconds to draw": drawn, "seconds to compile (with trials of 0.2 s)": compiling,
+        "seconds to simulate": round(simulated, 2), "physics steps per second": round(2 * periods / simulated),
+        "mean length, s": round(periods * CONTROL_PERIOD / given.trials, 2),
+        "implicit copies to the host": copies,
+    }  # fmt: skip
+
+
+def walks(trials: int) -> Corpus:
+    """Trials whose bits are the same on every machine: walks of whole steps, steeper from state to state."""
+    rng, samples = np.random.default_rng(SEED), 800
+    steep = np.repeat([1, 4, 16, 64], samples // 4)[None, :, None]
+    steps = rng.integers(-8, 9, (trials, samples // 20, 6)).repeat(20, axis=1) * steep
+    scale = np.where(np.arange(6) < 3, 2.0**-10, 2.0**-13)
+    wrench = ((np.cumsum(steps, axis=1) + rng.integers(-8, 9, (trials, samples, 6))) * scale).astype(np.float32)
+    edges = np.tile(np.arange(0, samples + 1, samples // 4, dtype=np.int32), (trials, 1))
+    y = np.tile(np.arange(4, dtype=np.int32), (trials, 1))
+    return _corpus(wrench, edges, y, STATES)
+
+
+def _corpus(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> Corpus:
+    there = jax.device_put((wrench, edges, y))
+    return device_corpus(CONFIG, there[0], there[1], there[2], classes)
+
+
+def agreement(run: Run) -> dict[str, Any]:
+    """The objective of fixed candidates here and on this machine's CPU, for the same trials."""
+    options = SearchOptions(space=SPACE, candidates=run.given.agreement, seed=SEED)
+    limits, weights = options.space.limits(options.points()), Objective().weights()
+    out: dict[str, Any] = {"candidates": len(limits), "device": jax.devices()[0].device_kind}
+    trials = run.given.agreement_trials
+    for name, data in (("simulated", _rows(run.parts()[0], slice(trials))), ("walks", walks(trials))):
+        here = evaluate(data, CONFIG, limits)
+        with jax.default_device(jax.devices("cpu")[0]):
+            wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
+            there = evaluate(_corpus(wrench, edges, y, data.classes), CONFIG, limits, chunk=64, group=8)
+        off = np.abs((here - there).astype(np.float64))
+        out[name] = {
+            "trials": len(data),
+            "largest difference of the objective": float((off @ weights).max()),
+            "largest difference of each score": dict(zip(SCORES, off.max(0).round(7).tolist(), strict=True)),
+            "same choice": bool((here @ weights).round(6).argmax() == (there @ weights).round(6).argmax()),
+        }
+        if name == "walks":  # the same trials on any machine
+            out[name]["objective"] = (here.astype(np.float64) @ weights).round(5).tolist()
+    return out
+
+
+def searched(run: Run) -> dict[str, Any]:
+    training, outside = run.parts()
+    given = run.given
+    options = SearchOptions(space=SPACE, candidates=given.candidates, generations=given.generations, seed=SEED)
+    few = replace(options, candidates=min(given.candidates, 256), generations=min(given.generations, 1))
+    _, compiling = seconds_of(lambda: search(training, CONFIG, few).value)
+    start = time.perf_counter()
+    found, copies = unseen(lambda: search(training, CONFIG, options), jax.transfer_guard)
+    spent = time.perf_counter() - start
+    samples = 6 * int(training.windows.length.sum()) * found.evaluations
+    run.limits["search"] = np.asarray(found.thresholds.limits)
+    both = np.stack([run.limits[name] for name in ("preset", "search")])
+    held_out = evaluate(outside, CONFIG, both).astype(np.float64)
+    return {
+        "evaluations": found.evaluations, "seconds of a first, small search (compiles)": compiling,
+        "seconds": round(spent, 2), "billion samples per second": round(samples / spent / 1e9, 3),
+        "implicit copies": copies, "limits": run.limits["search"].round(4).tolist(),
+        "training objective of preset and found": [round(found.start_value, 4), round(found.value, 4)],
+        "held-out scores of preset and found": [_named(row) for row in held_out],
+    }  # fmt: skip
+
+
+def trained(run: Run) -> dict[str, Any]:
+    training, outside = run.parts()
+    given = run.given
+    options = gradient.GradientOptions(steps=given.steps, rate=0.1, temperature=(0.7, 0.1), batch=given.batch)
+    held_out = _rows(outside, slice(given.batch))
+    once = replace(options, steps=1)
+    _, compiling = seconds_of(lambda: gradient.calibrate(training, CONFIG, preset(), once, held_out=held_out).history)
+    start = time.perf_counter()
+    made = gradient.calibrate(training, CONFIG, preset(), options, held_out=held_out)
+    spent = time.perf_counter() - start
+    run.limits["gradient"] = np.asarray(made.thresholds.limits)
+    values = evaluate(outside, CONFIG, run.limits["gradient"][None]).astype(np.float64)
+    return {
+        "steps": given.steps, "trials per step": given.batch, "seconds of the first step (compiles)": compiling,
+        "seconds": round(spent, 2), "limits": run.limits["gradient"].round(4).tolist(),
+        "held-out loss, first and last": [round(made.history[k][2], 4) for k in (0, -1)],
+        "held-out scores": _named(values[0]),
+    }  # fmt: skip
+
+
+def stored(run: Run) -> dict[str, Any]:
+    """The completed trials with the labels of every method, as a store; context speaks here, from the host."""
+    start = time.perf_counter()
+    run.recordings = _recordings(run.data, run.given.preset)
+    copied = time.perf_counter() - start
+    said: dict[str, Any] = {}
+    if run.given.task == "states":  # the rule reads rotation and insertion, which a failure need not have
+        rows = np.arange(run.training)[: run.given.svm_trials]
+        start = time.perf_counter()
+        found = contextual.calibrate(run.recordings, rows, CONFIG, copy=contextual.OWN)
+        run.limits["context"] = np.asarray(found.thresholds.limits)
+        said = {"trials": found.trials.tolist(), "seconds": round(time.perf_counter() - start, 2)}
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        path = run.given.store or Path(folder) / "simulated.zarr"
+        write_recordings(path, run.recordings, {"simulated": {"engine": run.given.engine, "seed": SEED}})
+        for name, limits in run.limits.items():
+            tracks = jax.device_get(encode_on_device(CONFIG, limits, run.data.wrench, run.data.windows.length))
+            how = {"semantics": "online", "window": CONFIG.window, "thresholds": limits.tolist(), "method": name}
+            write_tracks(path, f"online-W{CONFIG.window}-{name}", tracks, how)
+        size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    return {
+        "trials": len(run.recordings), "seconds to copy them to the host": round(copied, 2),
+        "context (states only)": said,
+        "seconds to store them with the labels of each method": round(time.perf_counter() - start, 2),
+        "GB": round(size / 1e9, 3),
+    }  # fmt: skip
+
+
+def _recordings(data: Corpus, name: str) -> Recordings:
+    count = len(data)
+    wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
+    failed = edges.shape[1] == 2
+    onset = np.full((count, 4), np.nan)
+    onset[:, : edges.shape[1] - 1] = edges[:, :-1] * CONTROL_PERIOD
+
+    def text(value: str) -> np.ndarray:
+        return np.full(count, value)
+
+    return Recordings(
+        wrench, edges[:, -1], CONTROL_PERIOD, onset, onset, np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
+        text("R"), text(f"SIM_MJX_{name}"), text(f"sim-{name}"),
+        text("failure" if failed else "success"), np.array(data.classes)[y[:, 0]] if failed else text(""),
+        np.full((count, 3), np.nan), text(""),
+    )  # fmt: skip
+
+
+def svm(run: Run) -> dict[str, Any]:
+    """Support vector machines on the words of each method, on as many trials as one can wait for."""
+    count = run.given.svm_trials
+    some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
+    names = [name for name in Recordings.__dataclass_fields__ if name != "dt"]
+    recordings = replace(run.recordings, **{name: getattr(run.recordings, name)[some] for name in names})
+    items = sentences(recordings, TaskSpec(run.given.task))
+    inside = np.isin(items.trial, run.recordings.trial[: run.training])
+    split = np.flatnonzero(inside), np.flatnonzero(~inside)
+    out: dict[str, Any] = {"trials": len(some), "training": len(np.unique(items.trial[inside]))}
+
+    def score(learner: validation.Learner) -> dict[str, Any]:
+        made = validation.transfer(learner, items.y, items.trial, split, SEED).summary()["accuracy"]
+        return {key: round(value, 4) for key, value in made.items()}
+
+    out["duration alone"] = score(validation.forest(items.seconds, items.y))
+    out["majority"] = score(validation.majority(items.y))
+    wrench, length = jax.device_put((recordings.wrench, recordings.length))
+    for name, limits in run.limits.items():
+        start = time.perf_counter()
+        tracks = jax.device_get(encode_on_device(CONFIG, Thresholds(limits).limits, wrench, length))
+        words = describe(tracks, items, WORDS).values
+        described = time.perf_counter() - start
+        out[name] = score(validation.nested_svm({"": words}, items.y, items.trial, GRID))
+        out[name]["seconds to describe and in all"] = [round(described, 1), round(time.perf_counter() - start, 1)]
+    return out
+
+
+def _named(values: np.ndarray) -> dict[str, float]:
+    return dict(zip(SCORES, np.round(values, 4).tolist(), strict=True))
+
+
+PARTS: dict[str, Callable[[Run], dict[str, Any]]] = {
+    "rollouts": rollouts, "agreement": agreement, "search": searched, "gradient": trained, "storage": stored,
+    "svm": svm,
+}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
+    parser.add_argument("--task", choices=["failure-type", "states"], default="failure-type")
+    parser.add_argument("--preset", choices=["openhrp", "A"], default="openhrp", help="B and C rotate for one sample")
+    parser.add_argument("--trials", type=int, default=10240, help="four fifths of the usable ones calibrate")
+    parser.add_argument("--longest", type=float, default=12.0, help="s, cuts every trial")
+    parser.add_argument("--candidates", type=int, default=2048)
+    parser.add_argument("--generations", type=int, default=16)
+    parser.add_argument("--steps", type=int, default=120)
+    parser.add_argument("--batch", type=int, default=512, help="trials per step of the training")
+    parser.add_argument("--svm-trials", type=int, default=1024, help="on each side")
+    parser.add_argument("--agreement", type=int, default=64, help="candidates compared between devices")
+    parser.add_argument("--agreement-trials", type=int, default=2048, help="for them")
+    parser.add_argument("--store", type=Path, default=None, help="keep the labelled trials there")
+    given = parser.parse_args()
+    run = Run(given, {"engine": given.engine, "task": given.task, "preset": given.preset})
+    options = f"--engine {given.engine} --task {given.task} --trials {given.trials}"
+    name_of_result = f"calibration_device_{given.engine}_{given.task.replace('-', '_')}"
+    for name, part in PARTS.items():
+        start = time.perf_counter()
+        try:
+            run.result[name] = part(run)
+        except Exception:  # a rented machine: what the other parts can still do counts
+            run.result[name] = {"failed": traceback.format_exc()[-1500:]}
+        run.result[name]["seconds of this part"] = round(time.perf_counter() - start, 1)
+        write_result(name_of_result, f"python -m experiments.calibration.on_device {options}", run.result, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

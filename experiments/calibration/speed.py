@@ -1,0 +1,116 @@
+"""How fast a search evaluates thresholds, beside a loop of the NumPy taxonomy in the same run.
+
+Run: python -m experiments.calibration.speed STORE.zarr   (or a corpus saved with --save, where there is no store)
+All one-arm simulation successes and real successes, six axes, W=5: 4,096 candidates scored in one call.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments._lib.results_io import write_result
+from rcbht_jax import reference
+from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.objective import SCORES, Objective
+from rcbht_jax.calibration.search import SearchOptions, Space, evaluate
+from rcbht_jax.calibration.windows import Windows
+from rcbht_jax.encoding.encoder import EncoderConfig
+
+SOURCES = ("SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS")
+DT = 0.005
+SEED = 0
+
+
+def from_store(path: Path) -> Corpus:
+    from rcbht_jax.calibration.dataset import corpus
+    from rcbht_jax.io.store import read_recordings
+    from rcbht_jax.learning.tasks import TaskSpec, sentences
+
+    recordings = read_recordings(path)
+    return corpus(recordings, sentences(recordings, TaskSpec(sources=SOURCES)), EncoderConfig(5, DT))
+
+
+def save(data: Corpus, path: Path) -> None:
+    lines = {field.name: getattr(data.windows, field.name) for field in fields(Windows)}
+    np.savez_compressed(
+        path, wrench=data.wrench, edges=data.edges, y=data.y, classes=np.array(data.classes), trial=data.trial, **lines
+    )
+
+
+def load(path: Path) -> Corpus:
+    with np.load(path, allow_pickle=False) as stored:
+        windows = Windows(*(stored[field.name] for field in fields(Windows)))
+        classes = tuple(stored["classes"].tolist())
+        return Corpus(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
+
+
+def numpy_rate(data: Corpus, trials: int = 6, clock: Callable[[], float] = time.perf_counter) -> float:
+    """Samples (one axis, one time) per second of the NumPy taxonomy, trial after trial."""
+    rows = np.linspace(0, len(data) - 1, trials).astype(int)
+    samples, start = 0, clock()
+    for row in rows:
+        length = int(data.windows.length[row])
+        wrench = data.wrench[row, :length].astype(np.float64)
+        reference.encode(reference.sample_times(length, DT), wrench, (data.edges[row, :-1] * DT).tolist())
+        samples += 6 * length
+    return samples / (clock() - start)
+
+
+def measure(data: Corpus, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:
+    config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=Space(), seed=SEED)
+    limits = options.space.limits(options.points())
+    once = len(limits) if jax.default_backend() != "cpu" else chunk or 128  # compiles what the timed call needs
+    warm = time.perf_counter()
+    evaluate(data, config, limits[:once], chunk=chunk, group=group)
+    warm = time.perf_counter() - warm
+    before = numpy_rate(data)
+    start, used = time.perf_counter(), time.process_time()
+    made = evaluate(data, config, limits, chunk=chunk, group=group)
+    seconds, used = time.perf_counter() - start, time.process_time() - used
+    numpy = (before + numpy_rate(data)) / 2
+    samples = 6 * int(data.windows.length.sum())
+    value = made.astype(np.float64) @ Objective().weights()
+    best = int(value.round(6).argmax())
+    return {
+        "trials": len(data),
+        "candidates": candidates,
+        "seconds": round(seconds, 2),
+        "processor seconds": round(used, 1),
+        "seconds of the first call, compilation included": round(warm, 1),
+        "candidates per second": round(candidates / seconds, 2),
+        "million samples per second": round(candidates * samples / seconds / 1e6, 1),
+        "NumPy loop, million samples per second (before and after)": round(numpy / 1e6, 3),
+        "ratio to the NumPy loop": round(candidates * samples / seconds / numpy, 1),
+        "chosen": best,
+        "scores of the chosen": dict(zip(SCORES, np.round(made[best].astype(float), 5).tolist(), strict=True)),
+        "sum of all scores": np.round(made.astype(np.float64).sum(0), 4).tolist(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("source", type=Path, help="store, or corpus (.npz)")
+    parser.add_argument("--save", type=Path, help="write the corpus to this file and stop")
+    parser.add_argument("--candidates", type=int, default=4096)
+    parser.add_argument("--chunk", type=int)
+    parser.add_argument("--group", type=int)
+    given = parser.parse_args()
+    data = load(given.source) if given.source.suffix == ".npz" else from_store(given.source)
+    if given.save:
+        save(data, given.save)
+        return
+    result = measure(data, given.candidates, given.chunk, given.group)
+    backend = jax.default_backend()
+    write_result(f"calibration_speed_{backend}", "python -m experiments.calibration.speed STORE.zarr", result, SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Classification of complete sentences: tables of the paper, peers, ablations, sim-to-real."""

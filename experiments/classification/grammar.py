@@ -1,0 +1,213 @@
+"""What words can say: the paper's sentences, plain words, and richer words, on the same grouped folds.
+
+One set of families and of grammars for all tasks. A grammar is the encoder with one or several choices of window and
+threshold scale, its features side by side; where there is a choice, the inner folds make it, ties to the fewer columns.
+Richer words know neither duration nor a constant added to the wrench; levels do. The "tared" row sees the wrench minus
+the mean of the trial's first second. The batches of the simulated failures differ in how the record begins: at rest, or
+with the arm's weight already on the sensor.
+
+Run: python -m experiments.classification.grammar --repeats 5 --seed 0
+Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
+from experiments._lib.checkpointed_rows import Rows
+from experiments.classification.sim_to_real_sets import tared
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.features import Features, FeatureSpec
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import COSTS, KERNELS, Grid
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe
+from rcbht_jax.types import LabelTracks, Recordings
+
+# Window in samples and factor on the preset's thresholds.
+ENCODERS = {"W5": (5, 1.0), "W20 fine": (20, 1 / 16), "W20 finer": (20, 1 / 256)}
+GRAMMARS = {"preset": ("W5",), "fine": ("W20 fine", "W20 finer")}
+PLAIN = ("histogram", "ngram", "attributes")
+RICHER = ("histogram", "parts", "spread", "together", "order")  # without duration, without absolute offset
+LEVELS = (*RICHER, "levels")
+ALL = (*RICHER, "attributes", "course", "levels", "edges", "offset", "duration")
+
+DEVIATION = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,))
+RANKS = replace(DEVIATION, ranks=True)
+PAPER = Grid(kernels=KERNELS, costs=COSTS, scalings=(False,))
+
+
+@dataclass(frozen=True)
+class Method:
+    """What one row makes of the labels; the inner folds choose the grammar."""
+
+    families: tuple[str, ...]
+    grammars: tuple[str, ...] = ("preset",)
+    grid: Grid = RANKS
+    tare: bool = False
+
+    @property
+    def spec(self) -> FeatureSpec:
+        """Where the force is and how it moves weigh the same in all rows that are told both."""
+        return FeatureSpec(families=self.families, balance=True)
+
+
+METHODS = {
+    "the paper's sentences": Method(("sentence",), grid=PAPER),
+    "plain words": Method(PLAIN, grid=DEVIATION),
+    "plain words, ranks": Method(PLAIN),
+    "plain words, ranks, choice of grammar": Method(PLAIN, tuple(GRAMMARS)),
+    "richer words, mean and deviation": Method(RICHER, grid=DEVIATION),
+    "richer words": Method(RICHER),
+    "richer words, choice of grammar": Method(RICHER, tuple(GRAMMARS)),
+    "levels alone": Method(("levels",)),
+    "richer words and levels": Method(LEVELS),
+    "richer words and levels, choice of grammar": Method(LEVELS, tuple(GRAMMARS)),
+    "richer words and levels, tared": Method(LEVELS, tare=True),
+    "all families": Method(ALL),
+}
+AT_REST, LOADED = "begins at rest", "begins loaded"
+BATCHES = {
+    "failure types, other batch (at rest to loaded)": (AT_REST, LOADED),
+    "failure types, other batch (loaded to at rest)": (LOADED, AT_REST),
+}
+FEWEST = 2  # items of a class in a batch: selection needs two folds
+_REST = 1.0  # N along x in the first sample: the batches have 0.04 and 2 or more
+
+
+class Experiment:
+    """The data, read, labelled and described once."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed = repeats, seed
+        self.recordings: Recordings = by_batch(recorded())
+        failures = TaskSpec("failure-type", sources=(FAILURES,))
+        apart = {name: Benchmark(failures, (train,), (test,)) for name, (train, test) in BATCHES.items()}
+        self.benchmarks: Mapping[str, Benchmark] = BENCHMARKS | apart
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def tracks(self, encoder: str, tare: bool) -> LabelTracks:
+        window, scale = ENCODERS[encoder]
+        data = tared(self.recordings) if tare else self.recordings
+        limits = Thresholds(np.asarray(preset().limits) * scale)
+        return encode_recordings(EncoderConfig(window, data.dt), limits, data.wrench, data.length)
+
+    @cache  # noqa: B019
+    def items(self, benchmark: str) -> Sentences:
+        found = items_of(self.recordings, self.benchmarks[benchmark])
+        return of_both(found, BATCHES[benchmark]) if benchmark in BATCHES else found
+
+    def candidates(self, benchmark: str, method: Method) -> dict[str, Features]:
+        """Features by grammar, the one with the fewest columns first."""
+        made = {}
+        for grammar in method.grammars:
+            tracks = {name: self.tracks(name, method.tare) for name in GRAMMARS[grammar]}
+            made[grammar] = describe(tracks, self.items(benchmark), method.spec)
+        return dict(sorted(made.items(), key=lambda item: len(item[1].names)))
+
+    def row(self, benchmark: str, name: str) -> Callable[[], Any]:
+        def make() -> Any:
+            items, chosen = self.items(benchmark), Counter[str]()
+            if name == "duration alone":
+                learner, columns = validation.forest(items.seconds, items.y), {}
+            else:
+                method = METHODS[name]
+                made = self.candidates(benchmark, method)
+                columns = {key: len(x.names) for key, x in made.items()}
+                weights = {key: x.weights(method.spec) for key, x in made.items()}
+                matrices = {key: x.values for key, x in made.items()}
+                learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
+            repeats = self.repeats_of(benchmark)
+            score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
+            return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}
+
+        return make
+
+    def repeats_of(self, benchmark: str) -> int:
+        """Fewer where there are many items."""
+        return max(2, self.repeats // 2) if benchmark == "failure types" else self.repeats
+
+    def about(self) -> dict[str, Any]:
+        methods = {
+            name: {
+                "families": method.families,
+                "grammars": method.grammars,
+                "ranks": method.grid.ranks,
+                "tared": method.tare,
+            }
+            for name, method in METHODS.items()
+        }
+        return {
+            "what": "accuracy of words of several kinds, nested and grouped by trial",
+            "encoders": {name: {"window": w, "thresholds": f"preset x {s:g}"} for name, (w, s) in ENCODERS.items()},
+            "grammars": GRAMMARS,
+            "methods": methods,
+            "repeats": self.repeats,
+            "benchmarks": {name: b.about(self.items(name)) for name, b in self.benchmarks.items()},
+        }
+
+
+def counted(learner: validation.Learner, chosen: Counter[str]) -> validation.Learner:
+    """The same learner, which also counts what the inner folds chose."""
+
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+        said, choice = learner(train, test, seed)
+        chosen[f"{choice['features']}: {choice['kernel']} C={choice['cost']:g}"] += 1
+        return said, choice
+
+    return learn
+
+
+def by_batch(recordings: Recordings) -> Recordings:
+    """The simulated failures as two sessions, by how their records begin."""
+    began = np.where(np.abs(recordings.wrench[:, 0, 0]) < _REST, AT_REST, LOADED)
+    return replace(recordings, session=np.where(recordings.source == FAILURES, began, recordings.session))
+
+
+def of_both(items: Sentences, sessions: tuple[str, str]) -> Sentences:
+    """Only the classes with at least FEWEST items on each side."""
+    counts = [np.bincount(items.y[items.session == side], minlength=len(items.classes)) for side in sessions]
+    kept = np.flatnonzero(np.min(counts, axis=0) >= FEWEST).tolist()
+    rows = np.flatnonzero(np.isin(items.y, kept))
+    number = np.full(len(items.classes), -1)
+    number[kept] = np.arange(len(kept))
+    dropped = {**items.dropped, "class not in both batches": len(items.y) - len(rows)}
+    return Sentences(
+        tuple(items.classes[c] for c in kept),
+        number[items.y[rows]],
+        items.trial[rows],
+        items.session[rows],
+        tuple(part.take(rows) for part in items.intervals),
+        dropped,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
+    args = parser.parse_args()
+    experiment = Experiment(args.repeats, args.seed)
+    command = f"python -m experiments.classification.grammar --repeats {args.repeats} --seed {args.seed}"
+    wanted = {
+        f"{benchmark} | {method}": experiment.row(benchmark, method)
+        for benchmark in experiment.benchmarks
+        for method in ("duration alone", *METHODS)
+    }
+    rows = Rows("grammar", command, experiment.about(), args.seed)
+    rows.fill(wanted, lambda row: any(part in row for part in args.only))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""What today's practitioner would use instead of words, on the same trials and the same grouped folds.
+
+The peers see the raw wrench of the segments, in N and Nm; see experiments._lib.raw_learners for what each makes of it. None
+is told how long a segment lasts. The ridge classifiers choose their penalty by leave-one-out among the training rows.
+Our rows are the words of the online encoder (window 5, preset thresholds) with a nested SVM.
+
+Run: make peers, or python -m experiments.classification.peers --repeats 10 --seed 0 where aeon and torch are installed
+Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import distributions
+from typing import Any
+
+from experiments._lib import raw_learners as raw
+from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, recorded, segments
+from experiments._lib.checkpointed_rows import Rows
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.tasks import Sentences, describe
+from rcbht_jax.types import LabelTracks, Recordings
+
+Make = Callable[[raw.Segments, Sentences], validation.Learner]
+
+PEERS: dict[str, Make] = {
+    "statistics + random forest": lambda x, items: raw.forest(raw.statistics(x), items.y),
+    "SAX bag of words + SVM": raw.sax_words,
+    "1d-SAX + SVM": raw.one_d_sax,
+    "MiniRocket + ridge": raw.mini_rocket,
+    "MiniRocket + ridge, offset removed": lambda x, items: raw.mini_rocket(raw.centred(x), items),
+    "MultiRocketHydra + ridge": raw.multi_rocket_hydra,
+}
+PROBES: dict[str, Make] = {
+    "duration alone": lambda x, items: validation.forest(items.seconds, items.y),
+    "first sample alone": raw.first_sample,
+    "first second alone": raw.first_second,
+    "majority": lambda x, items: validation.majority(items.y),
+}
+WORDS = ("histogram", "ngram", "attributes")
+OURS = {
+    "words + SVM, without duration and offset": WORDS,
+    "words + SVM, all": (*WORDS, "duration", "offset", "course", "edges"),
+}
+GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0))
+# A fifth of the repeats: the first has five times the items of the others, the second takes as long as ten others.
+HEAVY = ("failure types", "MultiRocketHydra + ridge")
+
+
+class Experiment:
+    """The data, read once, and what makes each row."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed = repeats, seed
+        self.recordings: Recordings = recorded()
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def tracks(self) -> LabelTracks:
+        """Labels of all recordings; made when a row needs them."""
+        config = EncoderConfig(dt=self.recordings.dt)
+        return encode_recordings(config, preset(), self.recordings.wrench, self.recordings.length)
+
+    @cache  # noqa: B019
+    def data(self, benchmark: str) -> tuple[Sentences, raw.Segments]:
+        items = items_of(self.recordings, BENCHMARKS[benchmark])
+        return items, segments(self.recordings, items)
+
+    def learner(self, benchmark: str, method: str) -> validation.Learner:
+        items, parts = self.data(benchmark)
+        if method in OURS:
+            words = describe(self.tracks(), items, FeatureSpec(families=OURS[method])).values
+            return validation.nested_svm({"": words}, items.y, items.trial, GRID)
+        return (PEERS | PROBES)[method](parts, items)
+
+    def row(self, benchmark: str, method: str) -> Callable[[], Any]:
+        def make() -> Any:
+            items, _ = self.data(benchmark)
+            repeats = repeats_of(benchmark, method, self.repeats)
+            score = BENCHMARKS[benchmark].score(self.learner(benchmark, method), items, repeats, self.seed)
+            return {"kind": kind(method), **score, "repeats": repeats, "libraries": libraries()}
+
+        return make
+
+
+def kind(method: str) -> str:
+    return "ours" if method in OURS else "peer" if method in PEERS else "probe"
+
+
+def libraries() -> str:
+    """Versions of the libraries that decide the numbers, where they are installed."""
+    names = ("aeon", "scikit-learn", "tslearn")
+    installed = {name: next(iter(distributions(name=name)), None) for name in names}
+    return ", ".join(f"{name} {found.version}" for name, found in installed.items() if found)
+
+
+def repeats_of(benchmark: str, method: str, repeats: int) -> int:
+    return max(2, repeats // 5) if benchmark in HEAVY or method in HEAVY else repeats
+
+
+def about(experiment: Experiment) -> dict[str, Any]:
+    facts = {
+        name: benchmark.about(experiment.data(name)[0]) | {"repeats": repeats_of(name, "", experiment.repeats)}
+        for name, benchmark in BENCHMARKS.items()
+    }
+    return {
+        "what": "accuracy of other methods on the raw wrench, and of words, on the same grouped folds",
+        "resampled to": raw.LENGTH,
+        "folds": FOLDS,
+        "repeats": experiment.repeats,
+        "benchmarks": facts,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
+    args = parser.parse_args()
+    experiment = Experiment(args.repeats, args.seed)
+    command = f"python -m experiments.classification.peers --repeats {args.repeats} --seed {args.seed}"
+    rows = Rows("peers", command, about(experiment), args.seed)
+    wanted = {
+        f"{benchmark} | {method}": experiment.row(benchmark, method)
+        for method in (*PROBES, *OURS, *PEERS)
+        for benchmark in BENCHMARKS
+    }
+    rows.fill(wanted, lambda row: any(part in row for part in args.only))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""What gives success, failure and session away without any assembly: duration, the first sample, the first second.
+
+The real successes were recorded in two sessions (A, B), the real failures in a third (C). If the same probes that tell
+failure from success also tell one session of successes from the other, the score says nothing about failure. The
+counterpart that does: train on one session of successes and half of the failures, test on the other session and the
+other half, both ways round; what then remains above one half is not the session of the successes.
+
+Run: python -m experiments.classification.probes --repeats 10 --seed 0
+Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments._lib import raw_learners as raw
+from experiments._lib.benchmarks import FOLDS, recorded, rounded, segments
+from experiments._lib.checkpointed_rows import Rows
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Grid, Split
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.types import LabelTracks
+
+GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,), balanced=True)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Two groups of sessions to be told apart, by whole records."""
+
+    classes: tuple[tuple[str, ...], tuple[str, ...]]
+    hold_out: bool = False  # train on one session of the second group, test on the other
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        return self.classes[0] + self.classes[1]
+
+
+QUESTIONS = {
+    "REAL failure (C) or success (A, B)": Question((("C",), ("A", "B"))),
+    "REAL success A or success B": Question((("A",), ("B",))),
+    "REAL failure (C) or success A": Question((("C",), ("A",))),
+    "REAL failure (C) or success B": Question((("C",), ("B",))),
+    "REAL failure or success, success session held out": Question((("C",), ("A", "B")), hold_out=True),
+    "SIM failure or success": Question((("SIM1F",), ("SIM1",))),
+}
+
+
+class Experiment:
+    """The data, read and labelled once."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed, self.recordings = repeats, seed, recorded()
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def tracks(self) -> LabelTracks:
+        config = EncoderConfig(dt=self.recordings.dt)
+        return encode_recordings(config, preset(), self.recordings.wrench, self.recordings.length)
+
+    @cache  # noqa: B019
+    def items(self, question: str) -> Sentences:
+        """Whole records; the class is the group of the session."""
+        asked = QUESTIONS[question]
+        session = self.recordings.session
+        outcome = np.where(np.isin(session, asked.classes[0]), "failure", "success")
+        spec = TaskSpec("outcome", sessions=asked.sessions, outcomes=())
+        found = sentences(replace(self.recordings, outcome=outcome), spec)
+        names = tuple(" ".join(group) for group in asked.classes)
+        return replace(found, classes=names)
+
+    def learners(self, question: str) -> dict[str, Callable[[], validation.Learner]]:
+        items = self.items(question)
+        parts = segments(self.recordings, items)
+
+        def words() -> validation.Learner:
+            x = describe(self.tracks(), items, FeatureSpec()).values
+            return validation.nested_svm({"": x}, items.y, items.trial, GRID)
+
+        return {
+            "majority": lambda: validation.majority(items.y),
+            "duration alone": lambda: validation.forest(items.seconds, items.y),
+            "first sample alone": lambda: raw.first_sample(parts, items),
+            "first second alone": lambda: raw.first_second(parts, items),
+            "statistics + random forest": lambda: raw.forest(raw.statistics(parts), items.y),
+            "words + SVM, without duration and offset": words,
+        }
+
+    def row(self, question: str, view: str) -> Callable[[], Any]:
+        def make() -> Any:
+            items = self.items(question)
+            splits = self.splits(question)
+            found = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
+            counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
+            return {"trials": counts, **rounded(found.summary())}
+
+        return make
+
+    def splits(self, question: str) -> list[list[Split]]:
+        items, asked = self.items(question), QUESTIONS[question]
+        if not asked.hold_out:
+            return validation.repeated_folds(items.y, items.trial, FOLDS, self.repeats, self.seed)
+        return [held_out(items, asked.classes[1], self.seed + repeat) for repeat in range(self.repeats)]
+
+
+def held_out(items: Sentences, sessions: tuple[str, ...], seed: int) -> list[Split]:
+    """Two folds: each holds one session of successes and a random half of the failures."""
+    failures = np.random.default_rng(seed).permutation(np.flatnonzero(items.y == 0))
+    first = failures[: len(failures) // 2]
+    in_first = np.isin(np.arange(len(items.y)), first) | (items.session == sessions[0])
+    sides: tuple[NDArray[np.int64], NDArray[np.int64]] = (np.flatnonzero(in_first), np.flatnonzero(~in_first))
+    return [sides, (sides[1], sides[0])]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    experiment = Experiment(args.repeats, args.seed)
+    about = {
+        "what": "balanced accuracy of what cannot know whether the assembly failed, beside statistics and words",
+        "folds": f"{FOLDS}, grouped by trial; where a success session is held out: 2, by session",
+        "repeats": args.repeats,
+    }
+    command = f"python -m experiments.classification.probes --repeats {args.repeats} --seed {args.seed}"
+    views = experiment.learners(next(iter(QUESTIONS)))
+    wanted = {f"{name} | {view}": experiment.row(name, view) for name in QUESTIONS for view in views}
+    Rows("probes", command, about, args.seed).fill(wanted)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,258 @@
+"""Train on simulated trials only, test on the recorded ones: states, per session, and what moves the score.
+
+Nothing of the recorded trials is used but the mean of their first second, in free space, which is subtracted (tare).
+Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
+only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
+
+Controllers are those of the recorded sessions; parts and sensor of presets A and B were fitted to the wrenches of those
+sessions, C has B's, and the OpenHRP preset wears A's sensor. What transfers without a session's own fit is said by the
+rows whose training leaves it out: for A those without preset A, for B those without presets B and C.
+
+Run: python -m experiments.classification.sim_to_real FOLDER [--only TEXT ...]
+FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``, which are made where they are missing. Every finished row is
+kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments._lib import raw_learners
+from experiments._lib.benchmarks import recorded, rounded, segments
+from experiments._lib.checkpointed_rows import Rows
+from experiments.calibration.methods import trained_limits
+from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
+from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
+from experiments.classification.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets
+from rcbht_jax.calibration import contextual
+from rcbht_jax.calibration.dataset import corpus
+from rcbht_jax.calibration.objective import Objective
+from rcbht_jax.calibration.search import SearchOptions, search
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning.svm import Grid, SvmSpec, predictions, select
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+SEED = 0
+BOUNDARIES = ("merged", "harmonised")
+REAL = ("A", "B")
+GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,), floor=0.05)
+SELECTING = 48  # trials of each training set that choose kernel, cost and features
+SEARCHING, SEARCHED = 24, 512  # trials of each training set, and candidates, of a search for thresholds
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Sentences of several sets, one after the other."""
+
+    x: dict[str, NDArray[np.float64]]  # candidate -> [item, feature]
+    y: Ints  # [item]
+    trial: NDArray[np.str_]  # [item]
+    place: NDArray[np.str_]  # [item] name of the set
+    classes: tuple[str, ...]
+
+    def rows(self, names: tuple[str, ...]) -> Ints:
+        return np.flatnonzero(np.isin(self.place, names))
+
+    def take(self, rows: Ints) -> Pool:
+        x = {name: matrix[rows] for name, matrix in self.x.items()}
+        return Pool(x, self.y[rows], self.trial[rows], self.place[rows], self.classes)
+
+
+class Experiment:
+    """The sets, and what makes each row."""
+
+    def __init__(self, folder: Path) -> None:
+        self.sets = Sets(folder, recorded())
+
+    def row(self, spec: Row) -> Callable[[], Any]:
+        return lambda: {"train": list(spec.train)} | {b: self.measure(spec, b) for b in BOUNDARIES}
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
+        """Accuracy on every test set, of a learner that saw the training sets only."""
+        how = Labelling(spec.window, spec.tare, self.limits(spec))
+        pool = self.pool(spec, how, boundaries)
+        train = pool.rows(spec.train)
+        train = train[np.isin(pool.trial[train], some_trials(pool, train, spec.trials, spec.draw))]
+        test = pool.rows(spec.test)
+        said, chosen = self.answers(spec, pool, train, test)
+        out: dict[str, Any] = {"trials": len(np.unique(pool.trial[train])), "chosen": chosen}
+        for names in [(name,) for name in spec.test] + [REAL] * (set(spec.test) >= set(REAL)):
+            inside = np.isin(pool.place[test], names)
+            out["+".join(names)] = scored(pool, test[inside], said[inside])
+        return rounded(out)
+
+    def pool(self, spec: Row, how: Labelling, boundaries: str) -> Pool:
+        names = tuple(dict.fromkeys((*spec.train, *spec.test)))
+        items = [self.sets.items(name, boundaries) for name in names]
+        makers = {
+            "duration": lambda: {"": np.concatenate([one.seconds for one in items])},
+            "statistics": lambda: {"": np.concatenate([self.statistics(name, boundaries) for name in names])},
+            "words": lambda: self.words(spec, names, how, boundaries),
+        }
+        return Pool(
+            x=makers[spec.learner](),
+            y=np.concatenate([one.y for one in items]),
+            trial=np.concatenate([np.char.add(f"{name} ", one.trial) for name, one in zip(names, items, strict=True)]),
+            place=np.repeat(names, [len(one.y) for one in items]),
+            classes=items[0].classes,
+        )
+
+    def words(
+        self, spec: Row, names: tuple[str, ...], how: Labelling, boundaries: str
+    ) -> dict[str, NDArray[np.float64]]:
+        made = [self.sets.features(name, how, boundaries) for name in names]
+        whole = np.concatenate([one.values for one in made]).astype(np.float64)
+        family = np.array(made[0].families)
+        return {name: whole[:, np.isin(family, CANDIDATES[name])] for name in spec.candidates}
+
+    def statistics(self, name: str, boundaries: str) -> NDArray[np.float64]:
+        return raw_learners.statistics(segments(self.sets.recordings(name, True), self.sets.items(name, boundaries)))
+
+    def answers(self, spec: Row, pool: Pool, train: Ints, test: Ints) -> tuple[Ints, dict[str, Any]]:
+        """Class index of every test item, and what was chosen on the training items."""
+        if spec.learner != "words":
+            return raw_learners.forest(pool.x[""], pool.y)(train, test, SEED)[0], {}
+        few = train[np.isin(pool.trial[train], some_trials(pool, train, SELECTING, spec.draw))]
+        best, score = choose(pool.take(few))
+        both = pool.take(np.concatenate([train, test]))
+        learn, rest = np.split(np.arange(len(both.y)), [len(train)])
+        said = predictions(both.x[best.features], both.y, learn, rest, best, [best.cost])[0]
+        chosen = {"features": best.features, "kernel": best.kernel, "cost": best.cost, "simulated": score}
+        return said, chosen
+
+    @cache  # noqa: B019
+    def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
+        """Thresholds chosen on the training sets; None = the preset's."""
+        if spec.thresholds == "preset":
+            return None
+        trials, items = self.training(spec)
+        config = EncoderConfig(spec.window, trials.dt)
+        if spec.thresholds.startswith("context"):
+            copy = contextual.AUTHORS_COPY if spec.thresholds == "context" else contextual.OWN
+            rows = np.unique(items.intervals[0].recording)
+            found = contextual.calibrate(trials, rows, config, copy=copy).thresholds
+        elif spec.thresholds == "gradient":
+            found = Thresholds(trained_limits(corpus(trials, items, config), config))
+        else:
+            options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
+            found = search(corpus(trials, items, config), config, options).thresholds
+        return tuple(tuple(row) for row in np.asarray(found.limits).tolist())
+
+    def training(self, spec: Row) -> tuple[Recordings, Sentences]:
+        """A few trials of each training set as one set, and their states."""
+        parts = []
+        for name in spec.train:
+            trials, items = self.sets.recordings(name, spec.tare), self.sets.items(name, "harmonised")
+            rows = np.unique(items.intervals[0].recording)
+            few = np.random.default_rng(SEED).permutation(rows)[:SEARCHING]
+            parts.append(trials.take(np.sort(few)))
+        together = Recordings.join(parts)
+        return together, sentences(together, TaskSpec(outcomes=()))
+
+    def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:
+        """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.
+
+        Per family the median and the 95th percentile over columns and states, and the columns that are farthest off.
+        """
+        made = {name: self.sets.features(name, Labelling(), boundaries) for name in (*ALL.train, *REAL)}
+        y = {name: self.sets.items(name, boundaries).y for name in made}
+        simulated = np.concatenate([made[name].values for name in ALL.train]).astype(np.float64)
+        width = np.maximum(simulated.std(0), GRID.floor)
+        states = np.unique(y["A"]).tolist()
+
+        def mean(names: tuple[str, ...]) -> NDArray[np.float64]:
+            return np.stack([np.concatenate([made[n].values[y[n] == s] for n in names]).mean(0) for s in states])
+
+        off = {name: np.abs(mean((name,)) - mean(ALL.train)) / width for name in REAL}
+        family, names = np.array(made["A"].families), np.array(made["A"].names)
+        out: dict[str, Any] = {}
+        for name, table in off.items():
+            quantiles = {f: np.quantile(table[:, family == f], [0.5, 0.95]).tolist() for f in dict.fromkeys(family)}
+            worst = np.argsort(-table.max(0))[:10]
+            out[name] = {"families": quantiles, "farthest": {str(names[i]): float(table[:, i].max()) for i in worst}}
+        return rounded(out)
+
+
+def some_trials(pool: Pool, rows: Ints, most: int, draw: int) -> NDArray[np.str_]:
+    """At most so many trials of each set that ``rows`` name, drawn at random; a larger number holds the smaller's."""
+    chosen = []
+    for place in np.unique(pool.place[rows]):
+        trials = np.unique(pool.trial[rows[pool.place[rows] == place]])
+        chosen.append(np.random.default_rng((SEED, draw)).permutation(trials)[:most])
+    return np.concatenate(chosen)
+
+
+def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
+    """The grid's best choice for sets that are not trained on, and its mean accuracy there.
+
+    With a single set, by grouped folds inside it; its score says nothing of other sets and is not given.
+    """
+    places = np.unique(pool.place)
+    if len(places) == 1:
+        return select(pool.x, pool.y, pool.trial, GRID, SEED), None
+    paths = GRID.paths(list(pool.x))
+    scores = np.zeros((len(paths), len(GRID.costs)))
+    for place in places:
+        held, rest = (np.flatnonzero(side) for side in (pool.place == place, pool.place != place))
+        for path, spec in zip(scores, paths, strict=True):
+            said = predictions(pool.x[spec.features], pool.y, rest, held, spec, GRID.costs)
+            path += [metrics.accuracy(pool.y[held], one) / len(places) for one in said]
+    best = int(scores.round(9).argmax())
+    found = replace(paths[best // len(GRID.costs)], cost=GRID.costs[best % len(GRID.costs)])
+    return found, float(scores.max())
+
+
+def scored(pool: Pool, test: Ints, said: Ints) -> dict[str, Any]:
+    """Accuracy with its interval by resampling trials, and who was taken for whom."""
+    right = pool.y[test] == said
+    low, high = validation.bootstrap(right, pool.trial[test], SEED)
+    wrong = Counter(
+        f"{pool.classes[truth]} as {pool.classes[answer]}"
+        for truth, answer in zip(pool.y[test][~right].tolist(), said[~right].tolist(), strict=True)
+    )
+    count = len(np.unique(pool.trial[test]))
+    return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
+
+
+def about(experiment: Experiment) -> dict[str, Any]:
+    return {
+        "what": "states of recorded trials by learners that saw simulated trials only",
+        "used of a recorded trial": f"the mean of its first {TARE_SECONDS:g} s, which is subtracted",
+        "presets": "controllers are the recorded sessions'; parts and sensor of A and B were fitted to their wrenches, "
+        "C has B's parts and sensor, and the OpenHRP preset wears A's sensor",
+        "chance": {"merged": round(1 / 3, 4), "harmonised": 0.25},
+        "sets": {name: asdict(one) | {"seed": SEED_OF_SETS} for name, one in SETS.items()},
+        "candidates": {name: list(families) for name, families in CANDIDATES.items()},
+        "grid": {"kernels": GRID.kernels, "costs": GRID.costs, "scaled": True, "least deviation": GRID.floor},
+        "trials of each set that select": SELECTING,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
+    given = parser.parse_args()
+    experiment = Experiment(given.folder)
+    rows = Rows("sim_to_real", "python -m experiments.classification.sim_to_real FOLDER", about(experiment), SEED)
+    wanted = {name: experiment.row(spec) for name, spec in ROWS.items()} | {"shift of features": experiment.shift}
+    rows.fill(wanted, lambda name: any(text in name for text in given.only))
+
+
+if __name__ == "__main__":
+    main()

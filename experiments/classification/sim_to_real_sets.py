@@ -1,0 +1,160 @@
+"""Sets of trials for ``experiments.classification.sim_to_real``: each preset simulated with nothing, little or much varied.
+
+Run: python -m experiments.classification.sim_to_real_sets FOLDER [--sets none mild wide]
+Every simulated set is a store that ``sim_mjx.synthesis.pipeline`` makes: interrupted, it goes on where it stopped; finished ones are
+kept. A set's name is a recorded session, or a level of randomisation and a preset, such as "wide B".
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.features import FAMILIES, Features, FeatureSpec
+from rcbht_jax.io.store import read_recordings
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.types import LabelTracks, Recordings
+from sim_mjx.presets.sessions import PRESETS
+from sim_mjx.randomization.trials import SIMULATED, Randomisation
+from sim_mjx.synthesis import pipeline
+
+SEED = 20
+ONE = (1.0, 1.0)
+NONE = Randomisation(
+    nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0), stiffness=ONE, overlap=ONE, friction=ONE, mount=ONE,
+    gain=ONE, goal=ONE, speed=ONE, noise=ONE, force_bias=(0.0, 0.0), moment_bias=(0.0, 0.0), tare=ONE,
+)  # fmt: skip
+MILD = Randomisation(nominal_share=1.0)
+# What another robot, part or day might bring, without looking at any: half to twice each physical unknown.
+WIDE = Randomisation(
+    nominal_share=1.0, shift=(-2e-3, 2e-3), turn=(-0.02, 0.02), stiffness=(0.5, 2.0), overlap=(0.8, 1.1),
+    friction=(0.5, 2.0), mount=(0.6, 1.7), gain=(0.8, 1.25), goal=(0.7, 1.4), speed=(0.6, 1.6), lag=(3, 8),
+    noise=(0.5, 2.0), force_bias=(-1.0, 1.0), moment_bias=(-0.05, 0.05), tare=(0.8, 1.0), mating=(1.0, 20.0),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SimulatedSet:
+    """How one level of randomisation is simulated."""
+
+    spec: Randomisation
+    trials: int  # per preset
+
+
+# The recorded sessions; C's trials are failures, of which those count that reached every state.
+RECORDED = {
+    "A": TaskSpec(sessions=("A",)),
+    "B": TaskSpec(sessions=("B",)),
+    "C": TaskSpec(sessions=("C",), outcomes=("failure",)),
+    "SIM1": TaskSpec(sessions=("SIM1",)),
+}
+TARE_SECONDS = 1.0  # of free space at the beginning of every trial
+SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
+
+SETS = {
+    "none": SimulatedSet(NONE, 64),
+    "mild": SimulatedSet(MILD, 128),
+    "wide": SimulatedSet(WIDE, 256),
+    "own-end": SimulatedSet(replace(WIDE, mating=None), 64),  # as wide, but each preset's own time of mating
+    "ideal": SimulatedSet(WIDE, 64),  # as wide, but the OpenHRP preset keeps its noise-free sensor
+}
+WORN = "A"  # a robot's sensor has noise, which the OpenHRP preset's has not: it wears this session's
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """How a wrench becomes labels."""
+
+    window: int = 5  # samples
+    tare: bool = True  # subtract the mean of the first second
+    limits: tuple[tuple[float, ...], ...] | None = None  # [6][4]; None = the preset
+
+
+class Sets:
+    """Sets by name, each read, labelled and described once."""
+
+    def __init__(self, folder: Path, recorded: Recordings) -> None:
+        self.folder, self.recorded = folder, recorded
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def recordings(self, name: str, tare: bool) -> Recordings:
+        """The trials of a set; a simulated one is made where it is missing."""
+        if name in RECORDED:
+            (session,) = RECORDED[name].sessions
+            found = self.recorded.take(self.recorded.session == session)
+        else:
+            level, which = name.split()
+            make(self.folder, level, which)
+            found = read_recordings(store_of(self.folder, level, which))
+        return tared(found) if tare else found
+
+    @cache  # noqa: B019
+    def items(self, name: str, boundaries: str) -> Sentences:
+        """One sentence per state of the trials that reached every state."""
+        spec = RECORDED.get(name, TaskSpec(outcomes=()))
+        return sentences(self.recordings(name, True), replace(spec, boundaries=boundaries))
+
+    @cache  # noqa: B019
+    def tracks(self, name: str, how: Labelling) -> LabelTracks:
+        """Labels of all trials of a set."""
+        trials = self.recordings(name, how.tare)
+        limits = preset() if how.limits is None else Thresholds(np.array(how.limits))
+        return encode_recordings(EncoderConfig(how.window, trials.dt), limits, trials.wrench, trials.length)
+
+    @cache  # noqa: B019
+    def features(self, name: str, how: Labelling, boundaries: str) -> Features:
+        """All families of features of a set's sentences."""
+        return describe(self.tracks(name, how), self.items(name, boundaries), SPEC)
+
+
+def tared(recordings: Recordings) -> Recordings:
+    """Each trial without the mean wrench of its first second."""
+    samples = round(TARE_SECONDS / recordings.dt)
+    wrench = recordings.wrench.copy()
+    for row, length in enumerate(recordings.length):
+        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0)
+    return replace(recordings, wrench=wrench)
+
+
+def store_of(folder: Path, level: str, preset: str) -> Path:
+    """Where a set is kept."""
+    return folder / f"{level}-{preset}.zarr"
+
+
+def make(folder: Path, level: str, preset: str) -> None:
+    """Simulate a set unless it is there."""
+    target = store_of(folder, level, preset)
+    if target.exists():
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    spec = SETS[level].spec
+    if preset == SIMULATED and level != "ideal":
+        spec = replace(spec, sensor=WORN)
+    job = pipeline.Synthesis(preset, SETS[level].trials, SEED, shard=64, spec=spec)
+
+    def progress(now: pipeline.Progress) -> None:
+        print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)
+
+    print(pipeline.synthesise(target, job, progress=progress), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=["none", "mild", "wide"])
+    parser.add_argument("--presets", nargs="+", choices=PRESETS, default=list(PRESETS))
+    given = parser.parse_args()
+    for level in given.sets:
+        for name in given.presets:
+            make(given.folder, level, name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""Figures of the committed results, written to docs/images; nothing is measured here.
+
+Run: python -m experiments.figures.all
+PICTURES says what draws the others there.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments._lib.peer_rows import compared, result
+from experiments.figures import calibration_curves, dots, online
+from experiments.figures import faults as faults_figure
+from experiments.figures import sim_to_real as sim_to_real_figure
+from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
+from rcbht_jax.plots import save
+from rcbht_jax.plots.canvas import new_figure
+
+KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
+
+
+def peers() -> Figure:
+    """One panel per benchmark: accuracy of every method with its interval, best on top."""
+    facts = result("peers")["benchmarks"]
+    figure = new_figure((12.5, 9.4), DPI)
+    for number, (benchmark, methods) in enumerate(compared().items()):
+        ax = figure.add_subplot(2, len(facts) // 2, number + 1)
+        rows = {method: row for method, row in methods.items() if method != "majority"}
+        order = sorted(rows, key=lambda method: rows[method]["accuracy"]["mean"])
+        for place, method in enumerate(order):
+            bar(ax, place, rows[method])
+        ax.set_yticks(range(len(order)), [short(method) for method in order])
+        if chance := methods.get("majority"):
+            ax.axvline(chance["accuracy"]["mean"], color="0.3", linestyle=":", linewidth=1)
+        ax.set_xlim(0, 1.02)
+        about = facts[benchmark]
+        ax.set_title(f"{benchmark}\n{len(about['classes'])} classes, {about['items']} items", fontsize=9)
+        plain(ax)
+    handles = [figure.axes[0].barh(np.nan, 0, color=color, label=label) for color, label in KINDS.values()]
+    figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=9)
+    figure.supxlabel(
+        "accuracy; line: 95 % interval; dots: most frequent class; relative: neither duration nor offset",
+        fontsize=9,
+        y=0.045,
+    )
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return figure
+
+
+def bar(ax: Axes, place: int, row: dict[str, Any]) -> None:
+    score = row["accuracy"]
+    ax.barh(place, score["mean"], color=KINDS[row["kind"]][0], height=0.75)
+    ax.plot([score["low"], score["high"]], [place, place], color="black", linewidth=1.2)
+
+
+def short(method: str) -> str:
+    """A name that fits on one line."""
+    for part in (" + SVM", " + ridge"):
+        method = method.replace(part, "")
+    return method.replace(", without duration and offset", ", relative").replace(", offset removed", ", no offset")
+
+
+def curves() -> Figure:
+    """Accuracy over the number of training trials, one panel per set."""
+    rows = result("curves")["rows"]
+    names = list(dict.fromkeys(name.split(" | ")[0] for name in rows))
+    figure = new_figure((10.0, 4.0), DPI)
+    for number, name in enumerate(names):
+        ax = figure.add_subplot(1, len(names), number + 1)
+        found = {key.split(" | ")[2]: row for key, row in rows.items() if key.startswith(f"{name} | curve")}
+        for color, (features, row) in zip(LINES, found.items(), strict=False):
+            sizes = [int(size) for size in row]
+            mean, low, high = np.array(list(row.values())).T
+            ax.plot(sizes, mean, color=color, marker="o", markersize=3.5, label=features)
+            ax.fill_between(sizes, low, high, color=color, alpha=0.15, linewidth=0)
+        ax.set_ylim(0.4, 1.01)
+        ax.set_title(name, fontsize=10)
+        ax.set_xlabel("training trials", fontsize=9)
+        ax.grid(alpha=0.3)
+        plain(ax)
+    figure.axes[0].set_ylabel("accuracy on all other trials", fontsize=9)
+    figure.axes[-1].legend(fontsize=8, frameon=False, loc="lower right")
+    figure.tight_layout()
+    return figure
+
+
+def grids() -> Figure:
+    """Accuracy over kernel and cost, one panel per set and kind of features."""
+    found = result("curves")
+    rows = {name: row for name, row in found["rows"].items() if " | grid | " in name}
+    figure = new_figure((11.0, 4.2), DPI)
+    for number, (name, row) in enumerate(rows.items()):
+        ax = figure.add_subplot(2, 2, number + 1)
+        values = np.array(list(row.values()))
+        ax.imshow(values, vmin=0.25, vmax=1, cmap="viridis", aspect="auto")
+        for (y, x), value in np.ndenumerate(values):
+            color = "white" if value < 0.7 else "black"
+            ax.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
+        ax.set_yticks(range(len(row)), list(row))
+        ax.set_xticks(range(values.shape[1]), [f"{cost:g}" for cost in found["costs"]])
+        ax.set_title(name.replace(" | grid | ", ": "), fontsize=9)
+        ax.tick_params(labelsize=8)
+    figure.supxlabel("C", fontsize=9)
+    figure.supylabel("kernel", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+def confidence() -> Figure:
+    """Belief in the true class over the course of a sub-task: a row per set, a column per class."""
+    rows = result("confidence")["rows"]
+    figure = new_figure((10.5, 2.3 * len(rows) + 0.4), DPI)
+    for number, (name, row) in enumerate(rows.items()):
+        for place, (state, belief) in enumerate(row["belief"].items()):
+            ax = figure.add_subplot(len(rows), len(row["belief"]), number * len(row["belief"]) + place + 1)
+            mean, low, high = (np.array(belief[kind], float) for kind in ("mean", "low", "high"))
+            at = (np.arange(len(mean)) + 0.5) * 100 / len(mean)
+            seen = ~np.isnan(mean)
+            ax.axhspan(0, 0.5, color="0.93", linewidth=0)
+            ax.axhline(0.7, color="0.4", linestyle=":", linewidth=1)
+            ax.fill_between(at[seen], low[seen], high[seen], color=OURS, alpha=0.2, linewidth=0)
+            ax.plot(at[seen], mean[seen], color=OURS, linewidth=1.8)
+            ax.set_xlim(0, 100)
+            ax.set_ylim(0, 1.02)
+            seconds = row["seconds of a sub-task, median"][place]
+            ax.set_title(f"{name}, {state} ({seconds:.1f} s)", fontsize=9)
+            plain(ax)
+    figure.supxlabel("part of the sub-task that has passed, %", fontsize=9)
+    figure.supylabel("probability of the true class", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+def sim_to_real() -> Figure:
+    """What each choice does to the accuracy on recorded trials of a learner that saw simulated ones only."""
+    return sim_to_real_figure.draw(result("sim_to_real")["rows"], sim_to_real_figure.STORY)
+
+
+def sim_to_real_all() -> Figure:
+    """The same with all that was tried."""
+    return sim_to_real_figure.draw(result("sim_to_real")["rows"])
+
+
+def reliability() -> Figure:
+    """How often a streamed belief of some probability is right."""
+    return online.reliability(result("table2")["rows"])
+
+
+def early() -> Figure:
+    """How much of a sub-task must have passed until its name is right."""
+    return online.early(result("table2")["rows"])
+
+
+def table1() -> Figure:
+    """Table I of the paper on our labels, beside what duration alone reaches and what the paper prints."""
+    kinds = {
+        "paper's features, nested, grouped": "paper's features",
+        "words, nested, grouped": "words",
+        "duration alone": "duration alone",
+    }
+    rows, printed = {}, {}
+    for name, row in result("table1_ours")["rows"].items():
+        title = name.replace(" | ", ", ")
+        rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
+        if row["paper"] is not None:
+            printed[title] = row["paper"][1]
+    return dots.draw(rows, "accuracy, trials kept together, kernel and cost chosen inside", printed)
+
+
+def probes() -> Figure:
+    """What tells failure, success and session without any assembly."""
+    rows = dots.of_rows(result("probes")["rows"], "balanced_accuracy")
+    shown = {question: {kind: row[kind] for kind in list(row)[1:]} for question, row in rows.items()}
+    return dots.draw(shown, "balanced accuracy")
+
+
+def calibration() -> Figure:
+    """What each way of calibrating reaches in how much time."""
+    return calibration_curves.draw(result("calibration_curves")["rows"])
+
+
+def faults() -> Figure:
+    """Simulated faults: what fails, and what is noticed, by severity."""
+    return faults_figure.faults(result("faults_online")["presets"])
+
+
+def failure_types() -> Figure:
+    """What each kind of the authors' failures is taken for by the best of the streamed heads."""
+    found = result("failure_types_online")
+    at = "at 100%, votes of pairs"
+    name, row = max(found["rows"].items(), key=lambda item: item[1][at]["mean"])
+    title = f"{name}: {row[at]['mean']:.3f} of {found['trials']} failures, streamed, trials not trained on"
+    return faults_figure.failure_types(list(found["classes"]), row[f"true and said {at}"], title)
+
+
+FIGURES = {
+    "table1": table1,
+    "probes": probes,
+    "peers": peers,
+    "training-size": curves,
+    "kernel-cost": grids,
+    "confidence": confidence,
+    "online-reliability": reliability,
+    "online-early": early,
+    "online-faults": faults,
+    "failure-types": failure_types,
+    "sim-to-real": sim_to_real,
+    "sim-to-real-all": sim_to_real_all,
+    "calibration-curves": calibration,
+}
+# Pictures of trials and of experiments that draw while they measure, and the command that writes each.
+REAL = "REAL_HIRO_ONE_SA_SUCCESS"
+PICTURES = {
+    "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13",
+    "label-map": f"rcbht plot map hiro.zarr --source {REAL} --by state",
+    "online-beliefs": "rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-13 --model b.model",
+    "view": "rcbht view a.zarr sim-A-000004",
+    "labels-primitive": "python -m tools.docs_pictures",
+    "labels-mc": "python -m tools.docs_pictures",
+    "labels-llb": "python -m tools.docs_pictures",
+    "two-arm-right": "python -m experiments.classification.two_arm",
+    "two-arm-left": "python -m experiments.classification.two_arm",
+    "success-map": "python -m experiments.simulation.success",
+}
+
+
+def main() -> None:
+    for name, draw in FIGURES.items():
+        save(draw(), IMAGES / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

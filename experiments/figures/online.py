@@ -1,0 +1,68 @@
+"""Figures of the online results: how often a belief is right, and how soon."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.figures.style import DPI, LINES, plain
+from rcbht_jax.plots.canvas import new_figure
+
+
+def sets_of(rows: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The rows at 10 Hz, by set."""
+    return {key.split(" at ")[0]: row for key, row in rows.items() if key.endswith(" at 10 Hz")}
+
+
+def numbers(values: Any) -> np.ndarray:
+    """A table of a result, with NaN where it holds nothing."""
+    return np.array(values, dtype=float)
+
+
+def reliability(rows: dict[str, Any]) -> Figure:
+    """How often a belief of some probability is right, and how many beliefs there are of it, one panel per set."""
+    sets = sets_of(rows)
+    figure = new_figure((3.4 * len(sets), 3.6), DPI)
+    for number, (name, row) in enumerate(sets.items()):
+        ax = figure.add_subplot(1, len(sets), number + 1)
+        share, said, right = numbers(row["all"]["reliability"]).T
+        ax.plot([0, 1], [0, 1], color="0.7", linestyle=":", linewidth=1)
+        ax.bar((np.arange(len(share)) + 0.5) / len(share), share, 0.95 / len(share), color="0.88")
+        ax.plot(said, right, "o-", color=LINES[1], markersize=4)
+        ax.set_title(f"{name}: error {row['all']['ECE steps']['mean']:.3f}", fontsize=9)
+        ax.set_xlim(0, 1)
+        ax.set_ylim(0, 1.02)
+        plain(ax)
+    figure.axes[0].set_ylabel("share right (line), share of beliefs (bars)", fontsize=8)
+    figure.supxlabel("probability of the likeliest state, streamed every tenth of a second", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+def early(rows: dict[str, Any]) -> Figure:
+    """How much of a sub-task must have passed until its name is right, one panel per set."""
+    sets = sets_of(rows)
+    figure = new_figure((3.4 * len(sets), 3.6), DPI)
+    for number, (name, row) in enumerate(sets.items()):
+        ax = figure.add_subplot(1, len(sets), number + 1)
+        curves(ax, numbers(row["all"]["accuracy by tenth of the sub-task"]), row["classes"])
+        ax.set_title(name, fontsize=9)
+    figure.axes[0].set_ylabel("share right", fontsize=8)
+    figure.axes[0].legend(frameon=False, fontsize=8, loc="lower right")
+    figure.supxlabel("share of the sub-task that has passed", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
+def curves(ax: Axes, accuracy: np.ndarray, classes: list[str]) -> None:
+    """A line per class; parts that hold no look are bridged."""
+    part = (np.arange(accuracy.shape[1]) + 1) / accuracy.shape[1]
+    for color, name, line in zip(LINES, classes, accuracy, strict=False):
+        there = np.isfinite(line)
+        ax.plot(part[there], line[there], color=color, label=name, linewidth=1.5)
+    ax.set_ylim(0, 1.02)
+    ax.set_xlim(0, 1)
+    plain(ax)

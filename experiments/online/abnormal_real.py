@@ -1,0 +1,213 @@
+"""Success or failure of the real trials from the stream, with what confounds it.
+
+Every real failure was recorded in session C and every success in A or B, so that "failure" and "another session" are
+the same question. Three rows say how much of the score is the session:
+
+* mixed: half of the trials of all sessions train, the other half is streamed (the number that is usually reported);
+* held out: the successes of one session and half of the failures train; the other session's successes and the other
+  half of the failures are streamed, so that no success of the tested session was ever seen;
+* sessions: the same protocol tells the successes of A from those of B, where there is nothing to recognise.
+
+Each with all features, with features that hold no duration and no absolute offset, and with nothing but the time that
+has passed. Scores are mean recalls of the two classes, at one second (before any contact), at parts of the record
+and at its end.
+
+Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0
+Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments._lib.results_io import write_result
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection.chain import Sight
+from rcbht_jax.introspection.levels import Alarm
+from rcbht_jax.introspection.training import TRIAL_FAMILIES, TRIAL_RELATIVE, Looks, streamed, watch
+from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.probability import fit_probabilistic
+from rcbht_jax.learning.svm import Grid, select
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+
+SOURCES = ("REAL_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_ERROR_CHARAC")
+RATE = 10.0  # looks per second
+FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
+PICKED = 16  # looks per trial that train, evenly spaced
+HOLD, LEVEL = 0.3, 0.70  # s; the paper's k
+GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1)
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """All looks at all real trials."""
+
+    items: Sentences  # one per trial
+    looks: Looks
+    x: Floats  # [look, feature]
+    dt: float
+
+    @property
+    def elapsed(self) -> Floats:
+        """Seconds since the record began ``[look]``."""
+        return (self.looks.now - self.looks.begin) * self.dt
+
+
+def halves(groups: list[Flags], rng: np.random.Generator) -> tuple[Flags, Flags]:
+    """Half of each group of trials to train, the others to test."""
+    train = np.zeros(len(groups[0]), bool)
+    for group in groups:
+        rows = rng.permutation(np.flatnonzero(group))
+        train[rows[: len(rows) // 2]] = True
+    return train, np.any(groups, axis=0) & ~train
+
+
+def mixed(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
+    """Half of every session trains."""
+    yield halves([session == s for s in "ABC"], rng)
+
+
+def held_out(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
+    """The successes of one session train, those of the other are tested; both ways."""
+    for seen, unseen in ("AB", "BA"):
+        train, test = halves([session == "C"], rng)
+        yield train | (session == seen), test | (session == unseen)
+
+
+def sessions(session: NDArray[np.str_], rng: np.random.Generator) -> Iterator[tuple[Flags, Flags]]:
+    """Half of A and half of B train."""
+    yield halves([session == s for s in "AB"], rng)
+
+
+SPLITS: dict[str, Callable[[NDArray[np.str_], np.random.Generator], Iterator[tuple[Flags, Flags]]]] = {
+    "mixed": mixed,
+    "held out": held_out,
+    "sessions": sessions,
+}
+
+
+def evenly(looks: Looks) -> Flags:
+    """Looks that train: evenly spaced over each record, its end always."""
+    chosen = np.zeros(len(looks), bool)
+    for sentence in np.unique(looks.sentence):
+        rows = np.flatnonzero(looks.sentence == sentence)
+        chosen[rows[np.unique(np.linspace(0, len(rows) - 1, PICKED).round().astype(int))]] = True
+    return chosen
+
+
+def score(w: Watched, x: Floats, y: NDArray[np.int64], train: Flags, test: Flags, seed: int) -> dict[str, Any]:
+    """One split. ``y`` is the class of every trial, ``train`` and ``test`` say which trials."""
+    sentence = w.looks.sentence
+    fitted, seen = train[sentence] & evenly(w.looks), test[sentence]
+    groups = w.items.trial[sentence]
+    names_of = ("0", "1")
+    spec = select({"": x[fitted]}, y[sentence[fitted]], groups[fitted], GRID, seed)
+    machine = fit_probabilistic(x[fitted], y[sentence[fitted]], groups[fitted], names_of, spec, seed)
+    p = np.full((len(sentence), 2), np.nan)
+    p[seen] = machine.probability(x[seen])
+    out: dict[str, Any] = {"every tenth of a second": _balanced(y[sentence[seen]], p[seen])}
+    for name, rows in moments(w, seen).items():
+        out[name] = _balanced(y[sentence[rows]], p[rows])
+    out["calibration error of steps"] = metrics.calibration_error(p[seen], y[sentence[seen]])
+    raised = {int(trial): _alarmed(w, p[:, 0], sentence == trial) for trial in np.flatnonzero(test)}
+    out["failures alarmed"] = float(np.mean([raised[t] for t in raised if y[t] == 0]))
+    out["successes alarmed"] = float(np.mean([raised[t] for t in raised if y[t] == 1]))
+    return out
+
+
+def moments(w: Watched, seen: Flags) -> dict[str, NDArray[np.int64]]:
+    """One look per trial at one second and at each part of the record."""
+    found: dict[str, list[int]] = {"after 1 s": [], **{f"at {f:.0%}": [] for f in FRACTIONS}}
+    for sentence in np.unique(w.looks.sentence[seen]):
+        rows = np.flatnonzero(w.looks.sentence == sentence)
+        elapsed = w.elapsed[rows]
+        found["after 1 s"].append(int(rows[np.searchsorted(elapsed, 1.0 - 1e-9)]))
+        for f in FRACTIONS:
+            found[f"at {f:.0%}"].append(int(rows[np.searchsorted(elapsed, f * elapsed[-1] - 1e-9)]))
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def _balanced(truth: NDArray[np.int64], p: Floats) -> float:
+    return float(np.nanmean(metrics.recall(truth, p.argmax(1), 2)))
+
+
+def _alarmed(w: Watched, p: Floats, mine: Flags) -> bool:
+    """Whether a trial raises the alarm, by the level of the paper's k."""
+    alarm = Alarm(LEVEL, HOLD)
+    return any(alarm.update(float(a), float(t)) for a, t in zip(p[mine], w.elapsed[mine], strict=True))
+
+
+def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[str, Any]:
+    """Mean and 95 % interval of every score of a row."""
+    session = w.items.session
+    y = (session == "B").astype(np.int64) if row == "sessions" else w.items.y
+    runs = []
+    for s in tqdm(range(seed, seed + repeats), desc=row, file=sys.stderr, disable=None):
+        for train, test in SPLITS[row](session, np.random.default_rng(s)):
+            runs.append(score(w, x, y, train, test, s))
+    summary = {}
+    for name in runs[0]:
+        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
+        summary[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+    return summary
+
+
+def looked(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
+    """All looks, and the columns of each choice of features; the time that has passed is the last column."""
+    recordings, _ = read_hiro(data)
+    items = sentences(recordings, TaskSpec("outcome", sources=SOURCES))
+    config = EncoderConfig(dt=recordings.dt)
+    looks = streamed(items, round(1 / (RATE * config.dt)))
+    sight = Sight(FeatureSpec(families=TRIAL_FAMILIES))
+    with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
+        x = watch(recordings, looks, sight, config, preset(), bar.update)
+    family = np.array([name.split(".")[0] for name in names(sight.spec)] + ["elapsed"])
+    elapsed = ((looks.now - looks.begin) * config.dt)[:, None]
+    columns = {
+        "all features": family != "elapsed",
+        "relative features": np.isin(family, TRIAL_RELATIVE),
+        "time alone": family == "elapsed",
+    }
+    return Watched(items, looks, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    w, columns = looked(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    rows = {
+        row: {name: measure(w, row, w.x[:, mine], args.repeats, args.seed) for name, mine in columns.items()}
+        for row in SPLITS
+    }
+    result = {
+        "what": "success or failure of real trials from the stream; mean recall of the classes",
+        "confound": "all failures are of session C, all successes of A or B: a mixed score is also that of the session",
+        "trials": {s: int((w.items.session == s).sum()) for s in "ABC"},
+        "repeats": args.repeats,
+        "rows": rows,
+    }
+    command = f"python -m experiments.online.abnormal_real --repeats {args.repeats} --seed {args.seed}"
+    write_result("abnormal_real", command, result, args.seed)
+
+
+if __name__ == "__main__":
+    main()

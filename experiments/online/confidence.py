@@ -1,0 +1,94 @@
+"""Confidence while a sub-task runs: the belief in its true class over its course, per class, as in the paper's figure.
+
+Half of the trials train, the other half is streamed at 10 Hz, again and again with other halves, with the machinery of
+experiments.online.table2. Kept are the mean and the middle 80 % of the probability of the true class at twenty moments of the
+sub-task, over all test sentences and repeats; a belief stands until the next one.
+
+Run: python -m experiments.online.confidence --repeats 10 --seed 0
+Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments._lib.benchmarks import recorded, rounded
+from experiments._lib.checkpointed_rows import Rows
+from experiments.online.table2 import MAIN_RATE, SETS, halves, watched
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, Looks, learn
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+PARTS = 20  # of a sub-task
+
+
+def beliefs(x: dict[str, Any], items: Sentences, seed: int) -> tuple[Looks, np.ndarray]:
+    """The looks at the untrained half, and the probability of the true class at each."""
+    inside = halves(items, seed)
+    columns = np.isin(x["family"], FAMILIES)
+    fitted, looks = x["picked"], x["streamed"]
+    rows = np.flatnonzero(inside[fitted.sentence])
+    described, train = FeatureSpec(families=FAMILIES, balance=True), x["picked_x"][rows][:, columns]
+    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
+    test = np.flatnonzero(~inside[looks.sentence])
+    seen = looks.take(test)
+    p = machine.probability(x["streamed_x"][test][:, columns])
+    return seen, p[np.arange(len(p)), items.y[seen.sentence]]
+
+
+def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
+    items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
+    length = items.intervals[0].end - items.intervals[0].start
+    parts = []
+    for one in tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None):
+        seen, p = beliefs(x, items, one)
+        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.sentence)]
+    y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
+    return {
+        "seconds of a sub-task, median": [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)],
+        "belief": {name: summary(p[y == c]) for c, name in enumerate(items.classes)},
+    }
+
+
+def held(looks: Looks, p: np.ndarray, sentence: int, length: int) -> np.ndarray:
+    """The belief that stands at each moment of one sentence; NaN before the first."""
+    mine = looks.sentence == sentence
+    moments = (np.arange(PARTS) + 0.5) / PARTS
+    last = np.searchsorted((looks.now[mine] - looks.begin[mine]) / length, moments, side="right") - 1
+    return np.where(last < 0, np.nan, p[mine][last])
+
+
+def summary(p: np.ndarray) -> dict[str, list[float | None]]:
+    """Mean and middle 80 % of ``[sentence, moment]``; None where less than half of the sentences have a belief."""
+    cells = [column[~np.isnan(column)] for column in p.T]
+    kinds = {"mean": np.mean, "low": lambda v: np.quantile(v, 0.1), "high": lambda v: np.quantile(v, 0.9)}
+    return {kind: [float(f(v)) if 2 * v.size >= len(p) else None for v in cells] for kind, f in kinds.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    recordings = recorded()
+    about = {
+        "what": "probability of the true class over the course of a sub-task, streamed, trials not trained on",
+        "rate, Hz": MAIN_RATE,
+        "repeats": args.repeats,
+        "families": FAMILIES,
+    }
+    command = f"python -m experiments.online.confidence --repeats {args.repeats} --seed {args.seed}"
+    wanted = {n: lambda n=n: rounded(measure(recordings, n, args.repeats, args.seed)) for n in SETS}
+    Rows("confidence", command, about, args.seed).fill(wanted)
+
+
+if __name__ == "__main__":
+    main()

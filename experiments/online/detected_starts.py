@@ -1,0 +1,184 @@
+"""Sub-tasks that nobody announces: when they are noticed, and what the beliefs lose by it.
+
+A head "phase" tells from the sentence of the whole trial which state goes on; a filter over time, which knows that
+states only follow each other, says when the next one begins. Half of the trials train, the other half is streamed at
+10 Hz. The beliefs about the state (from the sentence of the sub-task, as in table2) are then made with the beginnings
+given (harmonised) and with those that were noticed; both are held against the state that truly goes on, and so are the
+head and the filter themselves. The filter's two constants were chosen while looking at these trials.
+
+Run: python -m experiments.online.detected_starts --repeats 10 --seed 0
+Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments._lib.results_io import write_result
+from experiments.online.table2 import SETS, halves
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.introspection.levels import Phases
+from rcbht_jax.introspection.training import HeadSpec, Looks, from_the_beginning, learn, picked, streamed, watch
+from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.types import Recordings
+
+RATE = 10.0  # looks per second
+HEADS = {name: HeadSpec(TaskSpec(), phase=name == "phase") for name in ("state", "phase")}
+NEAR = 0.5  # s, within which a beginning counts as found
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class View:
+    """Looks with their features."""
+
+    looks: Looks
+    x: NDArray[np.float32]
+    head: HeadSpec
+
+
+def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
+    """A machine for the state, trained on the looks at the training trials, as ``rcbht train-online`` does."""
+    rows = inside[view.looks.sentence]
+    x = view.x[rows].astype(np.float64)
+    return learn(x, view.looks.take(rows), items, view.head.sight.spec, *view.head.learning, seed)
+
+
+def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
+    """When each sub-task but the first is noticed, s: state -> time."""
+    phases, found = Phases(classes), {}
+    for row, t in zip(p, time.tolist(), strict=True):
+        if phases.update(row, t):
+            found[phases.current] = t
+    return found
+
+
+def going_on(looks: Looks, starts: dict[int, dict[int, float]], dt: float) -> Ints:
+    """The sub-task that goes on at each look, as it was noticed."""
+    out = np.zeros(len(looks), np.int64)
+    for recording, found in starts.items():
+        for state, time in found.items():
+            out[(looks.recording == recording) & (looks.now * dt >= time - dt / 2)] = state
+    return out
+
+
+def with_beginnings(looks: Looks, starts: dict[int, dict[int, float]], dt: float) -> Looks:
+    """The same moments with the sentences begun when they were noticed; after the look that noticed them."""
+    begin = np.zeros_like(looks.begin)
+    for recording, found in starts.items():
+        mine = looks.recording == recording
+        for time in sorted(found.values()):
+            sample = round(time / dt)
+            begin[mine & (looks.now > sample)] = sample
+    return replace(looks, begin=begin)
+
+
+def repeat(data: Recordings, items: Sentences, views: dict[str, View], seed: int) -> dict[str, Any]:
+    """One half-split."""
+    inside, dt = halves(items, seed), data.dt
+    state, phase = (fitted(items, views[name], inside, seed) for name in ("state trains", "phase trains"))
+    given, whole = views["state"], views["phase"]
+    test = ~inside[whole.looks.sentence]
+    looks = whole.looks.take(test)
+    p = phase.probability(whole.x[test].astype(np.float64))
+    starts, errors = {}, []
+    for recording in np.unique(looks.recording).tolist():
+        mine = looks.recording == recording
+        starts[recording] = noticed(p[mine], looks.now[mine] * dt, items.classes)
+        truth = data.onset_harmonised[recording]
+        errors.append([starts[recording].get(s, np.nan) - truth[s] for s in range(1, len(items.classes))])
+    own = with_beginnings(looks, starts, dt)
+    order = np.lexsort((own.now, own.recording))
+    x = watch(data, own.take(order), given.head.sight, EncoderConfig(dt=dt), preset())
+    mine = ~inside[given.looks.sentence]
+    scores = {
+        "given": (items.y[given.looks.sentence[mine]], state.probability(given.x[mine].astype(np.float64))),
+        "noticed": (items.y[own.sentence[order]], state.probability(x.astype(np.float64))),
+        "phase alone": (items.y[looks.sentence], p),
+        "filter alone": (items.y[looks.sentence], np.eye(len(items.classes))[going_on(looks, starts, dt)]),
+    }
+    out: dict[str, Any] = {
+        f"macro step accuracy, {name}": metrics.macro_step_accuracy(said, truth)
+        for name, (truth, said) in scores.items()
+    }
+    return out | {"errors": np.array(errors)}
+
+
+def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, Any]:
+    """Scores with intervals; errors of the beginnings over all repeats."""
+    out: dict[str, Any] = {}
+    for name in (n for n in runs[0] if n != "errors"):
+        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
+        out[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+    errors = np.concatenate([run["errors"] for run in runs])
+    for column, name in enumerate(classes[1:]):
+        e = errors[:, column]
+        seen = e[np.isfinite(e)]
+        quantiles = np.quantile(seen, [0.05, 0.25, 0.5, 0.75, 0.95]) if len(seen) else np.full(5, np.nan)
+        out[f"beginning of {name}"] = {
+            "noticed": round(float(np.isfinite(e).mean()), 3),
+            f"within {NEAR:g} s": round(float((np.abs(seen) <= NEAR).sum() / len(e)), 3),
+            "s late, quantiles .05 .25 .5 .75 .95": [round(float(q), 2) for q in quantiles],
+        }
+    return out
+
+
+def views_of(data: Recordings, items: Sentences) -> dict[str, View]:
+    """All looks that any repeat needs, with features."""
+    config = EncoderConfig(dt=data.dt)
+    every = round(1 / (RATE * config.dt))
+    chosen, all_of_it = picked(items, every), streamed(items, every)
+    wanted = {
+        "state trains": chosen,
+        "state": all_of_it,
+        "phase trains": from_the_beginning(chosen),
+        "phase": from_the_beginning(all_of_it),
+    }
+    out = {}
+    for name, looks in wanted.items():
+        with tqdm(total=len(looks), desc=name, file=sys.stderr, disable=None) as bar:
+            head = HEADS[name.split()[0]]
+            out[name] = View(looks, watch(data, looks, head.sight, config, preset(), bar.update), head)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=["REAL", "SIM1"])
+    args = parser.parse_args()
+    data, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    rows = {}
+    for name in args.sets:
+        items = sentences(data, TaskSpec(sources=(SETS[name],), arms="R"))
+        views = views_of(data, items)
+        seeds = tqdm(range(args.seed, args.seed + args.repeats), desc=name, file=sys.stderr, disable=None)
+        runs = [repeat(data, items, views, s) for s in seeds]
+        rows[name] = {"trials": len(np.unique(items.trial)), **summary(runs, items.classes)}
+    result = {
+        "what": "beginnings of sub-tasks noticed from the stream, held against the harmonised ones",
+        "repeats": args.repeats,
+        "rows": rows,
+    }
+    command = f"python -m experiments.online.detected_starts --repeats {args.repeats} --seed {args.seed}"
+    write_result("detected_starts", command, result, args.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Simulated trials for the detection of faults: nominal ones, and each kind of fault at graded severities.
+
+The grades run from a deviation with which the parts still seat to one with which they never do, so that some trials
+lie at the boundary of success. Every record goes on for a while after the planned end of its trial, as by a logger
+that knows nothing of a fault: after mating, and after an early stop, the robot keeps still. A tail that says nothing
+is therefore no sign of a fault. Stores are kept in a folder and made once; an interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from rcbht_jax.io.store import read_recordings, read_simulation
+from rcbht_jax.types import Recordings
+from sim_mjx.assembly.parts import TABS
+from sim_mjx.presets import sessions
+from sim_mjx.randomization.trials import MATING_BEGINS, Randomisation
+from sim_mjx.synthesis.pipeline import Synthesis, synthesise
+
+# Kind -> what a grade is, and the fields of the distributions that each grade sets.
+GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
+    "jamming": tuple(
+        (f"hooks of {hook:.2f} mm, friction x {rub:g}", {"jam_overlap": hook * 1e-3, "jam_friction": rub})
+        for hook, rub in ((0.9, 1.5), (1.15, 2.2), (1.4, 3.0), (1.6, 3.5), (1.8, 4.5))
+    ),
+    "wedging": tuple(
+        (f"turned {turn:g}, tilted {tilt:g} rad", {"wedge_roll": turn, "wedge_tilt": tilt})
+        for turn, tilt in ((0.01, 0.005), (0.02, 0.01), (0.04, 0.02), (0.08, 0.04), (0.15, 0.1))
+    ),
+    "missing-tab": (("one tab of four", {}),),
+    "moved-part": tuple((f"{away:g} mm", {"moved_by": away * 1e-3}) for away in (1, 2, 4, 8, 30)),
+    "early-stop": tuple(
+        (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.5, 0.7, 0.85, 0.97)
+    ),
+}
+NOMINAL = "none"
+TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still
+_SHARD = 256
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Simulated trials with what was wrong with them, one row per trial."""
+
+    recordings: Recordings
+    kind: NDArray[np.str_]  # [trial] "none" or a fault
+    grade: NDArray[np.int64]  # [trial] index into the kind's grades; 0 for nominal trials
+    contact: NDArray[np.bool_]  # [trial] the parts touched: the robot came to the end of its approach
+    cause: NDArray[np.str_]  # [trial] the kind, with the tab that is missing
+    stop: NDArray[np.float64]  # [trial] s, from then on the robot keeps still; beyond the record if it does not
+    end: NDArray[np.float64]  # [trial] s, of the mating as planned: what is recorded later is the tail
+
+    @property
+    def nominal(self) -> NDArray[np.bool_]:
+        """Trials without a fault that seated ``[trial]``."""
+        return (self.kind == NOMINAL) & ~self.failed
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Trials that did not seat ``[trial]``."""
+        return np.asarray(self.recordings.outcome == "failure")
+
+
+def spec_of(kind: str, grade: int) -> Randomisation:
+    """The distributions of one kind and grade."""
+    if kind == NOMINAL:
+        return Randomisation(nominal_share=1.0, logs_on=TAIL)
+    values: dict[str, Any] = {name: (value, value) for name, value in GRADES[kind][grade][1].items()}
+    return replace(Randomisation(nominal_share=0.0, faults=(kind,), logs_on=TAIL), **values)
+
+
+def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int]]:
+    """Kind, grade and number of trials of every store; nominal trials may come in several."""
+    # a kind that has no grades is four kinds, any tab may be missing, and the hardest to see
+    each = {kind: 6 * per_kind if len(grades) == 1 else per_kind // len(grades) for kind, grades in GRADES.items()}
+    faulty = [(kind, g, each[kind]) for kind, grades in GRADES.items() for g in range(len(grades))]
+    first, *more = [(NOMINAL, 0, count) for count in nominal]
+    return [first, *faulty, *more]
+
+
+def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int) -> Trials:
+    """Simulate what is not in the folder yet, and read it all.
+
+    Args:
+        folder: of the stores.
+        preset: of the controller.
+        nominal: numbers of nominal trials, one store each.
+        per_kind: trials of each kind of fault.
+        seed: of the simulation.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lots = []
+    for number, (kind, grade, count) in enumerate(
+        tqdm(batches(nominal, per_kind), desc=f"simulate {preset}", file=sys.stderr, disable=None)
+    ):
+        path = folder / f"{preset}-{kind}-{grade}-{count}-{1000 * seed + number}.zarr"
+        if not path.exists():
+            synthesise(path, Synthesis(preset, count, 1000 * seed + number, shard=_SHARD, spec=spec_of(kind, grade)))
+        lots.append(_lot(path, preset, kind, grade))
+    columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
+    recordings = Recordings.join(columns.pop("recordings"))
+    return Trials(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
+    """One store."""
+    recordings, truth = read_recordings(path), read_simulation(path)
+    recordings = replace(recordings, trial=np.char.add(f"{path.stem}-", recordings.trial.astype(str)))
+    touched = np.isfinite(recordings.onset[:, 1])
+    if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
+        touched &= False  # the part stands beyond the reach of the hand's
+    gone = np.array(TABS)[truth["hook_overlap"].argmin(1)]
+    cause = np.char.add(f"{kind} ", gone) if kind == "missing-tab" else np.full(len(recordings), kind)
+    planned = sessions.preset(preset)
+    mating = truth["way_time"][:, -1] + MATING_BEGINS[preset] - planned.way_time[-1]
+    mating = np.where(np.isfinite(recordings.onset[:, 3]), recordings.onset[:, 3], mating)
+    grades = np.full(len(recordings), grade)
+    return Trials(
+        recordings, np.full(len(recordings), kind), grades, touched, cause, truth["stop"], mating + planned.mating_time
+    )

@@ -1,0 +1,263 @@
+"""Faults in simulation, recognised from the stream: detection, false alarms and delay by kind and severity.
+
+Half of the failures and two thirds of the nominal trials train (``experiments.online.fault_watch``), the others are streamed,
+several times with other halves. A failure is detected if an alarm is raised while it can still be helped: after
+contact or after the robot stopped, and before the sub-task in which the trial failed ends. Mating ends when the
+controller planned it; a sub-task that never ends is waited for until the mating would have ended as planned. Every
+record goes on for three seconds after that, and an alarm in a nominal trial is a false one whenever it comes, there as
+well. A trial with a fault that seats nevertheless is a success: alarms about those are counted apart. So are faults
+without contact.
+
+Run: python -m experiments.online.faults --folder faults --preset B C A --repeats 5 --seed 2
+Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments._lib.results_io import write_result
+from experiments.online.fault_trials import GRADES, NOMINAL, TAIL, Trials
+from experiments.online.fault_watch import CLOCK, HOLDS, WORDS, Monitor, Watched, alarms, monitor, watched
+from rcbht_jax.learning.metrics import corrected_interval
+
+TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
+NOMINAL_SHARE = 2 / 3  # of the nominal trials train: levels for few false alarms take many of them
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """What was heard of the trials that were streamed, in one repeat."""
+
+    inside: NDArray[np.bool_]  # [trial] trains, and is not streamed
+    first: dict[str, NDArray[np.float64]]  # time of the first alarm [trial], s, of the words and of the clock
+
+    @property
+    def alarm(self) -> NDArray[np.float64]:
+        """Time of the first alarm of either ``[trial]``, s."""
+        return np.minimum(self.first["words"], self.first["clock"])
+
+
+@dataclass(frozen=True)
+class Run(Streamed):
+    """One repeat, with the monitor that learned from the others."""
+
+    monitor: Monitor
+
+
+def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
+    """Which trials train: half of each kind and grade, and more of the nominal ones."""
+    rng, inside = np.random.default_rng(seed), np.zeros(len(those.kind), bool)
+    for kind in np.unique(those.kind):
+        for grade in np.unique(those.grade[those.kind == kind]):
+            rows = rng.permutation(np.flatnonzero((those.kind == kind) & (those.grade == grade)))
+            inside[rows[: round(len(rows) * (NOMINAL_SHARE if kind == NOMINAL else 1 / 2))]] = True
+    return inside
+
+
+def run(w: Watched, seed: int) -> Run:
+    """Learn from one part, stream the other."""
+    inside = parts(w.trials, seed)
+    learned = monitor(w, inside, seed)
+    return Run(inside, alarms(w, learned, ~inside), learned)
+
+
+def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether an alarm ``[trial]`` came after the fault could show and before the failing sub-task ended."""
+    contact = np.where(those.contact, those.recordings.onset[:, 1], 0.0)
+    begins = np.where(those.kind == "early-stop", those.stop, contact)
+    return np.asarray((alarm >= begins) & (alarm <= those.end))
+
+
+def cell(those: Trials, runs: Sequence[Streamed], rows: NDArray[np.bool_]) -> dict[str, Any]:
+    """What happened to some trials whenever they were streamed."""
+    failed = [rows & ~run.inside & those.failed for run in runs]
+    seated = [rows & ~run.inside & ~those.failed for run in runs]
+    helped = [{name: np.where(in_time(those, t), t, np.inf) for name, t in run.first.items()} for run in runs]
+    by = {
+        name: [mine & np.isfinite(times[name]) for mine, times in zip(failed, helped, strict=True)]
+        for name in ("words", "clock")
+    }
+    found = [words | clock for words, clock in zip(by["words"], by["clock"], strict=True)]
+    early = [mine & (times["words"] < times["clock"]) for mine, times in zip(by["words"], helped, strict=True)]
+    alarm = [np.minimum(times["words"], times["clock"]) for times in helped]
+    begins = np.where(those.kind == "early-stop", those.stop, those.recordings.onset[:, 1])
+    since = [(times - begins)[mine] for mine, times in zip(found, alarm, strict=True)]
+    left = [(those.end - times)[mine] for mine, times in zip(found, alarm, strict=True)]
+    return {
+        "trials": int(rows.sum()),
+        "failures streamed": _sum(failed),
+        "detected": _sum(found),
+        "share detected": _share([m.sum() for m in found], [m.sum() for m in failed], 1.0),
+        "by the words": _sum(by["words"]),
+        "by the words, before the clock": _sum(early),
+        "by the clock": _sum(by["clock"]),
+        "seated all the same": _sum(seated),
+        "of them alarmed": _sum([mine & np.isfinite(run.alarm) for mine, run in zip(seated, runs, strict=True)]),
+        "median s from contact, or from the stop, to the alarm": _median(since),
+        "median s from the alarm to the end of the failing sub-task": _median(left),
+    }
+
+
+def _sum(marked: list[NDArray[np.bool_]]) -> int:
+    return sum(int(rows.sum()) for rows in marked)
+
+
+def _share(counts: list[Any], totals: list[Any], test_to_train: float) -> dict[str, float] | None:
+    """Mean over the repeats, with its corrected 95 % interval where there are several."""
+    shares = np.array([count / total for count, total in zip(counts, totals, strict=True) if total])
+    if len(shares) == 0:
+        return None
+    said = corrected_interval(shares, test_to_train) if len(shares) > 1 else (float(shares[0]),)
+    return {name: round(value, 4) for name, value in zip(("mean", "low", "high"), said, strict=False)}
+
+
+def _median(values: list[NDArray[np.float64]]) -> float | None:
+    known = np.concatenate(values)
+    known = known[np.isfinite(known)]
+    return round(float(np.median(known)), 2) if len(known) else None
+
+
+def boundary(those: Trials, kind: str) -> list[int]:
+    """The mild grades of a kind, up to the first with which at least half of the trials fail."""
+    grades = list(range(len(GRADES[kind])))
+    mild: list[int] = []
+    for grade in reversed(grades) if kind == "early-stop" else grades:
+        mild.append(grade)
+        if those.failed[(those.kind == kind) & (those.grade == grade)].mean() >= 0.5:
+            break
+    return sorted(mild)
+
+
+def table(those: Trials, runs: list[Run]) -> dict[str, Any]:
+    """Detection by kind, at the boundary of success, by grade and by cause, over the repeats."""
+    out: dict[str, Any] = {}
+    for name, grades in GRADES.items():
+        mine, mild = those.kind == name, boundary(those, name)
+        touched = mine & those.contact
+        out[name] = {
+            "with contact": cell(those, runs, touched),
+            "at the boundary of success": {
+                "grades": [grades[g][0] for g in mild], **cell(those, runs, touched & np.isin(those.grade, mild)),
+            },
+            "without contact": cell(those, runs, mine & ~those.contact),
+            "by grade": {
+                said[0]: cell(those, runs, mine & (those.grade == number))
+                for number, said in enumerate(grades) if len(grades) > 1
+            },
+            "by cause": {
+                str(cause): cell(those, runs, mine & (those.cause == cause))
+                for cause in np.unique(those.cause[mine]) if cause != name
+            },
+        }  # fmt: skip
+    return out
+
+
+def moments(those: Trials) -> dict[str, dict[str, float]]:
+    """Mz in the last second of mating, Nm: what a missing tab changes, and how much nominal trials differ."""
+    dt = those.recordings.dt
+    mated = np.isfinite(those.recordings.onset[:, 3])
+    last = [
+        those.recordings.wrench[row, round((end - 1) / dt) : round(end / dt), 5].mean() if met else np.nan
+        for row, (end, met) in enumerate(zip(those.end.tolist(), mated.tolist(), strict=True))
+    ]
+    out = {}
+    for cause in np.unique(those.cause[(those.kind == "missing-tab") | those.nominal]):
+        found = np.array(last)[(those.cause == cause) & mated]
+        out[str(cause)] = {"mean": round(float(found.mean()), 4), "deviation": round(float(found.std()), 4)}
+    return out
+
+
+def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
+    """Alarms in nominal trials that were streamed, over the repeats."""
+    calm = [those.nominal & ~run.inside for run in runs]
+    false = [int((mine & np.isfinite(run.alarm)).sum()) for mine, run in zip(calm, runs, strict=True)]
+    by = {
+        name: [int((mine & np.isfinite(run.first[name])).sum()) for mine, run in zip(calm, runs, strict=True)]
+        for name in ("words", "clock")
+    }
+    streamed = [int(mine.sum()) for mine in calm]
+    return {
+        "nominal trials streamed in each repeat": streamed,
+        "false alarms in each repeat": false,
+        "false alarms per nominal trial": _share(false, streamed, (1 - NOMINAL_SHARE) / NOMINAL_SHARE),
+        "false alarms in each repeat, by watcher": by,
+    }
+
+
+def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
+    """All numbers of a preset."""
+    runs = [run(w, s) for s in tqdm(range(seed, seed + repeats), file=sys.stderr, disable=None)]
+    return {
+        "nominal trials": int((w.trials.kind == NOMINAL).sum()),
+        "of them seated": int(w.trials.nominal.sum()),
+        **false_alarms(w.trials, runs),
+        "hold of each repeat, s": [run.monitor.hold for run in runs],
+        "alarm levels of each repeat: insertion, mating, settled": [
+            [round(level, 3) for level in run.monitor.levels.values()] for run in runs
+        ],
+        "longest approach and insertion, s": [
+            [round(limit, 2) for limit in run.monitor.limits.values()] for run in runs
+        ],
+        "moment about z in the last second of mating, Nm": moments(w.trials),
+        "kinds": table(w.trials, runs),
+    }
+
+
+def arguments(about: str | None) -> argparse.ArgumentParser:
+    """What both experiments on simulated faults are told."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
+    parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
+    parser.add_argument("--per-kind", type=int, default=80)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=2)
+    return parser
+
+
+def main() -> None:
+    args = arguments(__doc__).parse_args()
+    done: dict[str, Any] = {}
+    for preset in args.preset:
+        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
+        done[preset] = measure(w, args.repeats, args.seed)
+        keep(done, args, preset == args.preset[-1])
+
+
+def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None:
+    """Write the presets that are done."""
+    result = {
+        "what": "failures noticed in the stream of simulated trials; one part trains, the other is streamed",
+        "detected": "alarm after contact, or after the stop, and before the end of the failing sub-task as planned",
+        "words": "machines on the sentence of the sub-task so far",
+        "clock": "the sub-task lasts longer than it should",
+        "recorded after the planned end, s": TAIL,
+        "hold times to choose from, s": HOLDS,
+        "false alarms promised per nominal trial": {"words": WORDS, "clock, approach and insertion each": CLOCK},
+        "targets": TARGETS,
+        "complete": complete,
+        "presets": done,
+    }
+    keep_faults("faults_online", result, args)
+
+
+def keep_faults(name: str, result: dict[str, Any], args: argparse.Namespace) -> None:
+    """Write a result with the command that makes it."""
+    presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
+    sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
+    command = f"python -m experiments.{name} --folder FOLDER --preset {presets} {sizes}"
+    write_result(name, command, result, args.seed, show=result["complete"])
+
+
+if __name__ == "__main__":
+    main()

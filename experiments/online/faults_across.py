@@ -1,0 +1,153 @@
+"""What a monitor must have seen: faults of other sessions, or of other kinds, before it notices those of this one.
+
+Four ways to learn, tried on the same streamed trials of a session, half of its failures and a third of its nominal
+trials (see ``experiments.online.faults``, whose first way is repeated here):
+
+* "own": its own faults and nominal trials.
+* "kind never seen": the same without the kind of fault that is streamed.
+* "others, own calm": the faults of other sessions, and its own nominal trials. So one would begin on a robot: faults
+  from a simulation, and trials that went well.
+* "others": faults and nominal trials of other sessions.
+
+Each learns from about as many trials.
+
+Run: python -m experiments.online.faults_across --folder faults --preset B C A --repeats 1 --seed 2
+Simulated trials are those of ``experiments.online.faults``; they and all alarms are kept in the folder, so that an
+interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments.online.fault_trials import GRADES, Trials
+from experiments.online.fault_watch import Monitor, Watched, alarms, monitor, watched
+from experiments.online.faults import Streamed, arguments, cell, false_alarms, keep_faults, parts
+from rcbht_jax._util.atomic import whole_file
+from rcbht_jax.types import Recordings
+
+Rows = NDArray[np.bool_]
+WAYS = OWN, UNSEEN, CALM, OTHERS = "own", "kind never seen", "others, own calm", "others"
+WATCHERS = ("words", "clock")
+EVERY = "every kind"  # of fault: what the one monitor of a way watches for
+SHOWN = ("failures streamed", "detected", "share detected")
+WHAT = "failures with contact noticed in the stream of simulated trials, by what the monitor learned from"
+
+
+def chosen(w: Watched, rows: Rows) -> Watched:
+    """Some trials ``[trial]`` with their looks."""
+    columns = {field.name: getattr(w.trials, field.name) for field in fields(Trials)}
+    recordings = columns.pop("recordings").take(rows)
+    mine, place = rows[w.row], np.cumsum(rows) - 1
+    trials = Trials(recordings, **{name: column[rows] for name, column in columns.items()})
+    return Watched(trials, place[w.row[mine]], w.begin[mine], w.now[mine], w.stage[mine], w.x[mine])
+
+
+def together(sets: list[Watched]) -> Watched:
+    """Trials of several sessions as one set."""
+    columns = {field.name: [getattr(w.trials, field.name) for w in sets] for field in fields(Trials)}
+    trials = Trials(
+        Recordings.join(columns.pop("recordings")), **{name: np.concatenate(column) for name, column in columns.items()}
+    )
+    first = np.cumsum([0, *(len(w.trials.kind) for w in sets)])
+    row = np.concatenate([w.row + begin for w, begin in zip(sets, first.tolist(), strict=False)])
+    looks = {name: np.concatenate([getattr(w, name) for w in sets]) for name in ("begin", "now", "stage", "x")}
+    return Watched(trials, row, **looks)
+
+
+def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
+    """A share of the chosen nominal trials, and the same of the others."""
+    rng, out = np.random.default_rng(seed), np.zeros_like(rows)
+    for mine in (rows & those.nominal, rows & ~those.nominal):
+        out[rng.permutation(np.flatnonzero(mine))[: math.ceil(mine.sum() * share)]] = True
+    return out
+
+
+def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> Monitor:
+    """A monitor that saw faults of the other sessions; nominal trials are of this one (``calm``), or of those too.
+
+    It learns from about as many trials as one of the session's own.
+    """
+    seen = []
+    for other in others:
+        rows = parts(other.trials, seed)
+        rows = rows & other.trials.failed if calm else rows
+        seen.append(chosen(other, some(other.trials, rows, 1 / len(others), seed)))
+    lessons = together([chosen(w, inside & w.trials.nominal), *seen] if calm else seen)
+    return monitor(lessons, np.ones(len(lessons.trials.kind), bool), seed)
+
+
+def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, Monitor]:
+    """The monitor of a way, or one for each kind of fault where it must not have seen that kind."""
+    if way == UNSEEN:
+        return {kind: monitor(w, inside & (w.trials.kind != kind), seed) for kind in GRADES}
+    one = monitor(w, inside, seed) if way == OWN else from_others(w, inside, others, seed, calm=way == CALM)
+    return {EVERY: one}
+
+
+def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) -> dict[str, Streamed]:
+    """One repeat of one way: monitor -> what it said of the streamed trials; kept in a file, and read from it."""
+    inside = parts(w.trials, seed)
+    if not path.is_file():
+        said = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
+        found = {f"{name}/{watcher}": times for name, first in said.items() for watcher, times in first.items()}
+        with whole_file(path) as draft:
+            np.savez(draft, allow_pickle=False, **found)
+    with np.load(path, allow_pickle=False) as kept:
+        names = dict.fromkeys(key.split("/")[0] for key in kept.files)
+        return {name: Streamed(inside, {one: kept[f"{name}/{one}"] for one in WATCHERS}) for name in names}
+
+
+def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dict[str, Any]:
+    """All numbers of a session: way -> false alarms, and detection by kind; from way -> repeat -> monitor."""
+    out: dict[str, Any] = {}
+    for way, heard_of in repeats.items():
+        out[way] = {"kinds": {}}
+        for kind in GRADES:
+            runs = [one.get(kind) or one[EVERY] for one in heard_of]
+            found = cell(those, runs, (those.kind == kind) & those.contact)
+            out[way]["kinds"][kind] = {name: found[name] for name in SHOWN}
+            where = out[way]["kinds"][kind] if way == UNSEEN else out[way]  # that of its monitor
+            where |= false_alarms(those, runs)
+    return out
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
+    args = parser.parse_args()
+    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
+    seeds = range(args.seed, args.seed + args.repeats)
+    lot = f"{'-'.join(str(count) for count in args.nominal)}-{args.per_kind}-{args.seed}"
+
+    def one(preset: str, way: str, seed: int) -> dict[str, Streamed]:
+        others = [other for name, other in sets.items() if name != preset]
+        name = way.replace(" ", "-").replace(",", "")
+        path = args.folder / f"{''.join(args.preset)}-{preset}-{lot}-{name}-{seed}-alarms.npz"
+        found = heard(sets[preset], others, seed, way, path)
+        bar.update()
+        return found
+
+    done: dict[str, Any] = {}
+    with (
+        tqdm(total=len(sets) * len(WAYS) * len(seeds), desc="learn", file=sys.stderr, disable=None) as bar,
+        ThreadPoolExecutor(args.jobs) as pool,  # the machines learn outside of Python's lock
+    ):
+        for preset, w in sets.items():
+            todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}
+            done[preset] = measure(w.trials, {way: [job.result() for job in jobs] for way, jobs in todo.items()})
+            complete = len(done) == len(sets)
+            keep_faults("faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
+
+
+if __name__ == "__main__":
+    main()

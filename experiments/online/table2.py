@@ -1,0 +1,238 @@
+"""Table II of the paper, honestly: beliefs while the sub-task runs, on trials that were not trained on.
+
+Half of the trials train (states) and the other half is streamed, again and again with other halves. Kernel and cost
+are chosen inside the training half. A belief at a sample uses what a stream had at that sample: labels published by
+then and the encoder's provisional ones. Beside the honest numbers stand the paper's own (k, counts, AvgLen, m over
+the class average) for comparison, at the paper's three rates.
+
+"relative" repeats everything with features that hold neither duration nor absolute offset.
+
+Run: python -m experiments.online.table2 --repeats 50 --seed 0
+Every finished row is kept; run it again to go on where it was interrupted.
+Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments._lib.results_io import RESULTS, write_result
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection.chain import Sight
+from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, RELATIVE, Looks, learn, picked, streamed, watch
+from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+
+KINDS = {"all": FAMILIES, "relative": RELATIVE}
+MAIN_RATE = 10.0
+RATES = (MAIN_RATE, 2.0, 100.0)
+FRACTIONS = 10  # of the sub-task, for the early-classification curve
+SETS = {"REAL": "REAL_HIRO_ONE_SA_SUCCESS", "SIM1": "SIM_HIRO_ONE_SA_SUCCESS", "SIM2": "SIM_HIRO_TWO_SA_SUCCESS"}
+TARGETS = {
+    "REAL": {"macro step accuracy": 0.90, "full-sequence accuracy": 0.98, "OverallPr": 0.93, "own m at .70": 0.60},
+    "SIM1": {"full-sequence accuracy": 0.95, "OverallPr": 0.88},
+}
+PAPER = {"REAL": {"full-sequence accuracy": 0.95, "OverallPr": 0.84, "m at .70": [0.95, 0.10, 0.36, 0.68]}}
+
+WHOLE = "beliefs and classes of full sequences"
+CHANCE = "ECE full sequences, were they calibrated perfectly"
+
+Floats = NDArray[np.float64]
+
+
+def halves(items: Sentences, seed: int) -> NDArray[np.bool_]:
+    """Which sentences train: those of a random half of the trials."""
+    trials = np.unique(items.trial)
+    return np.isin(items.trial, np.random.default_rng(seed).permutation(trials)[: len(trials) // 2])
+
+
+def certainty_rows(p: Floats, looks: Looks, items: Sentences) -> dict[str, Any]:
+    """Counts and m of the streamed test sentences at every k."""
+    order = np.unique(looks.sentence)
+    parts = [p[looks.sentence == s] for s in order]
+    truth = [int(items.y[s]) for s in order]
+    rows = {}
+    for k in metrics.THRESHOLDS:
+        c = metrics.certainties(parts, truth, k)
+        names = ("count_min", "count_mean", "count_max", "avg_len", "m_paper", "m_own")
+        rows[f"k={k:.2f}"] = {name: getattr(c, name) for name in names}
+    return rows
+
+
+def time_to_confidence(p: Floats, looks: Looks, items: Sentences, k: float, dt: float) -> Floats:
+    """Median seconds until a belief is first right and certain for good, per class; inf where most never are."""
+    seconds: list[list[float]] = [[] for _ in items.classes]
+    for s in np.unique(looks.sentence):
+        mine = looks.sentence == s
+        sure = (p[mine].argmax(1) == items.y[s]) & (p[mine].max(1) > k)
+        last_doubt = np.flatnonzero(~sure)
+        first = int(last_doubt[-1]) + 1 if last_doubt.size else 0
+        elapsed = (looks.now[mine] - looks.begin[mine]) * dt
+        seconds[items.y[s]].append(float(elapsed[first]) if first < len(elapsed) else np.inf)
+    return np.array([np.median(x) for x in seconds])
+
+
+def early(p: Floats, looks: Looks, items: Sentences) -> Floats:
+    """Accuracy ``[class, fraction]`` at 10, 20, ... 100 % of the sub-task."""
+    where = items.intervals[0]
+    length = (where.end - where.start)[looks.sentence]
+    bucket = np.minimum(((looks.now - looks.begin) * FRACTIONS - 1) // length, FRACTIONS - 1)
+    right = (p.argmax(1) == items.y[looks.sentence]).astype(float)
+    cell = items.y[looks.sentence] * FRACTIONS + bucket
+    size = len(items.classes) * FRACTIONS
+    total = np.bincount(cell, minlength=size)
+    hits = np.bincount(cell, right, minlength=size)
+    return np.divide(hits, total, out=np.full(size, np.nan), where=total > 0).reshape(-1, FRACTIONS)
+
+
+def repeat(x: dict[str, Any], items: Sentences, families: tuple[str, ...], seed: int, dt: float) -> Any:
+    """All numbers of one half-split: trained on one half's looks, streamed over the other."""
+    inside = halves(items, seed)
+    columns = np.isin(x["family"], families)
+    fitted, looks = x["picked"], x["streamed"]
+    rows = np.flatnonzero(inside[fitted.sentence])
+    described, train = FeatureSpec(families=families, balance=True), x["picked_x"][rows][:, columns]
+    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
+    test = np.flatnonzero(~inside[looks.sentence])
+    seen = looks.take(test)
+    p, truth = machine.probability(x["streamed_x"][test][:, columns]), items.y[seen.sentence]
+    spec = machine.svm.spec
+    whole = seen.whole
+    return {
+        "step accuracy": metrics.recall(truth, p.argmax(1), len(items.classes)),
+        "macro step accuracy": metrics.macro_step_accuracy(p, truth),
+        "full-sequence accuracy": metrics.accuracy(truth[whole], p[whole].argmax(1)),
+        "OverallPr": metrics.overall_pr(p[whole], truth[whole]),
+        "ClassPr": metrics.class_pr(p[whole], truth[whole]),
+        "streamed OverallPr": metrics.overall_pr(p, truth),
+        "ECE steps": metrics.calibration_error(p, truth),
+        "ECE full sequences": metrics.calibration_error(p[whole], truth[whole]),
+        "seconds to lasting confidence at .70": time_to_confidence(p, seen, items, 0.70, dt),
+        "accuracy by tenth of the sub-task": early(p, seen, items),
+        "certainty": certainty_rows(p, seen, items),
+        "confusion of full sequences": metrics.confusion(truth[whole], p[whole].argmax(1), len(items.classes)),
+        "reliability": metrics.reliability(p, truth),
+        "chosen": f"{spec.kernel} C={spec.cost:g}",
+        WHOLE: (p[whole], truth[whole]),
+    }
+
+
+def together(runs: list[Any], seed: int) -> dict[str, float]:
+    """Calibration of full sequences over all repeats, and what so few of them score in one when nothing is wrong."""
+    parts, rng = [run.pop(WHOLE) for run in runs], np.random.default_rng(seed)
+    p, truth = (np.concatenate(part) for part in zip(*parts, strict=True))
+    drawn = [(one, (one.cumsum(1)[:, :-1] < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
+    return {
+        "ECE full sequences, repeats together": round(metrics.calibration_error(p, truth), 4),
+        CHANCE: round(float(np.mean([metrics.calibration_error(*part) for part in drawn])), 4),
+    }
+
+
+def summary(runs: list[Any]) -> Any:
+    """Means over the repeats, and for scores in [0, 1] their corrected 95% interval; the rest as it is."""
+    first = runs[0]
+    if isinstance(first, dict):
+        return {key: summary([run[key] for run in runs]) for key in first}
+    if isinstance(first, str):
+        return {word: runs.count(word) for word in sorted(set(runs))}
+    stacked = np.asarray(runs, float)
+    if stacked.ndim == 1 and len(runs) > 1:
+        mean, low, high = metrics.corrected_interval(stacked, 1.0)
+        return {"mean": round(mean, 4), "interval": [round(low, 4), round(high, 4)]}
+    # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
+    middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
+    return np.where(np.isfinite(middle), middle.round(4), None).tolist()
+
+
+def _mean(stacked: Floats) -> Floats:
+    """Mean over the first axis of the numbers there are; NaN where there are none."""
+    there = ~np.isnan(stacked)
+    total, count = np.where(there, stacked, 0).sum(0), there.sum(0)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+
+
+def watched(recordings: Any, items: Sentences, config: EncoderConfig, rate: float) -> dict[str, Any]:
+    """Features of all looks, once for all repeats: they depend on no training."""
+    families = tuple(dict.fromkeys((*FAMILIES, *RELATIVE)))
+    sight = Sight(FeatureSpec(families=families))
+    every = round(1 / (rate * config.dt))
+    out: dict[str, Any] = {"picked": picked(items, every), "streamed": streamed(items, every)}
+    for part in ("picked", "streamed"):
+        with tqdm(total=len(out[part]), desc=f"{part} looks at {rate:g} Hz", file=sys.stderr, disable=None) as bar:
+            out[f"{part}_x"] = watch(recordings, out[part], sight, config, preset(), lambda n: bar.update(n))
+    out["family"] = np.array([name.split(".")[0] for name in names(sight.spec)])
+    return out
+
+
+def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, relative: bool) -> dict[str, Any]:
+    config = EncoderConfig(dt=recordings.dt)
+    items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    x = watched(recordings, items, config, rate)
+    result: dict[str, Any] = {
+        "trials": len(np.unique(items.trial)),
+        "left out": items.dropped,
+        "classes": items.classes,
+    }
+    for kind, families in KINDS.items():
+        if kind == "relative" and not relative:
+            continue
+        seeds = tqdm(range(seed, seed + repeats), desc=f"{name} {kind}", file=sys.stderr, disable=None)
+        runs = [repeat(x, items, families, s, config.dt) for s in seeds]
+        result[kind] = together(runs, seed) | summary(runs)
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
+    parser.add_argument("--rates", nargs="+", type=float, default=list(RATES))
+    args = parser.parse_args()
+    recordings, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    done = finished(args.repeats, args.seed)
+    for rate in args.rates:
+        for name in args.sets:
+            row = f"{name} at {rate:g} Hz"
+            if row not in done:
+                done[row] = measure(recordings, name, args.repeats, rate, args.seed, rate == MAIN_RATE)
+                keep(done, args.repeats, args.seed)
+
+
+def finished(repeats: int, seed: int) -> dict[str, Any]:
+    """Rows that an earlier, perhaps interrupted run has kept."""
+    path = RESULTS / "table2.json"
+    record = json.loads(path.read_text()) if path.is_file() else {"seed": None}
+    about = record["seed"], record.get("result", {}).get("repeats"), record.get("result", {}).get("families")
+    same = about == (seed, repeats, {kind: list(families) for kind, families in KINDS.items()})
+    return dict(record["result"]["rows"]) if same else {}
+
+
+def keep(rows: dict[str, Any], repeats: int, seed: int) -> None:
+    """Write the rows there are."""
+    result = {
+        "what": "states streamed over the untrained half of the trials; harmonised boundaries, right arm",
+        "repeats": repeats,
+        "targets": TARGETS,
+        "paper": PAPER,
+        "families": KINDS,
+        "rows": rows,
+    }
+    write_result("table2", f"python -m experiments.online.table2 --repeats {repeats} --seed {seed}", result, seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Physics engines, synthesis and the simulated sessions."""

@@ -1,0 +1,80 @@
+"""Engines against each other on one machine: parity, the solver's convergence, and speed.
+
+Run: python -m experiments.simulation.engines [--engines mjx] [--parity 200] [--speed 256] [--longest 15]
+Speeds are those of this machine while nothing else runs. Writes results/engines.json beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import asdict
+from typing import Any
+
+from experiments._lib.results_io import write_result
+from sim_mjx import engines
+from sim_mjx.assembly.rollout import TrialParams
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, one_arm
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.randomization.trials import Randomisation, draw_batch
+from sim_mjx.validation.engine_parity import parity, reference
+from sim_mjx.validation.solver_convergence import certify
+
+SEED, PRESET = 0, "B"
+CERTIFIED = 64  # trials
+
+
+def trials_of(count: int, longest: float, nominal_share: float = 0.5) -> TrialParams:
+    return draw_batch(PRESET, SEED, range(count), Randomisation(nominal_share=nominal_share, longest=longest))[0]
+
+
+def speed(engine: str, params: TrialParams, scene: Scene | None = None) -> dict[str, float]:
+    """The second run is timed; the first one compiles."""
+    scene = scene or one_arm()
+    seconds = []
+    for _ in range(2):
+        start = time.perf_counter()
+        out = engines.simulate(scene, params, engine)
+        seconds.append(time.perf_counter() - start)
+    steps = int(out.length.sum()) * SUBSTEPS
+    return {
+        "trials": len(out.length),
+        "compile_s": round(seconds[0] - seconds[1], 2),
+        "seconds": round(seconds[1], 3),
+        "steps_per_s": round(steps / seconds[1]),
+        "mean_simulated_seconds": round(float(out.length.mean()) * CONTROL_PERIOD, 2),
+        "trials_per_minute": round(60 * len(out.length) / seconds[1], 1),
+        "trials_of_15_s_per_minute": round(60 * out.length.sum() * CONTROL_PERIOD / 15.0 / seconds[1], 1),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--engines", nargs="*", default=["mjx"], choices=["mjx", "warp"])
+    parser.add_argument("--parity", type=int, default=200, help="trials")
+    parser.add_argument("--speed", type=int, default=256, help="trials")
+    parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
+    options = parser.parse_args()
+    few, many = trials_of(options.parity, options.longest), trials_of(options.speed, options.longest)
+    certificate = certify(trials_of(CERTIFIED, options.longest))
+    result: dict[str, Any] = {
+        "preset": PRESET,
+        "solver": [ITERATIONS, LS_ITERATIONS],
+        "certificate": asdict(certificate) | {"converged": certificate.converged},
+        "native": speed("native", many),
+    }
+    expected, contact = reference(one_arm(), few)
+    for engine in options.engines:
+        # the first batch compiles, the second one, of the same size, is timed and compared
+        measured = speed(engine, few)
+        ratio = result["native"]["steps_per_s"] / measured["steps_per_s"]
+        found = engines.simulate(one_arm(), few, engine)
+        result[engine] = measured | {
+            "native_is_faster_by": round(ratio, 2),
+            "parity": asdict(parity(expected, contact, found)),
+        }
+    write_result("engines", "python -m experiments.simulation.engines", result, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""The engines on a GPU: parity with C MuJoCo, steps per second, and a whole synthesis with labels and storage.
+
+Run on a machine with a GPU: python -m experiments.simulation.engines_gpu --engine mjx --out result.json [--sections ...]
+Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten after each, so
+that an interruption keeps what was measured. Times are seconds; compilation is apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments._lib.results_io import machine
+from experiments.simulation.engines import SEED, trials_of
+from sim_mjx import engines
+from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
+from sim_mjx.assembly.task import ENDED
+from sim_mjx.engines import device
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.synthesis import labelled, pipeline
+from sim_mjx.validation.engine_parity import parity, reference
+
+SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
+CONVERGED = (30, 20)
+COMPARED = 64  # trials
+
+
+def timed_parity(engine: str, options: argparse.Namespace) -> dict[str, Any]:
+    params = trials_of(options.parity, options.longest)
+    start = time.perf_counter()
+    expected, contact = reference(one_arm(), params)
+    native = time.perf_counter() - start
+    start = time.perf_counter()
+    found = engines.simulate(one_arm(), params, engine)
+    return {
+        "native_seconds": round(native, 2), "first_run_seconds": round(time.perf_counter() - start, 2),
+        **asdict(parity(expected, contact, found)),
+    }  # fmt: skip
+
+
+def throughput(scene: Scene, engine: str, batch: int, longest: float) -> dict[str, Any]:
+    """Physics steps per second with controller, sensor and state machine, all trials running to the end."""
+    params = trials_of(batch, longest, nominal_share=1.0)
+    seconds = []
+    for _ in range(2):
+        start = time.perf_counter()
+        out = device.run(scene, params, engines.IMPLEMENTATIONS[engine])
+        jax.block_until_ready(out)
+        seconds.append(time.perf_counter() - start)
+    start = time.perf_counter()
+    fields = device._fields(scene, params)
+    prepared = time.perf_counter() - start
+    del fields
+    steps = int((out.phase < ENDED).sum()) * SUBSTEPS
+    return {
+        "batch": batch,
+        "compile_s": round(seconds[0] - seconds[1], 2),
+        "seconds": round(seconds[1], 3),
+        "of_them_model_fields_on_the_host": round(prepared, 3),
+        "simulated_s_per_trial": round(float(out.length.mean()) * CONTROL_PERIOD, 2),
+        "steps_per_s": round(steps / seconds[1]),
+        "steps_per_s_without_preparation": round(steps / (seconds[1] - prepared)),
+        "memory_peak_GB": round((jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use", 0) / 1e9, 2),
+    }
+
+
+def solver(engine: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Speed with other iterations of the solver, and the wrench of 64 trials against that of many iterations."""
+    kept, rows = device.SOLVER, []
+    few = trials_of(COMPARED, options.short, nominal_share=1.0)
+    try:
+        device.SOLVER = CONVERGED
+        expected = device.run(one_arm(), few, engines.IMPLEMENTATIONS[engine])
+        for device.SOLVER in SOLVERS:
+            found = device.run(one_arm(), few, engines.IMPLEMENTATIONS[engine])
+            speed = throughput(one_arm(), engine, options.batch, options.short)
+            rows.append({"solver": device.SOLVER, **speed, **_differences(expected, found)})
+    finally:
+        device.SOLVER = kept
+    return rows
+
+
+def _differences(expected: device.Outcome, found: device.Outcome) -> dict[str, float]:
+    """Forces while both are in the same state; N."""
+    samples = min(expected.wrench.shape[1], found.wrench.shape[1])
+    first, second = (np.asarray(out.phase[:, :samples]) for out in (expected, found))
+    same = (first == second) & (first > 0) & (first < ENDED)
+    error = np.abs(np.asarray(expected.wrench[:, :samples, :3]) - np.asarray(found.wrench[:, :samples, :3]))[same]
+    seated = np.asarray(expected.seated).all(1) == np.asarray(found.seated).all(1)
+    return {
+        "median_force_difference_after_contact": float(np.median(error)),
+        "p99_force_difference_after_contact": float(np.percentile(error, 99)),
+        "same_outcome": float(seated.mean()),
+    }
+
+
+def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Trials with onsets, outcome, fault and all label tracks, stored; the first, smaller run compiles."""
+    spec = Randomisation(longest=options.synthesis_longest)
+    out: dict[str, Any] = {"trials": options.trials, "longest": options.synthesis_longest}
+    spans: dict[str, float] = {}
+    with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
+        for turn in ("with_compilation_s", "seconds"):
+            job = pipeline.Synthesis("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
+            with _stopwatch(spans):
+                start = time.perf_counter()
+                report = pipeline.synthesise(Path(folder) / f"{turn}.zarr", job)
+                out[turn] = round(time.perf_counter() - start, 2)
+            out[turn + "_by_part"] = {name: round(value, 2) for name, value in spans.items()}
+        out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
+        files = [file for file in (Path(folder) / "seconds.zarr").rglob("*") if file.is_file()]
+        out["store_GB"] = round(sum(file.stat().st_size for file in files) / 1e9, 3)
+        lengths = pipeline.store.read_recordings(Path(folder) / "seconds.zarr").length
+        out["physics_steps_per_trial"] = round(float(lengths.mean()) * SUBSTEPS)
+    return out
+
+
+class _stopwatch:
+    """Seconds spent in the parts of a synthesis."""
+
+    PARTS = ((labelled, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
+             (labelled, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
+             (pipeline, "_assemble"),
+             (pipeline.store, "write_recordings"), (pipeline, "write_tracks"))  # fmt: skip
+
+    def __init__(self, spans: dict[str, float]) -> None:
+        spans.clear()
+        self._spans = spans
+
+    def __enter__(self) -> None:
+        self._kept = [(module, name, getattr(module, name)) for module, name in self.PARTS]
+        for module, name, function in self._kept:
+            setattr(module, name, self._watched(name, function))
+
+    def __exit__(self, *error: object) -> None:
+        for module, name, function in self._kept:
+            setattr(module, name, function)
+
+    def _watched(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            out = function(*args, **options)
+            if name in ("run", "encode_on_device"):
+                jax.block_until_ready(out)
+            self._spans[name] = self._spans.get(name, 0.0) + time.perf_counter() - start
+            return out
+
+        return call
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--engine", choices=["mjx", "warp"], required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--sections", nargs="*", default=["parity", "speed", "synthesis", "sweep", "solver"])
+    parser.add_argument("--parity", type=int, default=200, help="trials")
+    parser.add_argument("--longest", type=float, default=25.0, help="s, of the trials of parity and speed")
+    parser.add_argument("--short", type=float, default=9.0, help="s, of the trials of sweep and solver")
+    parser.add_argument("--batch", type=int, default=8192)
+    parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
+    parser.add_argument("--trials", type=int, default=10000)
+    parser.add_argument("--shard", type=int, default=10000)
+    parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
+    parser.add_argument("--scratch", type=Path, default=None)
+    options = parser.parse_args()
+    work: dict[str, Callable[[], Any]] = {
+        "parity": lambda: timed_parity(options.engine, options),
+        "speed": lambda: throughput(one_arm(), options.engine, options.batch, options.short),
+        "synthesis": lambda: synthesis(options.engine, options),
+        "sweep": lambda: [throughput(one_arm(), options.engine, n, options.short) for n in options.batches],
+        "solver": lambda: solver(options.engine, options),
+    }
+    result: dict[str, Any] = {"engine": options.engine, "machine": machine(), "seed": SEED}
+    for section in options.sections:
+        start = time.perf_counter()
+        try:
+            result[section] = work[section]()
+        except Exception:
+            result[section] = traceback.format_exc()[-1500:]
+        print(section, round(time.perf_counter() - start, 1), "s", json.dumps(result[section]), flush=True)
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    np.seterr(all="ignore")
+    main()

@@ -1,0 +1,65 @@
+"""How equal can the words of two engines be? C MuJoCo against itself, with the least that single precision changes.
+
+Contact with friction amplifies any difference. The rows say how much of the time the words stay the same when the
+female part stands a fraction of a micrometre elsewhere, and when the physics' state is rounded to single precision
+once per control period: no engine in single precision can be expected to agree better than that.
+Run: python -m experiments.simulation.parity_floor [--trials 64] [--longest 15]
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from experiments._lib.results_io import write_result
+from experiments.simulation.engines import PRESET, SEED, trials_of
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
+from sim_mjx.assembly.scene import Scene, one_arm
+from sim_mjx.engines import native
+from sim_mjx.validation.engine_parity import parity, reference
+
+SHIFTS = (1e-9, 1e-8, 1e-7, 1e-6)  # m, standard deviation of each coordinate
+
+
+def shifted(scene: Scene, params: TrialParams, metres: float) -> Rollouts:
+    """The same trials with the female part a little elsewhere."""
+    step = np.random.default_rng(SEED).normal(size=np.shape(params.parts.position)) * metres
+    return native.simulate(scene, replace(params, parts=replace(params.parts, position=params.parts.position + step)))
+
+
+def rounded(scene: Scene, params: TrialParams) -> Rollouts:
+    """The same trials with the state in single precision between control periods."""
+
+    class Lanes(native._Lanes):
+        def _step(self, pool: Any, live: Any, command: Any) -> None:
+            super()._step(pool, live, command)
+            self.state[live, 1:] = self.state[live, 1:].astype(np.float32)  # the first is the time
+
+    kept = native._Lanes
+    try:
+        native._Lanes = Lanes  # type: ignore[misc]
+        return native.simulate(scene, params)
+    finally:
+        native._Lanes = kept  # type: ignore[misc]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=64)
+    parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
+    options = parser.parse_args()
+    scene, params = one_arm(), trials_of(options.trials, options.longest)
+    expected, contact = reference(scene, params)
+    rows = {f"part moved by {metres:g} m": shifted(scene, params, metres) for metres in SHIFTS}
+    rows["state rounded to single precision every 5 ms"] = rounded(scene, params)
+    result = {name: asdict(parity(expected, contact, found)) for name, found in rows.items()}
+    write_result(
+        "parity_floor", "python -m experiments.simulation.parity_floor", {"preset": PRESET, "rows": result}, seed=SEED
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""The simulated sessions beside the recorded ones: onsets, ring, outcomes, signature, seating rate.
+
+Run: python -m experiments.simulation.sessions
+Reads the recorded signatures (RCBHT_GOLDEN). Simulates session B's grid of offsets, session A's repeats, the others
+mildly randomised, and 64 mildly randomised trials of every preset with the native engine.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments._lib.results_io import write_result
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.engines import native
+from sim_mjx.presets import sessions as presets
+from sim_mjx.randomization import trials
+from sim_mjx.validation import sessions, signature
+
+SEED = 0
+MILD = 64
+REFERENCES = {"A": "real_A__harm__all", "B": "real_B__harm__all"}  # keys of the recorded signatures
+
+
+def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
+    kept = sessions.profiles(run)
+    said = signature.compare(reference, kept)
+    return {
+        "trials": len(kept),
+        "coverage": round(said.coverage, 3),
+        "w1_over_sd": round(said.w1_over_sd, 3),
+        "dtw_over_sd": round(said.dtw_over_sd, 3),
+    }
+
+
+def mild(preset: str, count: int, **options: Any) -> tuple[Rollouts, float]:
+    drawn, _ = trials.draw_batch(preset, SEED, range(count), trials.Randomisation(nominal_share=1.0, **options))
+    start = time.perf_counter()
+    run = native.simulate(one_arm(), drawn)
+    return run, time.perf_counter() - start
+
+
+def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
+    run = native.simulate(one_arm(), sessions.trials_of(session, seed=SEED))
+    out: dict[str, Any] = {"signature": similarity(reference, run)}
+    out["median onsets, s"] = np.round(np.nanmedian(sessions.harmonised(run), axis=0), 3).tolist()
+    ring = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
+    out["ring of Fz in mating"] = ring and {name: round(value, 2) for name, value in ring.items()}
+    if session == "B":
+        out["outcomes that agree with the 25 recorded"] = sessions.agreement(run)
+        out["seated"] = [
+            f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(sessions.GRID, run.seated.all(1), strict=True) if seat
+        ]
+    return out
+
+
+def main() -> None:
+    golden = dict(np.load(Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden")) / "signatures/signatures.npz"))
+    result: dict[str, Any] = {
+        f"{session}, as recorded": as_recorded(session, golden[key].astype(float))
+        for session, key in REFERENCES.items()
+    }
+    for preset in presets.PRESETS:
+        run, seconds = mild(preset, MILD)
+        row = {
+            "seated": round(float(run.seated.all(1).mean()), 3),
+            "median onsets, s": np.round(np.nanmedian(run.onset, axis=0), 3).tolist(),
+            "mean simulated seconds": round(float(run.length.mean()) * presets.CONTROL_PERIOD, 2),
+            "trials per minute": round(MILD / seconds * 60),
+        }
+        result[f"{preset}, {MILD} mildly randomised"] = row
+    write_result("sim_sessions", "python -m experiments.simulation.sessions", result, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

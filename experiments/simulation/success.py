@@ -1,0 +1,163 @@
+"""When does the assembly succeed, and does it snap: seating rates, success over offsets, snap events.
+
+Run: python -m experiments.simulation.success [rates] [map] [snaps]     (default: all three)
+Simulates with the native engine. The recorded snaps beside the simulated ones are measured on the authors' data
+sets (RCBHT_DATA, default ../shared/data/hiro), if they are there. Draws docs/images/success-map.png.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments._lib.results_io import RESULTS, pictures, write_result
+from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.plots import save
+from rcbht_jax.plots.canvas import new_figure
+from sim_mjx.assembly.rollout import stack
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.engines import native
+from sim_mjx.presets import sessions as presets
+from sim_mjx.randomization.trials import Randomisation, draw, draw_batch
+from sim_mjx.validation import sessions
+from sim_mjx.validation.replay import Recorder, seated_snaps
+
+SEED, TRIALS, BLOCK = 0, 500, 1000  # seed; trials per preset; trials per batch
+MAP_PRESET, PER_CELL = "B", 3
+OFFSETS = tuple(float(mm) for mm in range(-5, 6))
+ROLLS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # degrees
+
+
+def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
+    """Share of mildly randomised trials, within half a millimetre, in which all four tabs are past their lips."""
+    seated, diverged, start = [], 0, time.perf_counter()
+    for first in range(0, trials, BLOCK):
+        indices = range(first, min(first + BLOCK, trials))
+        run = native.simulate(one_arm(), draw_batch(preset, SEED, indices, Randomisation(nominal_share=1.0))[0])
+        seated.append(run.seated)
+        diverged += int(run.diverged.sum())
+    tabs = np.concatenate(seated)
+    good = int(tabs.all(1).sum())
+    return {
+        "trials": trials,
+        "seated": good,
+        "share": good / trials,
+        "share_95_percent": np.round(wilson(good, trials), 4).tolist(),
+        "tabs": {name: float(share) for name, share in zip(("FR", "FL", "RR", "RL"), tabs.mean(0), strict=True)},
+        "diverged": diverged,
+        "seconds": round(time.perf_counter() - start, 1),
+    }
+
+
+def wilson(good: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    share, spread = good / trials, z * z / trials
+    middle = (share + spread / 2) / (1 + spread)
+    half = z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
+    return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
+
+
+def success_map(
+    offsets: tuple[float, ...] = OFFSETS, rolls: tuple[float, ...] = ROLLS, per_cell: int = PER_CELL
+) -> np.ndarray:
+    """Share of seated trials [roll, y, x] of the hand displaced by x and y (mm) and turned by roll (degrees)."""
+    cells = [(r, y, x) for r in rolls for y in offsets for x in offsets for _ in range(per_cell)]
+    spec = Randomisation(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
+    trials = []
+    for index, (r, y, x) in enumerate(cells):
+        trial = draw(MAP_PRESET, SEED, index, spec)[0]
+        way = trial.task.way_position + np.array([x, y, 0.0]) * 1e-3
+        turned = trial.task.way_rpy + np.array([np.radians(r), 0.0, 0.0])
+        trials.append(replace(trial, task=replace(trial.task, way_position=way, way_rpy=turned)))
+    seated = np.concatenate(
+        [native.simulate(one_arm(), stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
+    )
+    return seated.all(1).reshape(len(rolls), len(offsets), len(offsets), per_cell).mean(-1)
+
+
+def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: tuple[float, ...] = ROLLS) -> Figure:
+    """Heat maps over x and y, one per roll; the recorded outcomes of session B on that without roll."""
+    figure = new_figure((2.4 * len(rolls) + 1.0, 3.5), 110)
+    figure.set_layout_engine("constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(rolls), sharex=True, sharey=True))
+    half = (offsets[1] - offsets[0]) / 2
+    span = (offsets[0] - half, offsets[-1] + half)
+    for panel, roll, share in zip(panels, rolls, shares, strict=True):
+        image = panel.imshow(share, origin="lower", extent=(*span, *span), vmin=0, vmax=1, cmap="RdYlGn")
+        panel.set(
+            title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
+        )
+        if roll == 0 and MAP_PRESET == "B":
+            for cell in sessions.GRID:
+                off = cell in sessions.RECORDED_OFF
+                panel.plot(*cell, "x" if off else "o", color="black", markersize=5, markerfacecolor="none")
+    panels[0].set_ylabel("y, mm")
+    figure.colorbar(image, ax=panels.tolist(), label="share of trials that seat all four tabs", shrink=0.85)
+    figure.suptitle(
+        f"Success of the simulated session {MAP_PRESET} when the hand arrives displaced and turned"
+        + ("\nmarks: the recorded session, o = seated, x = off-seat" if MAP_PRESET == "B" else ""),
+        fontsize=12,
+    )
+    return figure
+
+
+def simulated_snaps(session: str, count: int | None = None) -> dict[str, Any]:
+    """Snaps in the raw force of a session's seated trials."""
+    params = sessions.trials_of(session, count, seed=SEED)
+    recorder = Recorder(one_arm(), len(params.command_delay))
+    return seated_snaps(native.simulate(one_arm(), params, watch=recorder.watch), recorder)
+
+
+def recorded_snaps(folder: Path) -> dict[str, Any]:
+    """Snaps in the recorded forces of seated trials, their filter inverted."""
+    recordings, _ = read_hiro(folder)
+    return {session: sessions.recorded(recordings, session).snaps for session in ("A", "B")}
+
+
+def rates() -> dict[str, Any]:
+    return {preset: seating(preset) for preset in presets.PRESETS}
+
+
+def mapped() -> dict[str, Any]:
+    shares = success_map()
+    save(map_figure(shares), pictures() / "success-map.png")
+    return {
+        "preset": MAP_PRESET,
+        "trials_per_cell": PER_CELL,
+        "x_and_y_mm": OFFSETS,
+        "roll_degrees": ROLLS,
+        "share_seated_by_roll_y_x": np.round(shares, 3).tolist(),
+    }
+
+
+def snapped() -> dict[str, Any]:
+    out: dict[str, Any] = {"simulated": {session: simulated_snaps(session) for session in ("A", "B")}}
+    folder = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro"))
+    if folder.is_dir():
+        out["recorded"] = recorded_snaps(folder)
+    return out
+
+
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {"rates": rates, "map": mapped, "snaps": snapped}
+
+
+def main() -> None:
+    chosen = sys.argv[1:] or list(PARTS)
+    path = RESULTS / "sim_success.json"
+    result = json.loads(path.read_text())["result"] if path.exists() else {}
+    for name in chosen:
+        result[name] = PARTS[name]()
+        write_result("sim_success", "python -m experiments.simulation.success", result, seed=SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""What a calibration learns from: the windows of some trials, their sentences and the classes of these."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.calibration.windows import Windows, fit_windows
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning.tasks import Sentences
+from rcbht_jax.types import Array, Recordings
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """One row per recording; every recording has the same number of sentences, end to end.
+
+    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.on_device.device_corpus`).
+    """
+
+    wrench: Array  # float32 [recording, time, 6], N and Nm
+    windows: Windows
+    edges: Array  # int32 [recording, sentence + 1] samples
+    y: Array  # int32 [recording, sentence] index into classes
+    classes: tuple[str, ...]
+    trial: NDArray[np.str_]  # [recording]
+
+    def __len__(self) -> int:
+        return len(self.trial)
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> Corpus:
+        """The chosen recordings."""
+        windows = self.windows.take(rows)
+        return Corpus(self.wrench[rows], windows, self.edges[rows], self.y[rows], self.classes, self.trial[rows])
+
+    def fingerprint(self) -> str:
+        """SHA-256 of all that the result of a calibration can depend on."""
+        digest = hashlib.sha256()
+        arrays = (self.windows.slope, self.windows.vmax, self.windows.vmin, self.windows.length, self.edges, self.y)
+        for array in arrays:
+            digest.update(repr((array.shape, str(array.dtype))).encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+
+def corpus(recordings: Recordings, items: Sentences, config: EncoderConfig) -> Corpus:
+    """The sentences of a task with the windows of their recordings.
+
+    Args:
+        recordings: the data set.
+        items: sentences of one arm, from :func:`rcbht_jax.learning.tasks.sentences`.
+        config: window and sampling period.
+
+    Raises:
+        InputError: the sentences are of both arms, or the sampling periods differ.
+    """
+    if len(items.intervals) != 1:
+        raise InputError("thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
+    if config.dt != recordings.dt:
+        raise InputError(f"the encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
+    (spans,) = items.intervals
+    rows, first = np.unique(spans.recording, return_index=True)
+    rows = rows[np.argsort(first)]
+    shape = (len(rows), len(spans) // len(rows))
+    start, end = spans.start.reshape(shape), spans.end.reshape(shape)
+    edges = np.concatenate([start, end[:, -1:]], axis=1).astype(np.int32)
+    length = recordings.length[rows]
+    wrench = recordings.wrench[rows, : length.max()]
+    windows = fit_windows(config, wrench, length)
+    y = items.y.reshape(shape).astype(np.int32)
+    return Corpus(wrench, windows, edges, y, items.classes, recordings.trial[rows])

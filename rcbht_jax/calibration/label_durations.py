@@ -1,0 +1,159 @@
+"""Time per label in every sentence, for many sets of thresholds at once.
+
+The encoder's own chain runs over the shared windows with lanes = recordings x axes x candidates. Nothing is
+stored per window: the time of each published label goes straight to the sentences it overlaps. Times are
+whole samples, so the result does not depend on how candidates or recordings are grouped.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from rcbht_jax.calibration.windows import AXES, Windows
+from rcbht_jax.encoding import encoder
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.labels import LAYER_SIZES
+from rcbht_jax.types import Array, Item
+
+LABELS = sum(LAYER_SIZES)
+_ITEMS, _INTS, _REALS = 8, 3, 2  # held items; label, t0, t1; vmax, vmin
+
+_BLOCK = 32  # windows between two sums
+_UNROLLED = 8  # of them in a row
+_NEVER = 2**31 - 1  # samples
+
+_Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
+
+
+@partial(jax.jit, static_argnums=0, static_argnames="group")
+def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
+    """Samples that each label fills in each sentence.
+
+    Args:
+        config: static configuration; its window must be the one of ``windows``.
+        limits: float ``[candidate, 6, 4]``, largest first, N/s and Nm/s.
+        windows: lines of all recordings, from :func:`rcbht_jax.calibration.windows.fit_windows`.
+        edges: int32 ``[recording, sentence + 1]``, where the sentences of a recording begin and end, increasing.
+        group: recordings encoded at once; more of them suit a device with many cores.
+
+    Returns:
+        int32 ``[candidate, recording, sentence, 6, 25]``: primitives, compositions, behaviours in the order of
+        their codes.
+    """
+    recordings = windows.length.shape[0]
+    order = jnp.argsort(windows.length)  # a group is encoded for as long as its longest recording
+    padded = jnp.concatenate([order, jnp.full(-recordings % group, order[-1])]).reshape(-1, group)
+    lane_limits = jnp.moveaxis(limits, (2, 1, 0), (0, 1, 2))
+
+    def one_group(rows: Array) -> Array:
+        some = Windows(*(leaf[rows] for leaf in (windows.slope, windows.vmax, windows.vmin, windows.length)))
+        return _group_times(config, lane_limits, some, edges[rows])
+
+    times = jax.lax.map(one_group, padded)  # [group, sentence, label, row, axis, candidate]
+    times = jnp.moveaxis(times, (0, 3, 1, 4, 2, 5), (1, 2, 3, 4, 5, 0))
+    flat = times.reshape(times.shape[0], -1, *times.shape[3:])[:, :recordings]
+    return jnp.zeros_like(flat).at[:, order].set(flat)
+
+
+def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array) -> Array:
+    """int32 ``[sentence, label, recording, axis, candidate]``; limits ``[4, axis, candidate]``."""
+    shape = (windows.slope.shape[0], AXES, limits.shape[2])
+    lanes = shape[0] * shape[1] * shape[2]
+    lane_limits = jnp.broadcast_to(limits[:, None], (4, *shape)).reshape(4, lanes)
+    lane_edges = jnp.broadcast_to(edges.T[:, :, None, None], (edges.shape[1], *shape)).reshape(-1, lanes)
+    rows = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), (windows.slope, windows.vmax, windows.vmin))
+    length = jnp.broadcast_to(windows.length[:, None, None], shape).reshape(lanes)
+    dtype = windows.slope.dtype
+
+    def wide(leaf: Array) -> Array:
+        return jnp.broadcast_to(leaf[..., None], shape).reshape(lanes)
+
+    def body(held: _Held, index: Array) -> tuple[_Held, Array]:
+        slope, vmax, vmin = (wide(jax.lax.dynamic_index_in_dim(row, index, keepdims=False)) for row in rows)
+        start = jnp.full(lanes, index * config.window)
+        size = jnp.clip(length - start, 0, config.window)
+        label = jnp.where(size >= 2, gradient_label(slope, lane_limits), 0)
+        none = jnp.zeros_like(slope)
+        x = Item(label, start, start + size, vmax, vmin, none, none)
+        items, published = encoder.chain(config, _unpack(held), x)
+        return _pack(items), _labels(published)
+
+    def block(index: Array, carry: tuple[_Held, Array]) -> tuple[_Held, Array]:
+        held, times = carry
+        held, published = jax.lax.scan(body, held, index * _BLOCK + jnp.arange(_BLOCK, dtype=jnp.int32))
+        return held, _spend(times, published, lane_edges)
+
+    held = jnp.zeros((_ITEMS * _INTS, lanes), jnp.int32), jnp.zeros((_ITEMS * _REALS, lanes), dtype)
+    times = jnp.zeros((edges.shape[1] - 1, LABELS, lanes), jnp.int32)
+    blocks = -(-jnp.max(windows.length) // (config.window * _BLOCK))
+    held, times = jax.lax.fori_loop(jnp.int32(0), blocks, block, (held, times))
+    times = _spend(times, _rest(config, held), lane_edges)
+    return times.reshape(*times.shape[:2], *shape)
+
+
+def _rest(config: EncoderConfig, held: _Held) -> Array:
+    """What the end of a recording publishes, int32 ``[slot, 9, lane]`` like a block."""
+    layers = encoder.drain_items(config, _unpack(held))
+    slots = -(-max(items.label.shape[0] for items in layers) // _UNROLLED) * _UNROLLED
+    short = ((0, slots - items.label.shape[0]) for items in layers)
+    padded = [jax.tree.map(lambda leaf, s=s: jnp.pad(leaf, (s, (0, 0))), x) for x, s in zip(layers, short, strict=True)]
+    return jnp.swapaxes(_labels(padded), 0, 1)
+
+
+def _spend(times: Array, published: Array, edges: Array) -> Array:
+    """Add published spans ``[step, 9, lane]`` to ``times [sentence, label, lane]``.
+
+    Most blocks publish spans of one or two sentences only, so the sentences are a loop with few rounds.
+    """
+    label, t0, t1 = (published[:, field::_INTS] for field in range(_INTS))  # [step, layer, lane]
+    first = jnp.min(jnp.where(label > 0, t0, _NEVER), axis=(0, 1))
+    final = jnp.max(jnp.where(label > 0, t1, 0), axis=(0, 1))
+    low = jnp.min(jnp.sum(edges[1:] <= first[None], axis=0, dtype=jnp.int32))
+    high = jnp.max(jnp.sum(edges[:-1] < final[None], axis=0, dtype=jnp.int32))
+
+    def one(sentence: Array, times: Array) -> Array:
+        start, end = (jax.lax.dynamic_index_in_dim(edges, sentence + k, keepdims=False) for k in (0, 1))
+        inside = jnp.maximum(jnp.minimum(t1, end[None, None]) - jnp.maximum(t0, start[None, None]), 0)
+        spent = [_per_label(label[:, k], inside[:, k], size) for k, size in enumerate(LAYER_SIZES)]
+        return times.at[sentence].add(jnp.concatenate(spent))
+
+    return jax.lax.fori_loop(low, high, one, times)
+
+
+def _per_label(label: Array, duration: Array, size: int) -> Array:
+    """Sum of durations ``[step, lane]`` by label, ``[size, lane]``.
+
+    Steps in the outer loop and lanes in the inner one: a reduction would walk through memory the other way.
+    """
+    code = jnp.arange(1, size + 1, dtype=jnp.int32)[:, None]
+
+    def some(index: Array, total: Array) -> Array:
+        for step in range(_UNROLLED):
+            row = index * _UNROLLED + step
+            said, time = (jax.lax.dynamic_index_in_dim(x, row, keepdims=True) for x in (label, duration))
+            total += jnp.where(said == code, time, 0)
+        return total
+
+    return jax.lax.fori_loop(0, label.shape[0] // _UNROLLED, some, jnp.zeros((size, label.shape[1]), jnp.int32))
+
+
+def _labels(items: list[Item]) -> Array:
+    return jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
+
+
+def _pack(items: list[Item]) -> _Held:
+    return _labels(items), jnp.stack([leaf for x in items for leaf in (x.vmax, x.vmin)])
+
+
+def _unpack(held: _Held) -> list[Item]:
+    """Items without area and rise, on which no label depends."""
+    none = jnp.zeros_like(held[1][0])
+    ints, reals = (leaf.reshape(_ITEMS, -1, none.shape[0]) for leaf in held)
+    return [
+        Item(label=i[0], t0=i[1], t1=i[2], vmax=r[0], vmin=r[1], area=none, rise=none)
+        for i, r in zip(ints, reals, strict=True)
+    ]

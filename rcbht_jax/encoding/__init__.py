@@ -1,0 +1,1 @@
+"""The streaming encoder: windows of samples to labelled segments, compositions and behaviours."""

@@ -1,0 +1,213 @@
+"""Whole data sets through the encoder on the host's schedule: one compilation, little padding.
+
+Recordings of any length share a fixed number of slots. A slot takes the next recording as soon as it has
+finished one, in pieces of a fixed size, so that nothing is padded to the longest recording.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, drain, encode_lanes, init
+from rcbht_jax.encoding.thresholds import Thresholds, validate
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import LabelTrack, LabelTracks
+
+AXES = 6
+_FIELDS = tuple(f.name for f in fields(LabelTrack))
+_MOST_SLOTS = 128
+_PIECE_WINDOWS = 64
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Which recording each slot works on, piece by piece.
+
+    Attributes:
+        recording: int ``[piece, slot]``, -1 = idle.
+        offset: int ``[piece, slot]``, first sample of the piece within its recording.
+        samples: samples of one piece.
+    """
+
+    recording: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    samples: int
+
+    def padding(self, length: NDArray[np.int32]) -> float:
+        """Share of the computed samples that belong to no recording."""
+        return 1.0 - float(length.sum()) / (self.recording.size * self.samples)
+
+
+def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS) -> Schedule:
+    """Longest recording first onto the slot that is free first; slots are as many as keep busy.
+
+    Args:
+        length: int ``[recording]``, samples.
+        samples: samples of one piece, > 0.
+        most_slots: bound on the slots, hence on the working memory.
+    """
+    pieces = np.maximum(-(-length.astype(np.int64) // samples), 1)
+    busy = int(pieces.sum() // pieces.max())  # more slots than this would wait for the longest recording
+    slots = max(1, min(most_slots, busy))
+    free = [(0, slot) for slot in range(slots)]
+    starts = np.empty((len(pieces), 2), np.int64)
+    for index in np.argsort(-pieces, kind="stable"):
+        time, slot = heapq.heappop(free)
+        starts[index] = time, slot
+        heapq.heappush(free, (time + int(pieces[index]), slot))
+    rows = max(time for time, _ in free)
+    recording = np.full((rows, slots), -1, np.int64)
+    offset = np.zeros((rows, slots), np.int64)
+    for index, (time, slot) in enumerate(starts):
+        span = slice(time, time + pieces[index])
+        recording[span, slot] = index
+        offset[span, slot] = np.arange(pieces[index]) * samples
+    return Schedule(recording, offset, samples)
+
+
+def encode_recordings(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    wrench: NDArray[np.floating],
+    length: NDArray[np.int32],
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> LabelTracks:
+    """Labels of a whole data set in the compact form.
+
+    Args:
+        config: static configuration.
+        thresholds: limits ``[6, 4]``, or ``[recording, 6, 4]``.
+        wrench: float32 or float64 ``[recording, time, 6]``, N and Nm; the dtype decides the precision.
+        length: int ``[recording]``, samples that count.
+        progress: called with the number of samples done since the last call.
+
+    Returns:
+        host arrays ``[recording, 6, slot]``, unused slots at the end.
+
+    Raises:
+        InputError: wrong shapes, a length beyond the array, or values that are not finite.
+    """
+    limits = _checked(thresholds, wrench, length)
+    schedule = plan(length, _PIECE_WINDOWS * config.window)
+    slots = schedule.recording.shape[1]
+    dtype = jnp.float64 if wrench.dtype == np.float64 else jnp.float32
+    state = init((slots * AXES,), dtype)
+    rows = _Rows()
+    for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
+        piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)
+        lane_count = np.repeat(count, AXES)
+        fresh = jnp.asarray(np.repeat(offset == 0, AXES))
+        state, tracks = _piece(
+            config, jnp.asarray(lane_limits), state, fresh, jnp.asarray(piece), jnp.asarray(lane_count)
+        )
+        rows.add(tracks, recording)
+        done = (recording >= 0) & (offset + schedule.samples >= length[recording])
+        if done.any():
+            rows.add(_drained(config, state), np.where(done, recording, -1))
+        if progress is not None:
+            progress(int(count.sum()))
+    return rows.compact(len(length))
+
+
+def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]) -> NDArray[np.floating]:
+    if wrench.ndim != 3 or wrench.shape[2] != AXES:
+        raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, 6].")
+    if length.shape != wrench.shape[:1] or length.size == 0:
+        raise InputError(
+            f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
+        )
+    if length.min() < 0 or length.max() > wrench.shape[1]:
+        raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
+    for index, samples in enumerate(length):
+        if not np.isfinite(wrench[index, :samples]).all():
+            raise InputError(f"Recording {index} holds values that are not finite numbers; remove or interpolate them.")
+    limits = np.asarray(thresholds.limits)
+    validate(limits)
+    if limits.shape not in ((AXES, 4), (len(length), AXES, 4)):
+        raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] or [recording, 6, 4].")
+    return np.broadcast_to(limits, (len(length), AXES, 4)).astype(wrench.dtype)
+
+
+def _gather(
+    wrench: NDArray[np.floating],
+    length: NDArray[np.int32],
+    limits: NDArray[np.floating],
+    recording: NDArray[np.int64],
+    offset: NDArray[np.int64],
+    samples: int,
+) -> tuple[NDArray[np.floating], NDArray[np.int32], NDArray[np.floating]]:
+    """One piece of every slot: samples ``[time, lane]``, counts ``[slot]``, limits ``[4, lane]``."""
+    slots = len(recording)
+    piece = np.zeros((samples, slots, AXES), wrench.dtype)
+    count = np.zeros(slots, np.int32)
+    for slot in np.flatnonzero(recording >= 0):
+        index, start = recording[slot], offset[slot]
+        stop = min(start + samples, length[index])
+        count[slot] = stop - start
+        piece[: stop - start, slot] = wrench[index, start:stop]
+    lane_limits = limits[np.maximum(recording, 0)].reshape(slots * AXES, 4).T
+    return piece.reshape(samples, slots * AXES), count, lane_limits
+
+
+@partial(jax.jit, static_argnums=0)
+def _piece(
+    config: EncoderConfig,
+    limits: jax.Array,
+    state: EncoderState,
+    fresh: jax.Array,
+    samples: jax.Array,
+    count: jax.Array,
+) -> tuple[EncoderState, LabelTracks]:
+    def restart(leaf: jax.Array) -> jax.Array:
+        wide = jnp.broadcast_to(fresh, leaf.shape) if leaf.ndim == 1 else jnp.broadcast_to(fresh[None], leaf.shape)
+        return jnp.where(wide, jnp.zeros_like(leaf), leaf)
+
+    return encode_lanes(config, limits, jax.tree.map(restart, state), samples, count)
+
+
+_drained = jax.jit(drain, static_argnums=0)
+
+
+class _Rows:
+    """Published labels as flat columns, gathered piece by piece, then laid out as padded tracks."""
+
+    def __init__(self) -> None:
+        self._parts: tuple[list[dict[str, NDArray[np.generic]]], ...] = ([], [], [])
+
+    def add(self, tracks: LabelTracks, recording: NDArray[np.int64]) -> None:
+        """Keep the labels of the slots whose recording is not -1."""
+        lane = np.repeat(recording, AXES) * AXES + np.tile(np.arange(AXES), len(recording))
+        used = np.repeat(recording >= 0, AXES)
+        for parts, track in zip(self._parts, (tracks.primitive, tracks.mc, tracks.llb), strict=True):
+            label = np.asarray(track.label)
+            where = np.nonzero((label != 0) & used[:, None])
+            columns = {name: np.asarray(getattr(track, name))[where] for name in _FIELDS}
+            parts.append({"lane": lane[where[0]], **columns})
+
+    def compact(self, recordings: int) -> LabelTracks:
+        """Tracks ``[recording, 6, slot]``, each as long as its longest sentence."""
+        return LabelTracks(*(self._layer(parts, recordings) for parts in self._parts))
+
+    @staticmethod
+    def _layer(parts: list[dict[str, NDArray[np.generic]]], recordings: int) -> LabelTrack:
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in ("lane", *_FIELDS)}
+        lane = columns["lane"].astype(np.int64)
+        order = np.argsort(lane, kind="stable")  # pieces came in order of time
+        lane = lane[order]
+        counts = np.bincount(lane, minlength=recordings * AXES)
+        slot = np.arange(len(lane)) - np.repeat(np.cumsum(counts) - counts, counts)
+        arrays = {}
+        for name in _FIELDS:
+            padded = np.zeros((recordings * AXES, max(int(counts.max()), 1)), columns[name].dtype)
+            padded[lane, slot] = columns[name][order]
+            arrays[name] = padded.reshape(recordings, AXES, -1)
+        return LabelTrack(**arrays)

@@ -1,0 +1,331 @@
+"""The streaming encoder: wrench in, three layers of labels out (specification, section 4, "paper mode").
+
+``step`` is pure, fixed-size and loop-free; ``encode`` scans it. Lanes (axes, arms, trials) are the trailing
+batch dimensions, so a wrench window is ``[window, axis]`` and ``[window, trial, axis]`` works alike.
+Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Item` for why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+
+from rcbht_jax.encoding import composition as compose
+from rcbht_jax.encoding import pipe, segments
+from rcbht_jax.encoding.pipe import PipeRules
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import MC
+from rcbht_jax.types import Array, Item, LabelTrack, LabelTracks
+
+FLUSH_SLOTS = (2, 5, 8)  # most labels that the end of a stream can publish, per layer (section 4.8)
+_ITEMS = 8  # P.A P.B H M.A M.B H L.A L.B
+_INTS, _REALS = 3, 4  # fields of an item
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """Static choices of the encoder (hashable: one compilation each).
+
+    Attributes:
+        window: samples per straight-line fit, >= 2.
+        dt: seconds between samples.
+        gate: pair primitives only when amplitudes are within 2 and durations within 5 times (section 4.4).
+        adj_exempt: repeated adjustments stay apart, so that AL and SH can be told (section 4.6).
+        contact_first: impulses only lead pairs (section 4.4).
+        pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator (section 4.3).
+        rule: time-amplitude rule, "paper" or the reference's older "similar".
+        latency_cap: publish a waiting run at the latest after this many seconds of its successor, or None.
+        noise_below: single compositions shorter than this many seconds become noise (section 4.5).
+    """
+
+    window: int = 5
+    dt: float = 0.005
+    gate: bool = True
+    adj_exempt: bool = True
+    contact_first: bool = False
+    pipe: Literal["two-slot", "one-slot"] = "two-slot"
+    rule: Literal["paper", "similar"] = "paper"
+    latency_cap: float | None = None
+    noise_below: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.window < 2:
+            raise InputError(f"The window is {self.window} samples; a line needs at least 2.")
+        if not 0 < self.dt < float("inf"):
+            raise InputError(f"The sampling period is {self.dt} s; expected a positive, finite number.")
+        if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
+            raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")
+        if self.latency_cap is not None and not self.latency_cap > 0:
+            raise InputError(f"The latency cap is {self.latency_cap} s; expected a positive number or none.")
+
+    @property
+    def short(self) -> int:
+        """Samples below which a single composition is noise."""
+        return round(self.noise_below / self.dt)
+
+    def rules(self, layer: int) -> PipeRules:
+        """Rules of the pipe behind layer 0 (primitives), 1 (compositions) or 2 (behaviours)."""
+        contact = (pipe.is_impulse, pipe.is_contact, pipe.is_contact_behaviour)[layer]
+        exempt = int(MC.A) if layer == 1 and self.adj_exempt else None
+        cap = None if self.latency_cap is None else round(self.latency_cap / self.dt)
+        return PipeRules(contact, exempt, self.rule, cap, self.pipe == "one-slot")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EncoderState:
+    """Everything the encoder remembers: eight items per lane, whatever the length of the stream.
+
+    The items are stacked in two arrays because a loop that carries two arrays runs four times faster
+    on a CPU than one that carries fifty-six.
+    """
+
+    time: Array  # int32 [...], samples consumed
+    ints: Array  # int32 [24, ...], label, t0, t1 of each item
+    reals: Array  # float [32, ...], vmax, vmin, area, rise of each item
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Published:
+    """What one step publishes, packed for the loop; :func:`unpack` gives the labels. Stacks of steps lead."""
+
+    ints: Array  # int32 [9, ...], label, t0, t1 of each layer's item
+    reals: Array  # float [12, ...], vmax, vmin, area, rise of each layer's item
+    emit: Array  # int32 [...], samples received
+
+
+def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
+    """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
+    return EncoderState(
+        jnp.zeros(lanes, jnp.int32),
+        jnp.zeros((_ITEMS * _INTS, *lanes), jnp.int32),
+        jnp.zeros((_ITEMS * _REALS, *lanes), dtype),
+    )
+
+
+def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, Published]:
+    """One full window of samples for every lane.
+
+    Args:
+        config: static configuration.
+        limits: float ``[axis, 4]`` (or ``[..., axis, 4]`` matching the lanes), see Thresholds.limits.
+        state: lanes ``[..., axis]``.
+        window: float ``[config.window, ..., axis]``, N and Nm.
+
+    Returns:
+        the new state and at most one label per layer and lane, packed.
+    """
+    return step_partial(config, limits, state, window, jnp.full_like(state.time, config.window))
+
+
+def step_partial(
+    config: EncoderConfig, limits: Array, state: EncoderState, window: Array, count: Array
+) -> tuple[EncoderState, Published]:
+    """As :func:`step`, for a window of which ``count`` samples (int32, lanes) are there; a single one is dropped."""
+    x = segments.fit(window, count, _lane_limits(limits, window), config.dt, state.time)
+    return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
+
+
+def unpack(published: Published) -> LabelTracks:
+    """Labels of one step, arrays ``[...]`` like the lanes; label 0 where nothing was published.
+
+    Under a scan, apply it to each step by ``jax.vmap`` or leave the packed form as it is.
+    """
+    return LabelTracks(*(_track(x, published.emit) for x in _unpack(published.ints, published.reals)))
+
+
+def flush(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
+    """End of the stream (section 4.8): the last partial window, then all that is still held.
+
+    Args:
+        config: static configuration.
+        limits: float ``[..., axis, 4]``.
+        state: lanes ``[..., axis]``.
+        rest: float ``[config.window, ..., axis]``, samples that did not fill a window, then anything.
+        count: int32 ``[..., axis]``, how many of them there are, < window; a single one is dropped.
+
+    Returns:
+        labels ``[..., axis, slot]`` with 1 + 2, 1 + 5 and 1 + 8 slots: the window's, then the drained ones.
+    """
+    shape, lanes = state.time.shape, state.time.size
+    state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
+    rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
+    lane_limits = jnp.broadcast_to(jnp.asarray(limits, rest.dtype), (*shape, 4)).reshape(lanes, 4)
+    state, out = step_partial(config, lane_limits, state, rest, count)
+    joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
+
+
+def peek(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
+    """Provisional labels as if the stream ended now; the state stays as it is (section 4.8). Same as :func:`flush`."""
+    return flush(config, limits, state, rest, count)
+
+
+def encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:
+    """All labels of whole recordings: a scan of the same step, then the flush.
+
+    Args:
+        config: static configuration.
+        limits: float ``[axis, 4]`` or ``[trial, axis, 4]``.
+        wrench: float ``[trial, time, axis]``, N and Nm, padded with anything finite.
+        length: int32 ``[trial]``, samples that count.
+
+    Returns:
+        labels ``[trial, axis, slot]`` in the dense form: one slot per window, partial ones included,
+        then 2, 5 and 8 slots for what the end of the stream publishes.
+    """
+    trials, total, axes = wrench.shape
+    lanes = jnp.swapaxes(wrench, 0, 1).reshape(total, trials * axes)
+    lane_limits = _lane_limits(limits, lanes, (trials, axes))
+    length = jnp.repeat(length.astype(jnp.int32), axes)
+    state, tracks = encode_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
+    joined = _join(tracks, drain(config, state))
+    return jax.tree.map(lambda leaf: leaf.reshape(trials, axes, leaf.shape[-1]), joined)
+
+
+def encode_lanes(
+    config: EncoderConfig, limits: Array, state: EncoderState, samples: Array, count: Array
+) -> tuple[EncoderState, LabelTracks]:
+    """Scan one piece of a recording per lane; pieces but the last must be multiples of the window.
+
+    Args:
+        config: static configuration.
+        limits: float ``[4, lane]``.
+        state: lanes ``[lane]``.
+        samples: float ``[time, lane]``.
+        count: int32 ``[lane]``, samples that count; the last count % window of them are the partial window.
+
+    Returns:
+        the new state, and labels ``[lane, slot]`` with one slot per window.
+    """
+    window, lanes = config.window, samples.shape[1]
+    windows = -(-samples.shape[0] // window)
+    samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
+    start = jnp.broadcast_to(jnp.arange(windows, dtype=jnp.int32)[:, None] * window, (windows, lanes))
+    full = jnp.swapaxes(samples.reshape(windows, window, lanes), 0, 1)
+    size = jnp.clip(count[None] - start, 0, window)
+    x = segments.fit(full, size, limits[:, None], config.dt, start)
+
+    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, Published]:
+        label, *values = row
+        size = jnp.where(label > 0, jnp.minimum(end - state.time, window), 0)
+        return _advance(config, state, Item(label, state.time, state.time + size, *values), size)
+
+    end = state.time + count
+    state, out = jax.lax.scan(body, state, (x.label, x.vmax, x.vmin, x.area, x.rise))
+    return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
+
+
+def _join(a: LabelTracks, b: LabelTracks) -> LabelTracks:
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis=-1), a, b)
+
+
+def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = None) -> Array:
+    """Limits ``[..., axis, 4]`` as ``[4, ...lanes]`` in the dtype of the signal."""
+    shape = like.shape[1:] if lanes is None else lanes
+    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*shape, 4))
+    return jnp.moveaxis(wide, -1, 0).reshape(4, *like.shape[1:])
+
+
+def _advance(config: EncoderConfig, state: EncoderState, x: Item, count: Array) -> tuple[EncoderState, Published]:
+    held, out = chain(config, _unpack(state.ints, state.reals), x)
+    state = EncoderState(state.time + count, *_pack(held))
+    return state, Published(*_pack(out), state.time)
+
+
+def chain(config: EncoderConfig, held: Sequence[Item], x: Item) -> tuple[list[Item], list[Item]]:
+    """Window item through pipe, composer, pipe, composer, pipe (section 4.7).
+
+    Args:
+        config: static configuration.
+        held: the eight items of the state, in its order.
+        x: the window; an empty one changes nothing.
+
+    Returns:
+        the eight items held afterwards and one published item per layer.
+    """
+    pa, pb, hm, ma, mb, hl, la, lb = held
+    pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
+    hm, m = compose.push_primitive(hm, p, config.gate, config.contact_first)
+    ma, mb, m = pipe.push(ma, mb, m, config.rules(1))
+    hl, l = compose.push_composition(hl, m, config.short)
+    la, lb, l = pipe.push(la, lb, l, config.rules(2))
+    return [pa, pb, hm, ma, mb, hl, la, lb], [p, m, l]
+
+
+def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
+    """All held items in order, each layer drained into the next.
+
+    State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots (section 4.8).
+    """
+    layers = drain_items(config, _unpack(state.ints, state.reals))
+    return LabelTracks(*(_last_axis_track(items, state.time) for items in layers))
+
+
+def drain_items(config: EncoderConfig, held: Sequence[Item]) -> tuple[Item, Item, Item]:
+    """What the eight held items still publish, per layer: 2, 5 and 8 items stacked in front of the lanes."""
+    pa, pb, hm, ma, mb, hl, la, lb = held
+
+    def primitive(h: Item, x: Item) -> tuple[Item, Item]:
+        return compose.push_primitive(h, x, config.gate, config.contact_first)
+
+    def composition(h: Item, x: Item) -> tuple[Item, Item]:
+        return compose.push_composition(h, x, config.short)
+
+    prims = _stack(*pipe.drain(pa, pb, config.rules(0)))
+    hm, out = jax.lax.scan(primitive, hm, prims)
+    mcs = _drain_pipe(config, 1, ma, mb, _append(out, compose.single_composition(hm)))
+    hl, out = jax.lax.scan(composition, hl, mcs)
+    llbs = _drain_pipe(config, 2, la, lb, _append(out, compose.single_behaviour(hl, config.short)))
+    return prims, mcs, llbs
+
+
+def _drain_pipe(config: EncoderConfig, layer: int, a: Item, b: Item, arrivals: Item) -> Item:
+    rules = config.rules(layer)
+
+    def push(held: tuple[Item, Item], x: Item) -> tuple[tuple[Item, Item], Item]:
+        a, b, out = pipe.push(*held, x, rules)
+        return (a, b), out
+
+    (a, b), out = jax.lax.scan(push, (a, b), arrivals)
+    return _append(out, *pipe.drain(a, b, rules))
+
+
+def _stack(*items: Item) -> Item:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)
+
+
+def _append(stacked: Item, *items: Item) -> Item:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), stacked, _stack(*items))
+
+
+def _last_axis_track(items: Item, time: Array) -> LabelTrack:
+    items = jax.tree.map(lambda leaf: leaf.T, items)
+    return _track(items, jnp.broadcast_to(time[:, None], items.label.shape))
+
+
+def _pack(items: Sequence[Item]) -> tuple[Array, Array]:
+    ints = jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
+    reals = jnp.stack([leaf for x in items for leaf in (x.vmax, x.vmin, x.area, x.rise)])
+    return ints, reals
+
+
+def _unpack(ints: Array, reals: Array) -> list[Item]:
+    count = ints.shape[0] // _INTS
+    return [
+        Item(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
+        for k in range(count)
+    ]
+
+
+def _track(x: Item, emit: Array) -> LabelTrack:
+    """Published form of items: means instead of sums, zeros where empty."""
+    samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
+    label = x.label.astype(jnp.int8)
+    track = LabelTrack(label, x.t0, x.t1, emit, x.vmax, x.vmin, x.area / samples, x.rise / samples)
+    return jax.tree.map(lambda leaf: jnp.where(x.label > 0, leaf, jnp.zeros_like(leaf)), track)

@@ -1,0 +1,258 @@
+"""Soft labels: the streaming encoder as a differentiable function of thresholds and wrench.
+
+What is soft: the label of every window, by sigmoid boundaries on the logarithm of its slope; and with it every
+pair of the tables, as the expected label of two soft partners. What stays hard: which windows form an item and
+which items pair or merge. The hard encoder decides that, and its decisions are held fixed for the derivative. A
+merged item says what those of its parts say that carry its label: what was absorbed does not vote.
+
+So the soft labels are the hard ones at temperature 0, are smooth wherever the hard decisions do not change, and
+jump where they do. Gradients reach all four thresholds of every axis through the windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from rcbht_jax.encoding import composition, encoder, segments
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.labels import LAYER_SIZES, LLB, MC, MC_PAIR, MC_SINGLE, PRIMITIVE_GROUP, Group
+from rcbht_jax.types import Array, Item, LabelTrack
+
+_TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
+
+_SURE = 40.0  # logit of the sign of a slope far above the small limit
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SoftLabels:
+    """Distribution of the published label over time; windows beyond a recording have all zeros."""
+
+    primitive: Array  # float [trial, axis, window, 9]
+    mc: Array  # float [trial, axis, window, 8]
+    llb: Array  # float [trial, axis, window, 8]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Spans:
+    """Items of one stage on the grid of windows; every field int32 ``[lane, window]``."""
+
+    label: Array  # hard label of the item over this window; 0 beyond the recording
+    start: Array  # first window of the item
+    end: Array  # last window of the item
+
+
+def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Array:
+    """Distribution over the nine primitives of windows.
+
+    Args:
+        slope: float ``[...]``, N/s or Nm/s.
+        limits: float ``[..., 4]``, largest first, broadcastable against ``slope``.
+        temperature: width of the boundaries in units of the logarithm of the slope, > 0.
+
+    Returns:
+        float ``[..., 9]`` that sums to 1.
+    """
+    size, tiny = jnp.abs(slope)[..., None], _TINY * limits[..., 3:]
+    distance = jnp.log(size + tiny) - jnp.log(limits + tiny)
+    above = jax.nn.sigmoid(distance / temperature)  # impulse, big, medium, small or more
+    some = jnp.diff(above, axis=-1)  # big, medium, small
+    # The sign turns where the slope is far below the small limit, and is certain at that limit.
+    up = jax.nn.sigmoid(_SURE * slope / (jnp.abs(slope) + limits[..., 3] * temperature))[..., None]
+    constant, impulse = 1 - above[..., 3:], above[..., :1]
+    parts = [some * up, some * (1 - up), constant, impulse * up, impulse * (1 - up)]
+    return jnp.concatenate(parts, -1)
+
+
+def soft_encode(
+    config: EncoderConfig,
+    limits: Array,
+    wrench: Array,
+    length: Array,
+    temperature: Array | float,
+    straight_through: bool = False,
+) -> SoftLabels:
+    """Soft labels of whole recordings.
+
+    Args:
+        config: static configuration.
+        limits: float ``[6, 4]``, largest first, N/s and Nm/s.
+        wrench: float ``[trial, time, axis]``, N and Nm, padded with anything finite.
+        length: int32 ``[trial]``, samples that count.
+        temperature: see :func:`soft_windows`.
+        straight_through: give the hard labels, with the gradients of the soft ones.
+    """
+    trials, samples, axes = wrench.shape
+    windows = -(-samples // config.window)
+    stages = jax.lax.stop_gradient(_hard_spans(config, limits, wrench, length))
+    slope, counts = _slopes(config, wrench, length)
+    lane_limits = jnp.broadcast_to(limits[None], (trials, axes, 4)).reshape(-1, 1, 4)
+    soft = soft_windows(slope, lane_limits, temperature) * counts[..., None].astype(slope.dtype)
+    said = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits, -1, 0)), 0)
+
+    primitive, pairs, mc, joints, llb = stages
+    p = _vote(soft, said, primitive)
+    m = _vote(_composition(p, pairs, primitive), pairs.label, mc)
+    l = _vote(_behaviour(m, joints, mc), joints.label, llb)
+    if straight_through:
+        p, m, l = (_straight(x, hard.label) for x, hard in ((p, primitive), (m, mc), (l, llb)))
+    return SoftLabels(*(x.reshape(trials, axes, windows, -1) for x in (p, m, l)))
+
+
+def soft_shares(labels: SoftLabels, weights: Array) -> Array:
+    """Share of each label in each sentence.
+
+    Args:
+        labels: of :func:`soft_encode`.
+        weights: float ``[trial, sentence, window]``, samples of the window in the sentence (:func:`overlaps`).
+
+    Returns:
+        float ``[trial, sentence, axis * 25]``, in the order of :func:`rcbht_jax.calibration.objective.shares`.
+    """
+    parts = []
+    for x in (labels.primitive, labels.mc, labels.llb):
+        time = jnp.einsum("tsw,tawl->tsal", weights, x)
+        parts.append(time / jnp.maximum(time.sum(-1, keepdims=True), 1))
+    joined = jnp.concatenate(parts, -1)
+    return joined.reshape(*joined.shape[:2], -1)
+
+
+def overlaps(edges: Array, windows: int, window: int) -> Array:
+    """Samples that window and sentence share, float32 ``[trial, sentence, window]``; edges int32 ``[trial, edge]``."""
+    start = jnp.arange(windows, dtype=jnp.int32) * window
+    first = jnp.maximum(edges[:, :-1, None], start[None, None])
+    last = jnp.minimum(edges[:, 1:, None], start[None, None] + window)
+    return jnp.maximum(last - first, 0).astype(jnp.float32)
+
+
+def _slopes(config: EncoderConfig, wrench: Array, length: Array) -> tuple[Array, Array]:
+    """Slope ``[lane, window]`` and whether the window counts."""
+    trials, samples, axes = wrench.shape
+    windows = -(-samples // config.window)
+    padded = jnp.pad(wrench, ((0, 0), (0, windows * config.window - samples), (0, 0)))
+    rows = jnp.moveaxis(padded.reshape(trials, windows, config.window, axes), (2, 3), (0, 2))
+    start = jnp.arange(windows, dtype=jnp.int32) * config.window
+    size = jnp.clip(length[:, None] - start[None], 0, config.window)
+    size = jnp.broadcast_to(size[:, None], (trials, axes, windows))
+    slope, _ = segments.line(rows, size, config.dt, jnp.zeros_like(size))
+    lanes = trials * axes
+    # A window of fewer than two samples has no line; its value must not reach a derivative.
+    counts = (size >= 2).reshape(lanes, windows)
+    return jnp.where(counts, slope.reshape(lanes, windows), 1), counts
+
+
+def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[_Spans, ...]:
+    """Primitives, pairs of them, compositions, pairs of them, behaviours: items of every stage."""
+    trials, samples, axes = wrench.shape
+    windows = -(-samples // config.window)
+    tracks = encoder.encode(config, limits, wrench, length)
+
+    def lanes(track: LabelTrack) -> Item:
+        flat = jax.tree.map(lambda leaf: leaf.reshape(trials * axes, -1).T, track)
+        return Item(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
+
+    def push_primitive(h: Item, x: Item) -> tuple[Item, Item]:
+        return composition.push_primitive(h, x, config.gate, config.contact_first)
+
+    def push_composition(h: Item, x: Item) -> tuple[Item, Item]:
+        return composition.push_composition(h, x, config.short)
+
+    p, m, l = (lanes(track) for track in (tracks.primitive, tracks.mc, tracks.llb))
+    empty = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), p)
+    held, pairs = jax.lax.scan(push_primitive, empty, p)
+    pairs = _append(pairs, composition.single_composition(held))
+    held, joints = jax.lax.scan(push_composition, empty, m)
+    joints = _append(joints, composition.single_behaviour(held, config.short))
+    return tuple(_on_grid(items, windows, config.window) for items in (p, pairs, m, joints, l))
+
+
+def _append(items: Item, last: Item) -> Item:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), items, last)
+
+
+def _on_grid(items: Item, windows: int, window: int) -> _Spans:
+    """Items ``[slot, lane]`` that follow one another, spread over the windows they cover."""
+    lane = jnp.broadcast_to(jnp.arange(items.label.shape[1], dtype=jnp.int32)[None], items.label.shape)
+
+    def mark(place: Array, value: Array) -> Array:
+        index = jnp.where(items.label > 0, place, windows)  # beyond the grid: dropped
+        return jnp.zeros((items.label.shape[1], windows), jnp.int32).at[lane, index].set(value, mode="drop")
+
+    first = items.t0 // window
+    last = (items.t1 - 1) // window
+    start = jax.lax.cummax(mark(first, first), axis=1)
+    end = windows - 1 - jax.lax.cummax(mark(last, windows - 1 - last), axis=1, reverse=True)
+    label = jnp.take_along_axis(mark(first, items.label), start, axis=1)
+    # Beyond the last item the grid would repeat it.
+    final = jnp.max(jnp.where(items.label > 0, last, -1), axis=0)[:, None]
+    return _Spans(jnp.where(jnp.arange(windows, dtype=jnp.int32)[None] <= final, label, 0), start, end)
+
+
+def _vote(soft: Array, said: Array, items: _Spans) -> Array:
+    """Distribution of each item: the mean over those of its windows whose part says the item's own label."""
+    lanes, windows, _ = soft.shape
+    core = ((said == items.label) & (items.label > 0)).astype(soft.dtype)[..., None]
+    segment = (jnp.arange(lanes, dtype=jnp.int32)[:, None] * windows + items.start).reshape(-1)
+
+    def total(x: Array) -> Array:
+        sums = jax.ops.segment_sum(x.reshape(lanes * windows, -1), segment, lanes * windows)
+        return sums[segment].reshape(lanes, windows, -1)
+
+    on = (items.label > 0)[..., None]
+    return jnp.where(on, total(soft * core) / jnp.maximum(total(core), 1), 0)
+
+
+def _partners(x: Array, pairs: _Spans, parts: _Spans) -> tuple[Array, Array, Array]:
+    """Distributions of the first and the last part of every item, and whether it has only one part."""
+    first = jnp.take_along_axis(x, pairs.start[..., None], axis=1)
+    second = jnp.take_along_axis(x, pairs.end[..., None], axis=1)
+    alone = jnp.take_along_axis(parts.end, pairs.start, axis=1) >= pairs.end
+    return first, second, alone[..., None]
+
+
+def _composition(p: Array, pairs: _Spans, parts: _Spans) -> Array:
+    """Expected composition ``[lane, window, 8]`` of soft partners (pair table of section III-B)."""
+    group = jax.nn.one_hot(jnp.asarray(PRIMITIVE_GROUP[1:]), len(Group), dtype=p.dtype)
+    table = jax.nn.one_hot(jnp.asarray(MC_PAIR) - 1, LAYER_SIZES[1], dtype=p.dtype)
+    single = jax.nn.one_hot(jnp.asarray(MC_SINGLE) - 1, LAYER_SIZES[1], dtype=p.dtype)
+    first, second, alone = _partners(p @ group, pairs, parts)
+    return jnp.where(alone, first @ single, jnp.einsum("nwi,nwj,ijk->nwk", first, second, table))
+
+
+def _behaviour(m: Array, joints: _Spans, parts: _Spans) -> Array:
+    """Expected behaviour ``[lane, window, 8]``: two partners agree on what they are, or each speaks for itself.
+
+    Whether a single one is noise and whether an adjustment grows depend on durations and amplitudes: hard.
+    """
+    first, second, alone = _partners(m, joints, parts)
+    kinds = [MC.A, MC.I, MC.D, MC.K]
+
+    def plain(a: Array, s: Array, l: Array, k: Array, contact: Array, unstable: Array) -> Array:
+        grows = (joints.label == LLB.SH)[..., None]
+        none = jnp.zeros_like(a)
+        return jnp.concatenate(
+            [k, contact, s, l, jnp.where(grows, none, a), jnp.where(grows, a, none), none, unstable], axis=-1
+        )
+
+    def alike(x: Array) -> tuple[Array, ...]:
+        contact = x[..., MC.PC - 1 : MC.C].sum(-1, keepdims=True)
+        return (*(x[..., kind - 1 : kind] for kind in kinds), contact, x[..., MC.U - 1 :])
+
+    both = [a * b for a, b in zip(alike(first), alike(second), strict=True)]
+    agreed = plain(*both)
+    rest = 1 - agreed.sum(-1, keepdims=True)
+    apart = (plain(*alike(first)) + plain(*alike(second))) / 2
+    pair = agreed + rest * apart
+    noise = jax.nn.one_hot(LLB.N - 1, LAYER_SIZES[2], dtype=m.dtype)
+    quiet = (joints.label == LLB.N)[..., None]
+    return jnp.where(alone, jnp.where(quiet, noise[None, None], plain(*alike(first))), pair)
+
+
+def _straight(soft: Array, label: Array) -> Array:
+    hard = jax.nn.one_hot(label - 1, soft.shape[-1], dtype=soft.dtype)
+    return soft + jax.lax.stop_gradient(hard - soft)

@@ -1,0 +1,366 @@
+"""The sentence so far as features, in constant time and memory per step, in JAX.
+
+A :class:`Tally` holds sums over the words published since the sub-task began; words that are still held by the
+encoder (what ``peek`` would say) are added for one description and forgotten again. What is described at sample n
+is therefore exactly what :func:`rcbht_jax.features.spec` says of the recording cut off after n samples: nothing
+later is used, and a test compares the two. Sums of values are kept in two single-precision numbers each, so that
+they stay exact to 1e-7 over streams of any length; durations are whole samples.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.encoding.encoder import FLUSH_SLOTS
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FAMILIES, WHOLE, Features, FeatureSpec, Intervals, online_signal
+from rcbht_jax.features import features as grammar_features
+from rcbht_jax.features.signal_families import FAMILIES as LINES
+from rcbht_jax.features.word_families import UNIT
+from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
+from rcbht_jax.types import Array, LabelTrack, LabelTracks
+
+CODES = max(LAYER_SIZES)  # alphabets are padded to the same size, so that the layers are one array
+_VALUES = 3  # amplitude, slope, level
+_VALUED = {"attributes", "offset", "course", "edges"}  # families that need the values of words
+_SECONDS = {"duration", "elapsed"}  # families that end with the length of the sentence
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Values:
+    """What the words of one sentence are like; arrays ``[layer, axis, ...]``."""
+
+    total: Array  # float32 [layer, axis, group, 3], samples x (amplitude, slope, level)
+    lost: Array  # float32 [layer, axis, group, 3], what rounding took from ``total``
+    top: Array  # float32 [layer, axis], highest value of any word; lowest float if none
+    bottom: Array  # float32 [layer, axis], lowest value
+    first: Array  # float32 [layer, axis], value at which the first word begins; 0 if none
+    final: Array  # float32 [layer, axis], value at which the latest word ends
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Tally:
+    """Sums over the words of one sentence; arrays ``[layer, axis, ...]`` for the layers of the specification."""
+
+    begin: Array  # int32 [], sample at which the sentence begins
+    count: Array  # int32 [layer, axis, code], words
+    time: Array  # int32 [layer, axis, code], samples
+    longest: Array  # int32 [layer, axis, code], samples
+    last: Array  # int32 [layer, axis, n - 1], codes of the latest words, oldest first; 0 = none
+    runs: Array  # int32 [layer, axis, code^n], runs of n words; [layer, axis, 0] where no family needs them
+    values: Values | None  # None where no family needs them
+    readings: (
+        online_signal.Readings | None
+    )  # of the primitives; None where no family of rcbht_jax.features.signal_families is wanted
+
+
+def check_online(spec: FeatureSpec) -> None:
+    """Refuse families that cannot be kept up to date in constant time.
+
+    Raises:
+        InputError: one of the families needs the whole sentence at once.
+    """
+    whole = [family for family in spec.families if family in WHOLE]
+    if whole:
+        raise InputError(
+            f"the family {whole[0]} looks at the whole past again at every step; choose from "
+            f"{', '.join(f for f in FAMILIES if f not in WHOLE)} for a stream."
+        )
+
+
+def empty(spec: FeatureSpec, begin: Array) -> Tally:
+    """No word yet; ``begin`` int32 ``[]`` is the first sample of the sentence."""
+    lanes = (len(spec.layers), len(AXES))
+    ints = jnp.zeros((*lanes, CODES), jnp.int32)
+    runs = CODES**spec.ngram if "ngram" in spec.families else 0
+    last = jnp.zeros((*lanes, spec.ngram - 1), jnp.int32)
+    return Tally(
+        begin=begin,
+        count=ints,
+        time=ints,
+        longest=ints,
+        last=last,
+        runs=jnp.zeros((*lanes, runs), jnp.int32),
+        values=_no_values(lanes) if _VALUED & set(spec.families) else None,
+        readings=online_signal.empty() if set(LINES) & set(spec.families) else None,
+    )
+
+
+def _no_values(lanes: tuple[int, int]) -> Values:
+    sums = jnp.zeros((*lanes, CODES, _VALUES), jnp.float32)
+    lowest, zero = jnp.full(lanes, np.finfo(np.float32).min, jnp.float32), jnp.zeros(lanes, jnp.float32)
+    return Values(total=sums, lost=sums, top=lowest, bottom=-lowest, first=zero, final=zero)
+
+
+def restart(spec: FeatureSpec, tally: Tally, begin: Array) -> Tally:
+    """The same tally, or an empty one if the sentence begins at another sample than the tally's."""
+    fresh = empty(spec, begin)
+    return jax.tree.map(lambda new, old: jnp.where(begin == tally.begin, old, new), fresh, tally)
+
+
+def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
+    """Layers of ``[axis, slot]`` as arrays ``[layer, axis, slot]``, with empty slots at the end where one has fewer."""
+    layers = [getattr(tracks, name) for name in spec.layers]
+    slots = max(layer.label.shape[-1] for layer in layers)
+
+    def padded(leaf: Array) -> Array:
+        return jnp.pad(leaf, ((0, 0), (0, slots - leaf.shape[-1])))
+
+    return jax.tree.map(lambda *leaves: jnp.stack([padded(leaf) for leaf in leaves]), *layers)
+
+
+def grow(dt: float, tally: Tally, now: Array, window: int) -> Tally:
+    """The same tally, ready for words known at sample ``now``, at most ``window`` samples after those it has."""
+    if tally.readings is None:
+        return tally
+    return replace(tally, readings=online_signal.grow(tally.readings, dt, tally.begin, now, window))
+
+
+def add(spec: FeatureSpec, dt: float, tally: Tally, words: LabelTrack) -> Tally:
+    """Count words ``[layer, axis, slot]``; what lies before the beginning of the sentence is cut off."""
+    label = words.label.astype(jnp.int32)
+    span = jnp.maximum(words.t1 - jnp.maximum(words.t0, tally.begin), 0)
+    used = (label > 0) & (span > 0)
+    code = jnp.where(used, label, 0)
+    hot = _hot(code - 1, CODES)
+    spans = jnp.where(hot, span[..., None], 0)
+    last, runs = _add_runs(spec, tally, code)
+    readings = tally.readings
+    if readings is not None:
+        layer = spec.layers.index("primitive")
+        primitives = jax.tree.map(lambda leaf: leaf[layer, :, : FLUSH_SLOTS[0]], words)  # the rest is padding
+        readings = online_signal.extend(readings, dt, tally.begin, primitives)
+    return Tally(
+        begin=tally.begin,
+        count=tally.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
+        time=tally.time + jnp.sum(spans, axis=2, dtype=jnp.int32),
+        longest=jnp.maximum(tally.longest, jnp.max(spans, axis=2)),
+        last=last,
+        runs=runs,
+        values=None if tally.values is None else _add_values(spec, tally, words, used, code, span),
+        readings=readings,
+    )
+
+
+def _add_values(spec: FeatureSpec, tally: Tally, words: LabelTrack, used: Array, code: Array, span: Array) -> Values:
+    values = tally.values
+    assert values is not None
+    weighted = _values(words) * jnp.where(used, span, 0).astype(jnp.float32)[..., None]
+    group_hot = _hot(_group(spec, code) - 1, CODES)
+    sums = jnp.sum(jnp.where(group_hot[..., None], weighted[..., None, :], 0), axis=2)
+    total, lost = _two_sum(values.total, values.lost, sums)
+    lowest = float(np.finfo(np.float32).min)
+    first, final = _edge_values(values, jnp.any(tally.count > 0, axis=-1), words, used)
+    return Values(
+        total=total,
+        lost=lost,
+        top=jnp.maximum(values.top, jnp.max(jnp.where(used, words.vmax, lowest), axis=-1)),
+        bottom=jnp.minimum(values.bottom, jnp.min(jnp.where(used, words.vmin, -lowest), axis=-1)),
+        first=first,
+        final=final,
+    )
+
+
+def _hot(index: Array, size: int) -> Array:
+    """One-hot along a new last axis; negative indices are nowhere."""
+    numbers = jnp.arange(size, dtype=jnp.int32).reshape((1,) * index.ndim + (size,))
+    return index[..., None] == numbers
+
+
+def _values(words: LabelTrack) -> Array:
+    return jnp.stack([words.vmax - words.vmin, words.grad, words.avg], axis=-1)
+
+
+def _edge_values(values: Values, before: Array, words: LabelTrack, used: Array) -> tuple[Array, Array]:
+    """Where the first word begins and the latest ends, after words some of which are not ``used``.
+
+    ``before`` ``[layer, axis]`` says where there have been words already.
+    """
+    rising, slots = words.grad > 0, used.shape[-1]
+    begins = jnp.where(rising, words.vmin, words.vmax)
+    ends = jnp.where(rising, words.vmax, words.vmin)
+    earliest = jnp.argmax(used, axis=-1, keepdims=True)
+    latest = slots - 1 - jnp.argmax(used[..., ::-1], axis=-1, keepdims=True)
+    some = jnp.any(used, axis=-1)
+    first = jnp.take_along_axis(begins, earliest, axis=-1)[..., 0]
+    final = jnp.take_along_axis(ends, latest, axis=-1)[..., 0]
+    return jnp.where(some & ~before, first, values.first), jnp.where(some, final, values.final)
+
+
+def _group(spec: FeatureSpec, code: Array) -> Array:
+    """Group code ``[layer, axis, slot]`` (0 = empty): signs of primitives, labels elsewhere."""
+    table = jnp.asarray(_groups(spec))
+    layer = jnp.arange(len(spec.layers))[:, None, None]
+    return table[jnp.broadcast_to(layer, code.shape), code]
+
+
+def _groups(spec: FeatureSpec) -> NDArray[np.int32]:
+    """Group code of every label code, ``[layer, 1 + code]``."""
+    plain = np.arange(CODES + 1, dtype=np.int32)
+    return np.stack([PRIMITIVE_GROUP + 1 if name == "primitive" else plain for name in spec.layers])
+
+
+def _two_sum(total: Array, lost: Array, value: Array) -> tuple[Array, Array]:
+    """Sum and its rounding error (Knuth); exact as long as nothing is reassociated, which XLA does not do."""
+    new = total + value
+    part = new - total
+    return new, lost + ((total - (new - part)) + (value - part))
+
+
+def _add_runs(spec: FeatureSpec, tally: Tally, code: Array) -> tuple[Array, Array]:
+    """The latest codes, and the counts of runs, after words ``[layer, axis, slot]`` some of which are empty."""
+    last = tally.last
+    if tally.runs.shape[-1] == 0:
+        return last, tally.runs
+    place = jnp.asarray(CODES ** np.arange(spec.ngram - 1, -1, -1), jnp.int32)
+    index = []
+    for slot in range(code.shape[-1]):
+        here = code[..., slot : slot + 1]
+        window = jnp.concatenate([last, here], axis=-1)
+        whole = jnp.all(window > 0, axis=-1)
+        index.append(jnp.where(whole, jnp.sum((window - 1) * place[None, None], axis=-1), -1))
+        last = jnp.where(here > 0, window[..., 1:], last)
+    hot = _hot(jnp.stack(index, axis=-1), tally.runs.shape[-1])
+    return last, tally.runs + jnp.sum(hot, axis=2, dtype=jnp.int32)
+
+
+def describe(spec: FeatureSpec, dt: float, tally: Tally, now: Array) -> Array:
+    """Features float32 ``[feature]`` of the sentence up to sample ``now``, in the order of :func:`names`."""
+    blocks: dict[str, Callable[[], list[Array]]] = {
+        "histogram": lambda: [_share(tally.time), _share(tally.count)],
+        "ngram": lambda: [_share(tally.runs)],
+        "duration": lambda: [_ratio(tally.time, tally.count) * dt, tally.longest.astype(jnp.float32) * dt],
+    }
+    if (values := tally.values) is not None:
+        blocks |= {
+            "attributes": lambda: _attributes(spec, tally, values),
+            "offset": lambda: _offset(spec, tally, values),
+            "course": lambda: _course(spec, tally, values),
+            "edges": lambda: [_compressed(_edges(tally, values))],
+        }
+    wide = [block for family in blocks if family in spec.families for block in blocks[family]()]
+    flat = [jnp.concatenate(wide, axis=-1).reshape(-1)] if wide else []
+    if tally.readings is not None:
+        flat.append(online_signal.describe(spec.families, tally.readings, now - tally.begin))
+    flat += [((now - tally.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
+    return jnp.concatenate(flat)[jnp.asarray(_columns(spec))]
+
+
+def _ratio(a: Array, b: Array) -> Array:
+    """a / b in single precision, and 0 where b is 0."""
+    a, b = a.astype(jnp.float32), b.astype(jnp.float32)
+    return jnp.where(b > 0, a / jnp.maximum(b, 1), 0)
+
+
+def _share(counts: Array) -> Array:
+    return _ratio(counts, jnp.broadcast_to(jnp.sum(counts, axis=-1, keepdims=True), counts.shape))
+
+
+def _compressed(value: Array) -> Array:
+    """Signed logarithm of ``[layer, axis, column]``, as in the grammar."""
+    unit = jnp.asarray(UNIT, jnp.float32)[None, :, None]
+    return jnp.sign(value) * jnp.log1p(jnp.abs(value) / unit)
+
+
+def _means(spec: FeatureSpec, tally: Tally, values: Values) -> tuple[Array, Array, Array]:
+    """Duration-weighted means: ``[layer, axis, group, 3]``, where the group occurs, and the level of the sentence."""
+    groups = jnp.asarray(_groups(spec)[:, 1:, None] == np.arange(1, CODES + 1))  # [layer, code, group]
+    time = jnp.sum(jnp.where(groups[:, None], tally.time[..., None], 0), axis=2)
+    exact = values.total + values.lost
+    mean = _ratio(exact, jnp.broadcast_to(time[..., None], exact.shape))
+    level = _ratio(jnp.sum(exact[..., 2], axis=-1, keepdims=True), jnp.sum(time, axis=-1, keepdims=True))
+    return mean, time > 0, level
+
+
+def _attributes(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+    mean, occurs, level = _means(spec, tally, values)
+    said = jnp.any(tally.count > 0, axis=-1)
+    span = jnp.where(said, values.top - values.bottom, 0)[..., None]
+    relative = jnp.where(occurs, mean[..., 2] - level, 0)
+    return [_compressed(x) for x in (mean[..., 0], mean[..., 1], relative, span)]
+
+
+def _offset(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+    mean, _, level = _means(spec, tally, values)
+    return [_compressed(mean[..., 2]), _compressed(level)]
+
+
+def _edges(tally: Tally, values: Values) -> Array:
+    said = jnp.any(tally.count > 0, axis=-1)[..., None]
+    return jnp.where(said, jnp.stack([values.first, values.final, values.top, values.bottom], axis=-1), 0)
+
+
+def _course(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+    edges, level = _edges(tally, values), _means(spec, tally, values)[2]
+    return [_compressed(edges - level), _compressed(edges[..., 1:2] - edges[..., :1])]
+
+
+def _columns(spec: FeatureSpec) -> NDArray[np.int32]:
+    """Where each feature lies in ``describe``'s columns: ``[layer, axis, wide column]``, the lines', the seconds."""
+    chosen = [family for family in FAMILIES if family in spec.families]
+    width = sum(padded for family in chosen for padded, _ in _widths(spec, family, 0))
+    behind = len(spec.layers) * len(AXES) * width
+    out: list[int] = []
+    for layer, name in enumerate(spec.layers):
+        edge = 0
+        for family in chosen:
+            parts = list(_widths(spec, family, layer))
+            for axis in range(len(AXES)):
+                here = (layer * len(AXES) + axis) * width + edge
+                for padded, kept in parts:
+                    out.extend(here + column for column in kept)
+                    here += padded
+            edge += sum(padded for padded, _ in parts)
+        if name == "primitive":
+            out.extend(range(behind, behind + online_signal.width(spec.families)))
+            behind += online_signal.width(spec.families)
+    out.extend(range(behind, behind + len(_SECONDS & set(chosen))))
+    return np.array(out, np.int32)
+
+
+def _widths(spec: FeatureSpec, family: str, layer: int) -> Iterator[tuple[int, list[int]]]:
+    """Blocks of a family: columns with padding, and those that the layer's own alphabet fills."""
+    name = spec.layers[layer]
+    size = LAYER_SIZES[LAYERS.index(name)]
+    labels = (CODES, list(range(size)))
+    groups = (CODES, list(range(len(Group) if name == "primitive" else size)))
+    if family == "ngram":
+        place = CODES ** np.arange(spec.ngram - 1, -1, -1)
+        runs = itertools.product(range(size), repeat=spec.ngram)
+        yield CODES**spec.ngram, [int(np.dot(run, place)) for run in runs]
+    else:
+        yield from {
+            "histogram": [labels, labels],
+            "duration": [labels, labels],
+            "attributes": [groups, groups, groups, (1, [0])],
+            "offset": [groups, (1, [0])],
+            "course": [(5, [0, 1, 2, 3, 4])],
+            "edges": [(4, [0, 1, 2, 3])],
+        }.get(family, [])
+
+
+def names(spec: FeatureSpec) -> tuple[str, ...]:
+    """Names of the features, those of :func:`rcbht_jax.features.spec`."""
+    return _nothing(spec).names
+
+
+def weights(spec: FeatureSpec) -> NDArray[np.float64] | None:
+    """What scaled features are multiplied by ``[feature]``, as in the grammar; None = all weigh the same."""
+    return _nothing(spec).weights(spec)
+
+
+def _nothing(spec: FeatureSpec) -> Features:
+    """The grammar's features of an empty sentence."""
+    zero = np.zeros((1, len(AXES), 1))
+    track = LabelTrack(*(zero.astype(np.int32),) * 4, *(zero,) * 4)
+    one = Intervals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), 1.0)
+    return grammar_features(LabelTracks(track, track, track), one, spec)

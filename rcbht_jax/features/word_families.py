@@ -1,0 +1,190 @@
+"""The families of features: words of one layer -> columns per axis, each with a name and a meaning."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.features.spans import Words, ratio, share, tally
+from rcbht_jax.labels import ALPHABETS, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group, name
+
+# Values are compressed as sign(v) log(1 + |v| / unit): the unit is about five times the sensor noise.
+UNIT = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])  # N or Nm (slopes: per second)
+
+# One family's columns for one layer: values [sentence, axis, column] and (suffix, meaning) per column.
+Block = tuple[NDArray[np.float64], list[tuple[str, str]]]
+
+
+def _names(layer: str) -> list[str]:
+    return [name(layer, code) for code in range(1, LAYER_SIZES[LAYERS.index(layer)] + 1)]
+
+
+def majority(words: Words, slots: int) -> NDArray[np.int64]:
+    """Code per slot ``[sentence, axis, slot]``: the label with most time in it; 0 = no label at all."""
+    # Times are multiplied by the number of slots, so that slot edges are whole multiples of the length.
+    width = words.length[:, None, None]
+    first, last = words.start * slots, words.end * slots
+    used = words.code > 0
+    slot0 = np.where(used, first // width, 0)
+    slot1 = np.where(used, (last - 1) // width, 0)
+    shape = (*words.code.shape[:2], slots + 1, words.size)
+    lane = np.arange(shape[0] * shape[1]).reshape(*shape[:2], 1)
+
+    def spread(slot: NDArray[np.int64], weight: NDArray[Any]) -> NDArray[np.float64]:
+        index = ((lane * (slots + 1) + slot) * words.size + np.maximum(words.code - 1, 0)).ravel()
+        sums = np.bincount(index, np.where(used, weight, 0).ravel(), int(np.prod(shape)))
+        return sums.astype(np.float64).reshape(shape)
+
+    # A span fills whole slots slot0..slot1 (a step up and a step down), minus what its two ends leave free.
+    full = np.broadcast_to(width, first.shape)
+    whole = np.cumsum(spread(slot0, full) - spread(slot1 + 1, full), axis=2)
+    free = spread(slot0, first - slot0 * width) + spread(slot1, (slot1 + 1) * width - last)
+    held = (whole - free)[:, :, :slots]
+    return np.where(held.max(-1) > 0, held.argmax(-1) + 1, 0)
+
+
+def resampled(slots: int, one_hot: bool) -> Callable[[Words], Block]:
+    """Labels at ``slots`` equal parts of the sentence, as codes or one-hot."""
+
+    def make(words: Words) -> Block:
+        codes = majority(words, slots)
+        if not one_hot:
+            return codes.astype(np.float64), [
+                (f"{k}", f"code of the label that fills slot {k + 1} of {slots}") for k in range(slots)
+            ]
+        hot = codes[..., None] == np.arange(1, words.size + 1)
+        columns = [
+            (f"{k}.{label}", f"1 if {label} fills slot {k + 1} of {slots}")
+            for k in range(slots)
+            for label in _names(words.layer)
+        ]
+        return hot.reshape(*codes.shape[:2], -1).astype(np.float64), columns
+
+    return make
+
+
+def histogram(words: Words) -> Block:
+    """Share of time and share of count per label."""
+    time = share(tally(words.code, words.duration, words.size))
+    count = share(tally(words.code, words.code > 0, words.size))
+    labels = _names(words.layer)
+    columns = [(f"time.{x}", f"share of the labelled time spent in {x}") for x in labels]
+    columns += [(f"count.{x}", f"share of the labels that are {x}") for x in labels]
+    return np.concatenate([time, count], -1), columns
+
+
+def ngram(n: int) -> Callable[[Words], Block]:
+    """Share of each run of ``n`` successive labels."""
+
+    def make(words: Words) -> Block:
+        columns = [
+            ("-".join(run), f"share of runs of {n} labels that are {' '.join(run)}")
+            for run in itertools.product(_names(words.layer), repeat=n)
+        ]
+        if words.code.shape[-1] < n:
+            return np.zeros((*words.code.shape[:2], words.size**n)), columns
+        runs = np.lib.stride_tricks.sliding_window_view(words.code, n, axis=-1)
+        place = words.size ** np.arange(n - 1, -1, -1)
+        code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
+        return share(tally(code, code > 0, words.size**n)), columns
+
+    return make
+
+
+def duration(dt: float) -> Callable[[Words], Block]:
+    """Mean and longest duration per label in seconds, from ``dt`` seconds per sample."""
+
+    def make(words: Words) -> Block:
+        total = tally(words.code, words.duration, words.size)
+        mean = ratio(total, tally(words.code, words.code > 0, words.size))
+        lanes = np.arange(total[..., 0].size).reshape(*total.shape[:2], 1)
+        longest = np.zeros((lanes.size, words.size + 1))
+        np.maximum.at(longest, (lanes, words.code), words.duration)
+        top = longest[:, 1:].reshape(total.shape)
+        columns = [(f"mean.{x}", f"mean duration of a label {x}, s") for x in _names(words.layer)]
+        columns += [(f"max.{x}", f"longest duration of a label {x}, s") for x in _names(words.layer)]
+        return np.concatenate([mean, top], -1) * dt, columns
+
+    return make
+
+
+def _groups(words: Words) -> tuple[NDArray[np.int64], list[str]]:
+    """Group code per word (0 = empty) and group names: the signs of primitives, the labels elsewhere."""
+    if words.layer == "primitive":
+        return (PRIMITIVE_GROUP[words.code] + 1).astype(np.int64), [g.name.lower() for g in Group]
+    return words.code, [label.name for label in ALPHABETS[LAYERS.index(words.layer)]]
+
+
+def compressed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed logarithm of ``[sentence, axis, column]`` in units of UNIT, so that peaks do not dominate."""
+    scaled = x / UNIT[:, None]
+    return np.asarray(np.sign(scaled) * np.log1p(np.abs(scaled)), np.float64)
+
+
+def _mean_per_group(words: Words, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    code, labels = _groups(words)
+    return ratio(tally(code, words.duration * value, len(labels)), tally(code, words.duration, len(labels)))
+
+
+def _mean_level(words: Words) -> NDArray[np.float64]:
+    """Duration-weighted mean level ``[sentence, axis, 1]``, N or Nm."""
+    time = words.duration.sum(-1, keepdims=True).astype(np.float64)
+    return ratio((words.duration * words.value["avg"]).sum(-1, keepdims=True), time)
+
+
+def attributes(words: Words) -> Block:
+    """Amplitude, slope and level relative to the sentence, per group; the range of the sentence."""
+    labels = _groups(words)[1]
+    level = np.where(words.code > 0, words.value["avg"] - _mean_level(words), 0)
+    top = np.where(words.code > 0, words.value["vmax"], -np.inf).max(-1, keepdims=True)
+    bottom = np.where(words.code > 0, words.value["vmin"], np.inf).min(-1, keepdims=True)
+    said = np.isfinite(top)
+    span = np.where(said, np.where(said, top, 0) - np.where(said, bottom, 0), 0)
+    amplitude = _mean_per_group(words, words.value["vmax"] - words.value["vmin"])
+    slope = _mean_per_group(words, words.value["grad"])
+    values = np.concatenate([amplitude, slope, _mean_per_group(words, level), span], -1)
+    columns = [(f"amp.{x}", f"mean amplitude of {x} labels, signed log") for x in labels]
+    columns += [(f"grad.{x}", f"mean slope of {x} labels, signed log") for x in labels]
+    columns += [(f"level.{x}", f"mean level of {x} labels minus the sentence's, signed log") for x in labels]
+    columns += [("range", "highest minus lowest value in the sentence, signed log")]
+    return compressed(values), columns
+
+
+def offset(words: Words) -> Block:
+    """Absolute mean level, per group and of the sentence."""
+    columns = [(f"avg.{x}", f"absolute mean level of {x} labels, signed log") for x in _groups(words)[1]]
+    columns += [("avg", "absolute mean level of the sentence, signed log")]
+    values = np.concatenate([_mean_per_group(words, words.value["avg"]), _mean_level(words)], -1)
+    return compressed(values), columns
+
+
+def _edges(words: Words) -> NDArray[np.float64]:
+    """First, last, highest and lowest value of the sentence's lines, N or Nm: ``[sentence, axis, 4]``; 0 if no word."""
+    used = words.code > 0
+    rising = words.value["grad"] > 0
+    begins = np.where(rising, words.value["vmin"], words.value["vmax"])[..., :1]
+    ends = np.where(rising, words.value["vmax"], words.value["vmin"])
+    last = np.maximum(used.sum(-1, keepdims=True) - 1, 0)
+    top = np.where(used, words.value["vmax"], -np.inf).max(-1, keepdims=True)
+    bottom = np.where(used, words.value["vmin"], np.inf).min(-1, keepdims=True)
+    parts = [begins, np.take_along_axis(ends, last, -1), top, bottom]
+    return np.where(used.any(-1, keepdims=True), np.concatenate(parts, -1), 0)
+
+
+def course(words: Words) -> Block:
+    """Where the sentence came from and went, relative to its own mean level."""
+    edges, level = _edges(words), _mean_level(words)
+    values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
+    named = ("first", "last", "highest", "lowest")
+    columns = [(x, f"{x} value minus the sentence's mean level, signed log") for x in named]
+    return compressed(values), [*columns, ("change", "last minus first value, signed log")]
+
+
+def edges(words: Words) -> Block:
+    """First, last, highest and lowest value, absolute."""
+    named = ("first", "last", "highest", "lowest")
+    return compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]

@@ -1,0 +1,297 @@
+"""Samples in as they come, beliefs and events out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rcbht_jax.encoding.encoder import EncoderConfig, Published
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
+from rcbht_jax.introspection.chain import Progress, Sight, begin_stream, tick
+from rcbht_jax.introspection.levels import Alarm, Confidence, Phases
+from rcbht_jax.introspection.model import Head, IntrospectionModel
+from rcbht_jax.learning.metrics import THRESHOLDS
+from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
+from rcbht_jax.types import Array
+
+FAILURE_TYPE = "failure-type"  # the head whose belief is told as the kind of failure
+PHASE = "phase"  # the head that tells from the whole trial which sub-task goes on, for those who are not told
+
+
+@dataclass(frozen=True)
+class HeadShape:
+    """What must be known of a head when the chain is compiled."""
+
+    sentence: int  # which of the chain's sentences it reads
+    kernel: str
+    gamma: float
+    classes: int
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The static part of window -> labels -> features -> probabilities; hashable, one compilation each."""
+
+    config: EncoderConfig
+    scopes: tuple[str, ...]  # [sentence]
+    sights: tuple[Sight, ...]  # [sentence]
+    heads: tuple[HeadShape, ...]
+
+    @staticmethod
+    def of(model: IntrospectionModel) -> Chain:
+        """The chain of a model; heads that read the same sentence alike share its features."""
+        sentences = tuple(dict.fromkeys((head.scope, head.sight) for head in model.heads))
+        shapes = tuple(
+            HeadShape(
+                sentences.index((head.scope, head.sight)),
+                head.machine.svm.spec.kernel,
+                head.machine.svm.gamma,
+                len(head.classes),
+            )
+            for head in model.heads
+        )
+        scopes, sights = (tuple(x) for x in zip(*sentences, strict=True))
+        return Chain(model.encoder, scopes, sights, shapes)
+
+
+def believe(
+    chain: Chain,
+    limits: Array,
+    machines: tuple[SvmArrays, ...],
+    progress: Progress,
+    window: Array,
+    count: Array,
+    begins: Array,
+) -> tuple[Progress, tuple[Array, ...], Published]:
+    """The whole chain as one pure function; compiled once, it is one call per answer.
+
+    Args:
+        chain: static.
+        limits: float32 ``[6, 4]``.
+        machines: one per head.
+        progress: the state at the end of the last complete window.
+        window: float32 ``[window, 6]``, N and Nm, samples since then.
+        count: int32 ``[]``, how many of them there are.
+        begins: int32 ``[sentence]``, sample at which each sentence begins.
+
+    Returns:
+        the new state, probabilities ``[class]`` per head, and the labels published by a complete window.
+    """
+    progress, features, published = tick(chain.config, chain.sights, limits, progress, window, count, begins)
+    said = tuple(
+        probability_jax(machine, head.kernel, head.gamma, head.classes, features[head.sentence])
+        for head, machine in zip(chain.heads, machines, strict=True)
+    )
+    return progress, said, published
+
+
+_believe = jax.jit(believe, static_argnums=0)
+_begin = jax.jit(begin_stream, static_argnums=0)  # one small program in place of one per field
+
+
+class Introspector:
+    """Beliefs about one stream of wrenches; remembers a fixed-size state, whatever the length of the stream.
+
+    Args:
+        model: see :mod:`rcbht_jax.introspection.model`.
+        rate: beliefs per second; None = one per window. The clock is the number of samples received.
+        k: probability above which a belief is certain (paper: 0.70 ... 0.95).
+        margin: a certain belief stays certain until its probability falls below ``k - margin``.
+        hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
+            and below 0.5 before it is cleared.
+        detect: nobody says when a sub-task begins; the model's head "phase" does (see
+            :class:`rcbht_jax.introspection.levels.Phases`). The sentence begins when it is noticed, not when it began.
+
+    Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
+    gives the same bits.
+
+    Raises:
+        InputError: a rate faster than the samples, thresholds that make no sense, or no head to detect with.
+    """
+
+    def __init__(
+        self,
+        model: IntrospectionModel,
+        rate: float | None = 10.0,
+        k: float = THRESHOLDS[0],
+        margin: float = 0.05,
+        hold: float = 0.1,
+        detect: bool = False,
+    ) -> None:
+        self.model = model
+        self._chain = Chain.of(model)
+        self._config = model.encoder
+        self._every = _samples_between(rate, model.encoder)
+        self._limits = jax.device_put(np.asarray(model.limits, np.float32))
+        self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
+        self._confidence = [Confidence(k, margin) for _ in model.heads]
+        self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
+        self._phases = Phases(_head(model, PHASE).classes) if detect else None
+        self._failure: tuple[str, str] | None = None  # label and level that were told last
+        self.latest: dict[str, Belief] = {}
+        # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, 6), np.int32)
+        self._fresh()
+
+    def _fresh(self) -> None:
+        self._progress: Progress = _begin(self._chain.sights)
+        self._rest: NDArray[np.float32] = np.zeros((self._config.window, 6), np.float32)
+        self._count = 0
+        self._complete = 0  # samples in complete windows
+        self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
+        self._time: float | None = None
+        self.labels = np.zeros_like(self.labels)
+
+    @property
+    def received(self) -> int:
+        """Samples received so far."""
+        return self._complete + self._count
+
+    def warm_up(self) -> None:
+        """Compile now rather than at the first window."""
+        jax.block_until_ready(self._call())
+
+    def begin(self, detected: bool = False) -> list[Event]:
+        """The controller says: a sub-task begins with the next sample."""
+        for number, scope in enumerate(self._chain.scopes):
+            if scope == "subtask":
+                self._begins[number] = self.received
+        for head, confidence in zip(self.model.heads, self._confidence, strict=True):
+            if head.scope == "subtask":
+                confidence.reset()
+        return [SubtaskStarted(self.received, self._now(), self.received, detected)]
+
+    def reset(self) -> None:
+        """A new trial begins: nothing of the past remains."""
+        self._fresh()
+        for confidence in self._confidence:
+            confidence.reset()
+        for alarm in self._alarms.values():
+            alarm.reset()
+        if self._phases is not None:
+            self._phases.reset()
+        self._failure = None
+        self.latest = {}
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
+        """Feed samples ``[time, 6]`` of any number; the events that they cause, in order.
+
+        Args:
+            samples: N and Nm.
+            time: stamp of the last of them, s; default: samples received x period.
+
+        Raises:
+            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+        """
+        chunk = np.asarray(samples, np.float32)
+        if chunk.ndim != 2 or chunk.shape[1] != 6:
+            raise InputError(f"Samples have shape {chunk.shape}; expected [time, 6].")
+        if not np.isfinite(chunk).all():
+            raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
+        events: list[Event] = []
+        end = self.received + len(chunk)
+        while len(chunk):
+            taken = chunk[: self._due()]
+            self._rest[self._count : self._count + len(taken)] = taken
+            self._count += len(taken)
+            chunk = chunk[len(taken) :]
+            self._time = None if time is None else time - (end - self.received) * self._config.dt
+            events += self._look()
+        return events
+
+    def _due(self) -> int:
+        """Samples until the window is complete or a belief is due, whichever comes first."""
+        left = self._config.window - self._count
+        return left if self._every is None else min(left, self._every - self.received % self._every)
+
+    def _now(self) -> float:
+        return self.received * self._config.dt if self._time is None else self._time
+
+    def _call(self) -> tuple[Progress, tuple[Array, ...], Published]:
+        # The buffer is copied: the call may still read it when the next samples come.
+        count, begins = np.int32(self._count), self._begins.copy()
+        return _believe(self._chain, self._limits, self._machines, self._progress, self._rest.copy(), count, begins)
+
+    def _look(self) -> list[Event]:
+        complete = self._count == self._config.window
+        asked = complete if self._every is None else self.received % self._every == 0
+        if not (complete or asked):
+            return []
+        progress, said, published = self._call()
+        events = self._answer([np.asarray(p) for p in said]) if asked else []
+        if complete:
+            self._progress = progress
+            self._complete, self._count = self._complete + self._config.window, 0
+            new = np.asarray(published.ints).reshape(3, 3, 6)
+            self.labels = np.where(new[:, :1] > 0, new, self.labels)
+        return events
+
+    def _answer(self, probabilities: list[NDArray[np.float32]]) -> list[Event]:
+        events: list[Event] = []
+        sample, time = self.received, self._now()
+        for head, confidence, p in zip(self.model.heads, self._confidence, probabilities, strict=True):
+            best = int(p.argmax())
+            level, since = confidence.update(head.classes[best], float(p[best]), time)
+            values: dict[str, Any] = {"probability": float(p[best]), "level": level, "certain_for": since}
+            belief = Belief(
+                sample, time, head.name, head.classes[best], classes=head.classes,
+                probabilities=tuple(p.tolist()), **values,
+            )  # fmt: skip
+            self.latest[head.name] = belief
+            events.append(belief)
+            if head.alarm:
+                events += self._alarm(head, float(p[head.classes.index(head.alarm)]), sample, time)
+        return events + self._failure_type(sample, time) + self._detected()
+
+    def _detected(self) -> list[Event]:
+        """A sub-task that begins without anybody saying so."""
+        if self._phases is None:
+            return []
+        belief = self.latest[PHASE]
+        began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
+        return self.begin(detected=True) if began else []
+
+    def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
+        change = self._alarms[head.name].update(probability, time)
+        if change is None:
+            return []
+        return [(AnomalyRaised if change else AnomalyCleared)(sample, time, head.name, probability)]
+
+    def _failure_type(self, sample: int, time: float) -> list[Event]:
+        belief = self.latest.get(FAILURE_TYPE)
+        if belief is None or not any(alarm.raised for alarm in self._alarms.values()):
+            self._failure = None
+            return []
+        if (belief.label, belief.level) == self._failure:
+            return []
+        self._failure = belief.label, belief.level
+        return [FailureType(sample, time, belief.label, belief.probability, belief.level)]
+
+
+def _head(model: IntrospectionModel, name: str) -> Head:
+    for head in model.heads:
+        if head.name == name:
+            return head
+    raise InputError(
+        f'the model has no head "{name}" to tell sub-tasks by; train one with: rcbht train-online --detect.'
+    )
+
+
+def _samples_between(rate: float | None, config: EncoderConfig) -> int | None:
+    """Samples from one belief to the next; None = one per window."""
+    if rate is None:
+        return None
+    if not 0 < rate < float("inf"):
+        raise InputError(f"{rate} beliefs per second were asked for; expected a positive number, or none.")
+    every = round(1 / (rate * config.dt))
+    if every < 1 or abs(every * rate * config.dt - 1) > 0.01:
+        raise InputError(
+            f"{rate:g} beliefs per second do not fit samples every {config.dt:g} s; choose {1 / config.dt:g} Hz "
+            "divided by a whole number."
+        )
+    return every

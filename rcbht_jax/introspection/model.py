@@ -1,0 +1,133 @@
+"""Models for introspection: the encoder, its thresholds and one or more heads, in one file that runs no code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, validate
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.online import check_online, names
+from rcbht_jax.introspection.chain import Sight
+from rcbht_jax.learning.model_io import read_svm, reading, svm_members, write_archive
+from rcbht_jax.learning.probability import ProbabilisticSvm
+
+FORMAT = "rcbht-introspection-1"
+
+Scope = Literal["subtask", "trial"]
+SCOPES: tuple[Scope, ...] = ("subtask", "trial")
+
+
+@dataclass(frozen=True)
+class Head:
+    """One question about the stream.
+
+    Attributes:
+        name: for example "states", "outcome" or "failure-type".
+        scope: the sentence it reads: since the sub-task began, or since the trial began.
+        sight: features of that sentence.
+        machine: answers with a probability per class.
+        alarm: the class that raises an anomaly; "" = none does.
+        alarm_level: probability above which it does; 0 = the introspector's own threshold.
+    """
+
+    name: str
+    scope: Scope
+    sight: Sight
+    machine: ProbabilisticSvm
+    alarm: str = ""
+    alarm_level: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_online(self.sight.spec)
+        if self.scope not in SCOPES:
+            raise InputError(f"head {self.name} has the scope {self.scope!r}; expected one of {', '.join(SCOPES)}.")
+        if self.alarm and self.alarm not in self.classes:
+            raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
+        if not 0 <= self.alarm_level < 1:
+            raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
+        count = len(names(self.sight.spec))
+        if self.machine.svm.center.size != count:
+            raise InputError(
+                f"head {self.name} was trained on {self.machine.svm.center.size} features; "
+                f"its specification makes {count}."
+            )
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the classes, in the order of the probabilities."""
+        return self.machine.svm.classes
+
+
+@dataclass(frozen=True)
+class IntrospectionModel:
+    """Everything between a wrench and beliefs."""
+
+    encoder: EncoderConfig
+    limits: NDArray[np.float64]  # [6, 4] gradient thresholds, see Thresholds
+    heads: tuple[Head, ...]
+    data_hash: str  # of the training data
+    version: str = rcbht_jax.__version__
+    extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
+
+    def __post_init__(self) -> None:
+        validate(self.limits)
+        if self.limits.shape != (6, 4):
+            raise InputError(f"thresholds have shape {self.limits.shape}; a stream expects [6, 4].")
+        if not self.heads or len({head.name for head in self.heads}) < len(self.heads):
+            raise InputError("a model for introspection needs at least one head, each of its own name.")
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """The thresholds as the encoder takes them."""
+        return Thresholds(self.limits)
+
+
+def save(path: Path, model: IntrospectionModel) -> None:
+    """Write a model to ``path`` (a single file, any suffix), whole or not at all.
+
+    Raises:
+        InputError: the folder does not exist, or a description is not JSON.
+    """
+    arrays: dict[str, NDArray[Any]] = {"limits": model.limits}
+    heads = []
+    for number, head in enumerate(model.heads):
+        prefix = f"{number}."
+        members, described = svm_members(head.machine.svm, prefix)
+        arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
+        plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
+        heads.append({**plain, "sight": asdict(head.sight), **described})
+    rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
+    write_archive(path, {"format": FORMAT, "encoder": asdict(model.encoder), "heads": heads, **rest}, arrays)
+
+
+def load(path: Path) -> IntrospectionModel:
+    """Read a file written by :func:`save`.
+
+    Raises:
+        InputError: the file is missing, damaged, or not a model of this format.
+    """
+    with reading(path, FORMAT) as (meta, archive):
+        heads = tuple(_read_head(path, head, archive, f"{n}.") for n, head in enumerate(meta["heads"]))
+        rest = {k: meta[k] for k in ("data_hash", "version", "extra")}
+        return IntrospectionModel(EncoderConfig(**meta["encoder"]), archive["limits"], heads, **rest)
+
+
+def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str) -> Head:
+    spec = FeatureSpec.from_dict(meta["sight"]["spec"])
+    svm = read_svm(path, meta, archive, len(names(spec)), prefix)
+    sigmoid = archive[prefix + "sigmoid"]
+    if sigmoid.shape != (svm.intercept.size, 2):
+        raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
+    sight = Sight(spec, bool(meta["sight"]["provisional"]))
+    machine = ProbabilisticSvm(svm, sigmoid)
+    # Files of before alarms had a level of their own lack it.
+    return Head(meta["name"], meta["scope"], sight, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))

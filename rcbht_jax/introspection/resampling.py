@@ -1,0 +1,138 @@
+"""Samples as they arrive to samples at equal times: the encoder counts samples, so none may be missing or twice.
+
+The grid starts at the first sample. A reading on a grid time passes unchanged, bit for bit; between grid times the
+signal is a straight line. Short gaps are bridged that way and reported; after a longer one, or a clock that jumps
+back, everything starts anew, since nobody knows what happened in between. Nothing is dropped or filled in silence.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.messages import Sample
+
+ON_GRID = 0.01  # of a period: nearer than this is on the grid
+JITTER = 0.25  # of a period: readings further off the grid are reported, once per second
+CLOCK_JUMP = 1.0  # s back in time: the source was restarted
+LARGEST = 1e6  # N or Nm: no sensor says more, and single precision sums stay finite
+
+Kind = Literal["gap", "late", "repeated", "not-finite", "jitter"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Something that happened to the samples."""
+
+    kind: Kind
+    text: str
+    count: int = 1
+
+
+@dataclass
+class Regular:
+    """What one reading adds: ``samples``, the ``time`` of the last of them, and what is to be reported.
+
+    ``anew``: the stream was broken; forget the past before these samples.
+    """
+
+    samples: NDArray[np.float32]  # [time, 6]
+    time: float = 0.0
+    anew: bool = False
+    reports: list[Report] = field(default_factory=list)
+
+
+class Regulator:
+    """Puts readings on a grid of ``dt`` seconds; remembers one reading.
+
+    Args:
+        dt: period of the grid.
+        bridge: s; gaps up to this long are bridged by a straight line.
+
+    Raises:
+        InputError: the bridge is shorter than two periods or longer than a minute.
+    """
+
+    def __init__(self, dt: float, bridge: float = 0.05) -> None:
+        if not 2 * dt <= bridge <= 60:
+            raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to 60 s.")
+        self._dt, self._bridge = dt, bridge
+        self._origin = self._last = 0.0
+        self._value: NDArray[np.float64] = np.zeros(6)
+        self._index = -1  # of the latest grid sample; -1 = none yet
+        self._skipped = 0  # readings without a time that were left out since the latest good one
+        self._off, self._off_since = 0, 0
+
+    def feed(self, sample: Sample) -> Regular:
+        """Take one reading.
+
+        A reading without a time is one period after the one before. One that is not finite is left out, so that
+        the straight line to the next reading replaces it.
+        """
+        value = np.asarray(sample.wrench, np.float64)
+        time = self._next() if sample.time is None else sample.time
+        if not (np.isfinite(value).all() and np.abs(value).max() <= LARGEST and math.isfinite(time)):
+            self._skipped += sample.time is None
+            return self._nothing("not-finite", "a reading that is not finite, or absurd, was left out")
+        if self._index < 0:
+            return self._start(time, value)
+        step = time - self._last
+        if step <= 0 and step >= -CLOCK_JUMP:
+            if step == 0:
+                return self._nothing("repeated", f"a second reading of {time:.6f} s was left out")
+            return self._nothing("late", f"a reading {-step:.6f} s older than the latest was left out")
+        if step < 0:
+            return self._anew(time, value, f"the clock went back by {-step:.3f} s; everything starts anew")
+        if step > self._bridge + ON_GRID * self._dt:
+            return self._anew(time, value, f"no reading for {step:.3f} s; everything starts anew")
+        return self._advance(time, value, step)
+
+    def _next(self) -> float:
+        """When a reading without a time was taken; those left out have taken their periods, too."""
+        return self._origin + (self._index + 1 + self._skipped) * self._dt
+
+    def _nothing(self, kind: Kind, text: str) -> Regular:
+        return Regular(np.zeros((0, 6), np.float32), self._last, reports=[Report(kind, text)])
+
+    def _start(self, time: float, value: NDArray[np.float64]) -> Regular:
+        self._origin = self._last = time
+        self._value, self._index, self._skipped, self._off, self._off_since = value, 0, 0, 0, 0
+        return Regular(value[None].astype(np.float32), time)
+
+    def _anew(self, time: float, value: NDArray[np.float64], text: str) -> Regular:
+        regular = self._start(time, value)
+        regular.anew, regular.reports = True, [Report("gap", text)]
+        return regular
+
+    def _advance(self, time: float, value: NDArray[np.float64], step: float) -> Regular:
+        position = (time - self._origin) / self._dt
+        nearest = round(position)
+        on = abs(position - nearest) < ON_GRID
+        reached = nearest if on else math.floor(position)
+        indices = np.arange(self._index + 1, reached + 1)
+        share = np.clip(((self._origin + indices * self._dt) - self._last) / step, 0, 1)[:, None]
+        samples = self._value + (value - self._value) * share
+        if on and len(indices):
+            samples[-1] = value
+        reports = self._reports(step, position - nearest)
+        self._last, self._value, self._index, self._skipped = time, value, max(reached, self._index), 0
+        return Regular(samples.astype(np.float32), self._origin + self._index * self._dt, reports=reports)
+
+    def _reports(self, step: float, off: float) -> list[Report]:
+        reports = []
+        missing = round(step / self._dt) - 1
+        if missing > 0:
+            reports.append(Report("gap", f"{missing} missing readings were bridged by a straight line", missing))
+        self._off += abs(off) > JITTER
+        self._off_since += 1
+        if self._off_since * self._dt >= 1:
+            if self._off:
+                text = f"{self._off} of {self._off_since} readings were more than {JITTER:g} periods off the grid"
+                reports.append(Report("jitter", text, self._off))
+            self._off = self._off_since = 0
+        return reports

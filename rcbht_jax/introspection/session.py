@@ -1,0 +1,88 @@
+"""A stream of messages through the regulator and the introspector, as events."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from rcbht_jax.events import Event, Notice
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.resampling import Regulator
+from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
+
+
+class Session:
+    """Feeds one source into one introspector; whatever is odd about the source becomes a :class:`Notice`."""
+
+    def __init__(self, introspector: Introspector, bridge: float = 0.05) -> None:
+        self.introspector = introspector
+        self._dt = introspector.model.encoder.dt
+        self._bridge = bridge
+        self._regulator = Regulator(self._dt, bridge)
+        self.time = 0.0  # s, stamp of the latest sample
+        self._silent = False
+        self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
+
+    def feed(self, message: Message) -> list[Event]:
+        """The events that one message causes, in order."""
+        self.counts[type(message).__name__.lower()] += 1
+        if isinstance(message, Sample):
+            return self._sample(message)
+        if isinstance(message, Begin):
+            return self.introspector.begin()
+        if isinstance(message, Reset):
+            self.introspector.reset()
+            self._regulator = Regulator(self._dt, self._bridge)
+            return []
+        if isinstance(message, Malformed):
+            return [self._notice("malformed", message.text)]
+        return self._silence(message)
+
+    def _sample(self, sample: Sample) -> list[Event]:
+        regular = self._regulator.feed(sample)
+        self.time = regular.time
+        events: list[Event] = []
+        if self._silent and len(regular.samples):
+            self._silent = False
+            events.append(self._notice("resumed", "readings arrive again"))
+        events += [self._notice(report.kind, report.text, report.count) for report in regular.reports]
+        if regular.anew:
+            self.introspector.reset()
+        if len(regular.samples):
+            events += self.introspector.push(regular.samples, regular.time)
+        return events
+
+    def _silence(self, silence: Silence) -> list[Event]:
+        if self._silent:
+            return []
+        self._silent = True
+        return [self._notice("silent", f"no reading for {silence.seconds:g} s of wall time")]
+
+    def _notice(self, kind: Any, text: str, count: int = 1) -> Notice:
+        self.counts[kind] += count
+        return Notice(self.introspector.received, self.time, kind, text, count)
+
+    def run(self, messages: Iterable[Message]) -> Iterator[Event]:
+        """Events of all messages."""
+        for message in messages:
+            yield from self.feed(message)
+
+
+def paced(
+    messages: Iterable[Message],
+    speed: float,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Iterator[Message]:
+    """The messages of a recording at ``speed`` times the pace of their time stamps; 0 = as fast as possible."""
+    began, first = clock(), None
+    for message in messages:
+        if speed > 0 and isinstance(message, Sample) and message.time is not None:
+            if first is None:
+                began, first = clock(), message.time
+            wait = (message.time - first) / speed - (clock() - began)
+            if 0 < wait < float("inf"):
+                sleep(wait)
+        yield message

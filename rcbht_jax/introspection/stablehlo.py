@@ -1,0 +1,98 @@
+"""The whole chain as a StableHLO artefact that runs without this package.
+
+The artefact is one zip archive: ``chain.stablehlo`` (``jax.export``, weights inside), ``state.npz`` (the state
+before the first sample) and ``chain.json`` (what goes in and out). Its one function maps
+
+    state..., window float32 [window, 6], count int32, begins int32 [sentence]
+
+to the new state, the probabilities of every head, and the labels published by a complete window
+(int32 ``[9, 6]``: code, first sample, end of each layer). Only JAX is needed to call it; any runtime that takes
+StableHLO can compile it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+from rcbht_jax._util.atomic import whole_file
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.chain import begin_stream
+from rcbht_jax.introspection.introspector import Chain, believe
+from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.learning.probability import to_arrays
+from rcbht_jax.types import Array
+
+FORMAT = "rcbht-chain-1"
+PLATFORMS = ("cpu", "cuda")
+KNOWN_PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
+STABLEHLO, STATE, META = "chain.stablehlo", "state.npz", "chain.json"
+
+
+def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> bytes:
+    """The serialised chain of a model; see the module."""
+    chain = Chain.of(model)
+    start = begin_stream(chain.sights)
+    leaves, tree = jax.tree.flatten(start)
+    limits = jnp.asarray(model.limits, jnp.float32)
+    machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
+
+    def run(state: list[Array], window: Array, count: Array, begins: Array) -> tuple[list[Array], list[Array], Array]:
+        progress, said, published = believe(
+            chain, limits, machines, jax.tree.unflatten(tree, state), window, count, begins
+        )
+        return jax.tree.leaves(progress), list(said), published.ints
+
+    window = jax.ShapeDtypeStruct((model.encoder.window, 6), jnp.float32)
+    count = jax.ShapeDtypeStruct((), jnp.int32)
+    begins = jax.ShapeDtypeStruct((len(chain.sights),), jnp.int32)
+    shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
+    exported = export.export(jax.jit(run), platforms=tuple(platforms))(shapes, window, count, begins)
+    return bytes(exported.serialize())
+
+
+def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> dict[str, Any]:
+    """Write the artefact, whole or not at all; returns its description.
+
+    Raises:
+        InputError: the folder does not exist, or there is no such platform.
+    """
+    unknown = set(platforms) - set(KNOWN_PLATFORMS)
+    if unknown or not platforms:
+        raise InputError(
+            f"no chain for {', '.join(sorted(unknown)) or 'nothing'}: choose {', '.join(KNOWN_PLATFORMS)}."
+        )
+    chain = Chain.of(model)
+    meta = {
+        "format": FORMAT,
+        "version": model.version,
+        "data_hash": model.data_hash,
+        "platforms": list(platforms),
+        "dt": model.encoder.dt,
+        "window": model.encoder.window,
+        "encoder": asdict(model.encoder),
+        "sentences": list(chain.scopes),
+        "heads": [{"name": head.name, "classes": list(head.classes), "alarm": head.alarm} for head in model.heads],
+    }
+    state = io.BytesIO()
+    leaves = jax.tree.leaves(begin_stream(chain.sights))
+    np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
+    try:
+        code = export_chain(model, platforms)
+        with whole_file(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr(META, json.dumps(meta, indent=1))
+            archive.writestr(STATE, state.getvalue())
+            archive.writestr(STABLEHLO, code)
+    except (OSError, ValueError) as error:
+        raise InputError(f"the chain cannot be written to {path}: {error}.") from error
+    return meta

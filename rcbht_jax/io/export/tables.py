@@ -1,0 +1,108 @@
+"""A data set as flat tables, the same for every format: column name -> values, all of one length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.io.export.dataset import DataSet, words
+from rcbht_jax.labels import AXES, LAYERS, MEANING, name
+from rcbht_jax.reference.published_features import STATES
+from rcbht_jax.types import Recordings
+
+Table = dict[str, NDArray[Any]]
+
+TEXTS = ("trial", "arm", "source", "session", "outcome", "failure_type", "note")
+DEVIATIONS = ("deviation_x", "deviation_y", "deviation_roll")
+
+COLUMNS = {
+    "recording": "number of the recording, from 0: one arm of one trial",
+    "trial": "name of the trial; both arms of a trial share it",
+    "arm": "R or L",
+    "source": "data set",
+    "session": "recording session",
+    "outcome": "success, failure or unknown",
+    "failure_type": "kind of failure; empty = none",
+    "note": "what the importer had to say",
+    "samples": "number of samples",
+    "seconds": "duration, s",
+    "onset_*": "logged start of a state, s; NaN = missing",
+    "harmonised_*": "start of a state with the harmonised rotation boundary, s; NaN = missing",
+    "deviation_*": "deviation of the start from the nominal pose: x, y in m, roll in rad; NaN = unknown",
+    "sample": "number of the sample, from 0",
+    "time": "s from the first sample",
+    "Fx Fy Fz": "force, N",
+    "Mx My Mz": "moment, N m",
+    "layer": "primitive, mc or llb",
+    "axis": "Fx Fy Fz Mx My Mz",
+    "word": "position in the sentence of this layer and axis, from 0",
+    "code": "label as a number, see alphabets",
+    "label": "label as a name",
+    "t0, t1": "first sample of the span, and one past its last",
+    "start, end": "the span in s",
+    "emit": "samples received when the label was published; -1 = not online",
+    "vmax, vmin": "largest and smallest value of the fitted lines, N or N m",
+    "avg": "mean, N or N m",
+    "grad": "slope, N/s or N m/s",
+}
+
+
+def trials(recordings: Recordings) -> Table:
+    """One row per recording."""
+    table: Table = {"recording": np.arange(len(recordings), dtype=np.int32)}
+    table |= {field: np.asarray(getattr(recordings, field)) for field in TEXTS}
+    table |= {"samples": recordings.length, "seconds": recordings.length * recordings.dt}
+    for prefix, onsets in (("onset", recordings.onset), ("harmonised", recordings.onset_harmonised)):
+        table |= {f"{prefix}_{state}": onsets[:, number] for number, state in enumerate(STATES)}
+    return table | {column: recordings.deviation[:, number] for number, column in enumerate(DEVIATIONS)}
+
+
+def wrench(recordings: Recordings, row: int) -> Table:
+    """One row per sample of one recording."""
+    samples = int(recordings.length[row])
+    number = np.arange(samples, dtype=np.int32)
+    table: Table = {"recording": np.full(samples, row, np.int32), "sample": number, "time": number * recordings.dt}
+    return table | {axis: recordings.wrench[row, :samples, column] for column, axis in enumerate(AXES)}
+
+
+def labels(data: DataSet) -> Iterator[Table]:
+    """One row per label, one table per recording."""
+    if data.tracks is None:
+        return
+    for row in range(len(data.recordings)):
+        parts = [_sentence(data, row, layer, axis) for layer in LAYERS for axis in range(len(AXES))]
+        yield {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
+
+
+def _sentence(data: DataSet, row: int, layer: str, axis: int) -> Table:
+    word = words(getattr(data.tracks, layer), row, axis)
+    count = len(word["label"])
+    names = np.array([name(layer, code) for code in range(len(MEANING[layer]) + 1)])
+    return {
+        "recording": np.full(count, row, np.int32),
+        "layer": np.full(count, layer),
+        "axis": np.full(count, AXES[axis]),
+        "word": np.arange(count, dtype=np.int32),
+        "code": word["label"].astype(np.int8),
+        "label": names[word["label"]],
+        **{field: word[field].astype(np.int32) for field in ("t0", "t1")},
+        "start": word["t0"] * data.recordings.dt,
+        "end": word["t1"] * data.recordings.dt,
+        "emit": word["emit"].astype(np.int32),
+        **{field: word[field].astype(np.float32) for field in ("vmax", "vmin", "avg", "grad")},
+    }
+
+
+def simulation(data: DataSet) -> Table:
+    """What a simulation knows besides, one row per recording; arrays as one column per element: ``name[i,j]``."""
+    table: Table = {"recording": np.arange(len(data.recordings), dtype=np.int32)}
+    for key, values in data.simulation.items():
+        if values.ndim == 1:
+            table[key] = values
+            continue
+        for place in np.ndindex(values.shape[1:]):
+            table[f"{key}[{','.join(map(str, place))}]"] = values[(slice(None), *place)]
+    return table if data.simulation else {}

@@ -1,0 +1,1 @@
+"""Import of the authors' trial folders (robot HIRO)."""

@@ -1,0 +1,218 @@
+"""Import of the authors' data sets: folders of trials -> ``Recordings`` and a report of what was left out.
+
+Layout: DIR is a data set, or holds data sets; a data set holds one folder per trial; a trial holds
+``R_Torques.dat`` (time Fx Fy Fz Mx My Mz) and, where kept, ``R_State.dat``, ``R_Angles.dat`` and
+``R_CartPos.dat``; ``L_`` files are the left arm.
+
+Notes (semicolon-separated in ``Recordings.note``):
+``state-file-missing``, ``state-file-unusable``, ``state-times-empty``, ``state-times-of-right-arm``,
+``onset-beyond-end:S1=52.61`` (the mark lies after the record: missing), ``onset-before-start:..``,
+``onset-at-end:S1`` (kept: on the last sample), ``harmonised`` / ``harmonised-fallback`` (rotation boundary
+moved, ``-from-pose`` when taken from R_CartPos), ``angles-missing``, ``angles-length:2060/3354``,
+``clock-starts-at:..``,
+``off-seat`` (a success whose part ended beside the seat), ``other-setup``, ``session-unknown``,
+``deviation-unreadable``, ``deviation-suspect``, ``contradictory-duplicate:OTHER``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.hiro.trial import ArmRecord, data_file, read_trial, with_note
+from rcbht_jax.types import Recordings
+
+Progress = Callable[[list[Path]], Iterable[Path]]
+DT_EQUAL = 1e-3  # relative difference below which two time steps are the same
+
+
+@dataclass
+class ImportReport:
+    """What an import did. Paths are relative to the imported folder."""
+
+    imported: list[str] = field(default_factory=list)  # set/trial/arm
+    skipped: list[tuple[str, str]] = field(default_factory=list)  # path, reason
+    warnings: list[tuple[str, str]] = field(default_factory=list)  # path, what could not be used
+    duplicates: list[tuple[str, str]] = field(default_factory=list)  # path of the copy, the original
+    content_sha256: str = ""  # of every .dat file of the trials read
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain lists and strings."""
+        return asdict(self)
+
+
+def find_trials(directory: Path) -> list[tuple[str, Path]]:
+    """(data set, trial folder) for every folder that may be a trial, sorted.
+
+    Raises:
+        InputError: ``directory`` is no folder, is itself a trial, or holds no trial.
+    """
+    if not directory.is_dir():
+        raise InputError(f"{directory} is not a folder; expected the folder of the data sets or one data set.")
+    if _is_trial(directory):
+        raise InputError(f"{directory} is a single trial; expected its parent folder, the data set.")
+    children = _folders(directory)
+    if any(_is_trial(child) for child in children):
+        return [(directory.resolve().name, child) for child in children]
+    sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child))]
+    if not sets:
+        raise InputError(f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such.")
+    return [(child.name, folder) for child in sets for folder in _folders(child)]
+
+
+def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, ImportReport]:
+    """Read every trial under a folder; a broken one is reported and never stops the others.
+
+    Exact copies of a trial are imported once. Identical trials whose names contradict each other (outcome or
+    deviation) are all kept, lose failure type and deviation, and carry ``contradictory-duplicate:OTHER``.
+    All recordings share one time step, the most frequent one; trials with another are skipped.
+
+    Args:
+        directory: the authors' folder, or one of its data sets.
+        progress: wraps the list of trial folders, for a progress bar.
+
+    Raises:
+        InputError: the folder holds no usable trial.
+    """
+    report = ImportReport()
+    trials = find_trials(directory)
+
+    def name(path: Path) -> str:
+        return str(path.relative_to(directory))
+
+    def complain(to: list[tuple[str, str]]) -> Callable[[Path, str], None]:
+        # The report is stored: it must not hold the importing machine's folders.
+        prefix = f"{directory}/"
+        return lambda path, text: to.append((name(path), text.replace(prefix, "")))
+
+    source_of = {folder: source for source, folder in trials}
+    skip, warn = complain(report.skipped), complain(report.warnings)
+    read = [read_trial(folder, source_of[folder], skip, warn) for folder in progress(list(source_of))]
+    kept = _without_copies([arms for arms in read if arms], name, report)
+    kept = _same_time_step(kept, name, report)
+    if not kept:
+        first = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
+        raise InputError(f"{directory} holds no usable trial.{first}")
+    report.imported = [f"{name(record.folder)}/{record.arm}" for record in kept]
+    report.content_sha256 = _content_hash(list(source_of), name)
+    return _pack(kept), report
+
+
+def import_hiro(directory: Path, path: Path, overwrite: bool = False, progress: Progress = iter) -> ImportReport:
+    """Read the authors' folder and write it as a store at ``path``.
+
+    Raises:
+        InputError: as :func:`read_hiro`, or ``path`` exists and ``overwrite`` is false.
+    """
+    store.check_target(path, overwrite)
+    recordings, report = read_hiro(directory, progress)
+    attrs = {"importer": "hiro", "source_sha256": report.content_sha256, "import_report": report.to_dict()}
+    store.write_recordings(path, recordings, attrs, overwrite)
+    return report
+
+
+def _folders(directory: Path) -> list[Path]:
+    try:
+        return sorted(child for child in directory.iterdir() if child.is_dir())
+    except OSError as error:
+        raise InputError(f"{directory} cannot be read: {error.strerror}.") from error
+
+
+def _is_trial(folder: Path) -> bool:
+    return any(data_file(folder, arm, "Torques") for arm in "RL")
+
+
+def _without_copies(
+    trials: list[list[ArmRecord]], name: Callable[[Path], str], report: ImportReport
+) -> list[ArmRecord]:
+    """Keep one of each group of identical trials per label; mark groups with more than one label."""
+    groups: dict[tuple[tuple[str, bytes], ...], list[list[ArmRecord]]] = {}
+    for arms in trials:
+        groups.setdefault(tuple((record.arm, record.digest()) for record in arms), []).append(arms)
+    kept: set[Path] = set()
+    others: dict[Path, str] = {}
+    for group in groups.values():
+        originals: dict[object, Path] = {}
+        for arms in group:
+            first = arms[0]
+            label = (first.name.outcome, first.name.deviation)
+            if label in originals:
+                copied = f"exact copy of {name(originals[label])}; imported once."
+                report.duplicates.append((name(first.folder), copied))
+            else:
+                originals[label] = first.folder
+        kept.update(originals.values())
+        for folder in originals.values() if len(originals) > 1 else ():
+            rest = [other.name for other in originals.values() if other != folder]
+            others[folder] = ",".join(rest).replace(";", ",")
+            report.warnings.append((name(folder), f"identical to {', '.join(rest)}, whose name contradicts it."))
+    return [
+        _contradicted(record, others[record.folder]) if record.folder in others else record
+        for arms in trials
+        for record in arms
+        if record.folder in kept
+    ]
+
+
+def _contradicted(record: ArmRecord, other: str) -> ArmRecord:
+    """Which of the two names is right is unknown: neither may teach a failure type."""
+    untyped = replace(record, name=replace(record.name, failure_type=""), deviation=np.full(3, np.nan))
+    return with_note(untyped, f"contradictory-duplicate:{other}")
+
+
+def _same_time_step(records: list[ArmRecord], name: Callable[[Path], str], report: ImportReport) -> list[ArmRecord]:
+    if not records:
+        return []
+    dt = Counter(round(record.table.dt, 6) for record in records).most_common(1)[0][0]
+    kept = []
+    for record in records:
+        if abs(record.table.dt - dt) <= DT_EQUAL * dt:
+            kept.append(record)
+        else:
+            reason = f"time step {record.table.dt:g} s; the other trials have {dt:g} s. Import it on its own."
+            report.skipped.append((f"{name(record.folder)}/{record.arm}", reason))
+    return kept
+
+
+def _content_hash(folders: list[Path], name: Callable[[Path], str]) -> str:
+    """SHA-256 over the names and contents of all tables; unreadable files are in the report already."""
+    digest = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.glob("*.dat")):
+            try:
+                content = hashlib.sha256(path.read_bytes()).digest()
+            except OSError:
+                continue
+            digest.update(name(path).encode("utf-8", "replace") + content)
+    return digest.hexdigest()
+
+
+def _pack(records: list[ArmRecord]) -> Recordings:
+    length = np.array([len(record.table.time) for record in records], np.int32)
+    wrench = np.zeros((len(records), int(length.max()), 6), np.float32)
+    for row, record in zip(wrench, records, strict=True):
+        row[: len(record.table.values)] = record.table.values
+    names = [record.name for record in records]
+    return Recordings(
+        wrench=wrench,
+        length=length,
+        dt=round(records[0].table.dt, 6),
+        onset=np.stack([record.onset for record in records]),
+        onset_harmonised=np.stack([record.onset_harmonised for record in records]),
+        trial=np.array([record.trial for record in records], np.str_),
+        arm=np.array([record.arm for record in records], np.str_),
+        source=np.array([name.source for name in names], np.str_),
+        session=np.array([name.session for name in names], np.str_),
+        outcome=np.array([name.outcome for name in names], np.str_),
+        failure_type=np.array([name.failure_type for name in names], np.str_),
+        deviation=np.stack([record.deviation for record in records]),
+        note=np.array([";".join(record.notes) for record in records], np.str_),
+    )

@@ -1,0 +1,140 @@
+"""Label tracks inside a store: ``labels/<name>/<layer>/<field>`` with dimensions [trial, axis, slot]."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+import rcbht_jax
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.io.store import count_recordings, open_store
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks
+
+DIMENSIONS = ("trial", "axis", "slot")
+INTEGERS = {"label": "int8", "t0": "int32", "t1": "int32", "emit": "int32"}
+FIELDS = {field.name: INTEGERS.get(field.name, "float") for field in fields(LabelTrack)}
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def write_tracks(
+    path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
+) -> None:
+    """Add a set of label tracks to a store, atomically.
+
+    Args:
+        path: an existing store.
+        name: for example "online-W5" or "offline-master"; letters, digits, dot, hyphen and underscore.
+        tracks: arrays [recording, axis, slot]; the layers may differ in slots.
+        attrs: how the labels were made (semantics, window, thresholds): JSON values.
+        created: what to keep as creation date; default now.
+
+    Raises:
+        InputError: no store, the name is malformed or taken, wrong shapes or dtypes, or ``attrs`` not JSON.
+    """
+    count = count_recordings(path)
+    target = _folder(path, name)
+    if target.exists():
+        raise InputError(f"{path} has label tracks {name} already; choose another name.")
+    arrays = {layer: _checked(getattr(tracks, layer), layer, count) for layer in LAYERS}
+    own = {
+        "rcbht_jax_version": rcbht_jax.__version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
+        "content_sha256": zarrio.content_hash(a for layer in arrays.values() for a in layer.values()),
+    }
+    # Outside the store while it grows: readers list every folder inside it.
+    with zarrio.replacing(target, near=path) as draft:
+        group = zarrio.create_group(draft, {**attrs, **own})
+        for layer, by_field in arrays.items():
+            sub = group.create_group(layer)
+            for field_name, values in by_field.items():
+                zarrio.write_array(sub, field_name, values, DIMENSIONS, str(values.dtype), {})
+        if not (path / "labels" / "zarr.json").exists():
+            zarr.create_group(path / "labels", zarr_format=3)
+    zarrio.consolidate(path)
+
+
+def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
+    """Read a set of label tracks and its attributes.
+
+    Raises:
+        InputError: no such store or tracks, or they are damaged.
+    """
+    count = count_recordings(path)
+    folder = _folder(path, name)
+    if not folder.is_dir():
+        known = ", ".join(list_tracks(path)) or "none"
+        raise InputError(f"{path} has no label tracks {name}; it has: {known}.")
+    group = zarrio.open_group(folder)
+    with zarrio.reading(folder):
+        arrays = {layer: _read_layer(group, layer) for layer in LAYERS}
+        expected = group.attrs["content_sha256"]
+        by_layer = {layer: _checked(LabelTrack(**arrays[layer]), layer, count) for layer in LAYERS}
+    if zarrio.content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
+        raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
+    return LabelTracks(**{layer: LabelTrack(**arrays[layer]) for layer in LAYERS}), dict(group.attrs)
+
+
+def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
+    """The label tracks of that name; without a name, the only ones there are.
+
+    Raises:
+        InputError: there are none, or none of that name, or several and no name.
+    """
+    known = list_tracks(path)
+    if not known:
+        raise InputError(f'{path} has no label tracks; run "rcbht encode {path}" first.')
+    if not name and len(known) > 1:
+        raise InputError(f"{path} has several label tracks; choose one with --tracks: {', '.join(known)}.")
+    if name and name not in known:
+        raise InputError(
+            f'{path} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(known)}.'
+        )
+    return (name or known[0], *read_tracks(path, name or known[0]))
+
+
+def list_tracks(path: Path) -> list[str]:
+    """Names of the label tracks in a store, sorted.
+
+    Raises:
+        InputError: no such store.
+    """
+    open_store(path)
+    return sorted(entry.parent.name for entry in (path / "labels").glob("*/zarr.json"))
+
+
+def _folder(path: Path, name: str) -> Path:
+    if not NAME.fullmatch(name):
+        raise InputError(f"{name!r} is not a name for label tracks; expected letters, digits and . _ - only.")
+    return path / "labels" / name
+
+
+def _read_layer(group: zarr.Group, layer: str) -> dict[str, Any]:
+    sub = group[layer]
+    if not isinstance(sub, zarr.Group):
+        raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
+    return {name: zarrio.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()}
+
+
+def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
+    """The fields of a layer as host arrays of agreeing shape."""
+    arrays = {name: np.asarray(getattr(track, name)) for name in FIELDS}
+    shape = arrays["label"].shape
+    if len(shape) != 3 or shape[:2] != (count, 6):
+        raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, 6 axes, slots].")
+    for name, kind in FIELDS.items():
+        dtype = arrays[name].dtype
+        fits = dtype in (np.float32, np.float64) if kind == "float" else dtype == kind
+        if arrays[name].shape != shape or not fits:
+            raise InputError(
+                f"{layer} {name} is {dtype} of shape {arrays[name].shape}; expected {kind} of shape {shape}."
+            )
+    return arrays

@@ -1,0 +1,184 @@
+"""ROS 1 and ROS 2 bags and MCAP files: ``geometry_msgs/WrenchStamped`` in, events out, without ROS."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import LEVELS, Belief, Event
+from rcbht_jax.io.messages import Malformed, Message, Sample
+from rcbht_jax.labels import AXES, LAYERS, name
+
+WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+_LABELS = """std_msgs/Header header
+string[6] axis
+int32[6] primitive
+int32[6] mc
+int32[6] llb
+string[6] primitive_name
+string[6] mc_name
+string[6] llb_name
+"""
+_BELIEF = """std_msgs/Header header
+string head
+string label
+int32 code
+float64 probability
+string level
+int32 level_code
+float64 certain_for
+string[] classes
+float64[] probabilities
+"""
+_EVENT = """std_msgs/Header header
+string event
+string json
+"""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: by suffix, or a folder with the metadata of ROS 2."""
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
+    """Wrenches of one topic, by the stamp in their header (time of receipt where it is zero).
+
+    Args:
+        path: ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag.
+        topic: which one, if there are several of the type.
+
+    Raises:
+        InputError: missing, not a bag, or no such topic. A message that cannot be read becomes ``Malformed``, and
+            so does the end of a truncated file.
+    """
+    if not path.exists():
+        raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    except Exception as error:  # a damaged file fails in any way inside the reader
+        raise InputError(f"{path} is not a readable bag: {error or type(error).__name__}.") from error
+    try:
+        yield from _wrenches(reader, path, topic)
+    finally:
+        reader.close()
+
+
+def _wrenches(reader: AnyReader, path: Path, topic: str) -> Iterator[Message]:
+    found = [c for c in reader.connections if c.msgtype in WRENCH]
+    topics = sorted({c.topic for c in found})
+    if topic and topic not in topics:
+        raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
+    if not topic and len(topics) != 1:
+        known = ", ".join(topics)
+        raise InputError(f"{path} has wrenches on {len(topics)} topics ({known}); choose one with --topic.")
+    chosen = [c for c in found if c.topic == (topic or topics[0])]
+    messages = reader.messages(connections=chosen)
+    while True:
+        try:
+            connection, received, raw = next(messages)
+        except StopIteration:
+            return
+        except Exception as error:  # a truncated file
+            yield Malformed(f"the bag ends early ({type(error).__name__}: {str(error)[:80]})")
+            return
+        try:
+            yield _sample(reader.deserialize(raw, connection.msgtype), received)
+        except Exception as error:
+            yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
+
+
+def _sample(message: Any, received: int) -> Sample:
+    wrench = getattr(message, "wrench", message)
+    header = getattr(message, "header", None)
+    stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
+    values = (getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz")
+    return Sample(tuple(float(v) for v in values), stamp if stamp > 0 else received * 1e-9)
+
+
+class McapWriter:
+    """Writes wrench, labels, beliefs and events as an MCAP that Foxglove and PlotJuggler show; a context manager.
+
+    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``), ``/labels`` (codes and names per axis), ``/belief/HEAD``
+    and ``/events`` (JSON). The file appears when the block is left without an error.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"{path.parent} is not a folder; create it first.")
+        self._path = path
+        self._folder = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        for kind, text in (("Labels", _LABELS), ("Belief", _BELIEF), ("Event", _EVENT)):
+            self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
+        self._connections: dict[str, Any] = {}
+
+    def __enter__(self) -> McapWriter:
+        self._writer = Writer(self._folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._writer.close()
+            if kind is None:
+                [file] = self._folder.glob("*.mcap")
+                os.replace(file, self._path)
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _write(self, topic: str, kind: str, time: float, **fields: Any) -> None:
+        types = self._store.types
+        nanoseconds = max(0, round(time * 1e9))
+        stamp = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        raw = self._store.serialize_cdr(types[kind](header=header, **fields), kind)
+        self._writer.write(self._connections[topic], nanoseconds, raw)
+
+    def wrench(self, time: float, values: tuple[float, ...]) -> None:
+        """One reading, N and Nm."""
+        vector = self._store.types["geometry_msgs/msg/Vector3"]
+        force, torque = (vector(**dict(zip("xyz", part, strict=True))) for part in (values[:3], values[3:]))
+        wrench = self._store.types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
+        self._write("/wrench", WRENCH[0], time, wrench=wrench)
+
+    def labels(self, time: float, codes: NDArray[np.integer[Any]]) -> None:
+        """Latest published label of every layer and axis: codes ``[3, 6]``, 0 = none yet."""
+        fields: dict[str, Any] = {"axis": list(AXES)}
+        for layer, row in zip(LAYERS, codes, strict=True):
+            fields[layer] = row.astype(np.int32)
+            fields[f"{layer}_name"] = [name(layer, int(code)) for code in row]
+        self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
+
+    def event(self, event: Event) -> None:
+        """One event; beliefs have a topic of their own per head."""
+        if not isinstance(event, Belief):
+            text = json.dumps(event.to_json(), allow_nan=False)
+            self._write("/events", "rcbht_msgs/msg/Event", event.time, event=type(event).__name__, json=text)
+            return
+        self._write(
+            f"/belief/{event.head.replace('-', '_')}", "rcbht_msgs/msg/Belief", event.time, head=event.head,
+            label=event.label, code=event.classes.index(event.label), probability=event.probability,
+            level=event.level, level_code=LEVELS.index(event.level), certain_for=event.certain_for,
+            classes=list(event.classes), probabilities=np.array(event.probabilities),
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Tasks, classifiers, cross-validation and metrics on feature matrices."""

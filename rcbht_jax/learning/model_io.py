@@ -1,0 +1,151 @@
+"""Model files: one compressed archive of plain arrays and one JSON text. Loading runs no code.
+
+Next to the SVM the file holds what is needed to use it on a new stream: the feature specification, the
+names of the features, the encoder's configuration and thresholds, and where it came from.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax._util.atomic import whole_file
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning.scaling import KNOTS
+from rcbht_jax.learning.svm import SvmModel, SvmSpec
+
+FORMAT = "rcbht-model-1"
+
+_ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A classifier with everything a stream needs to be described the way the training data was."""
+
+    svm: SvmModel
+    feature_spec: FeatureSpec
+    feature_names: tuple[str, ...]  # [feature]
+    task: dict[str, Any]  # what was learnt: JSON values
+    encoder: dict[str, Any]  # how the labels were made, thresholds included: JSON values
+    data_hash: str  # of the training data
+    version: str = rcbht_jax.__version__
+    extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
+
+
+def save(path: Path, model: TrainedModel) -> None:
+    """Write ``model`` to ``path`` (a single file, any suffix).
+
+    Raises:
+        InputError: the folder does not exist, or a description is not JSON.
+    """
+    arrays, described = svm_members(model.svm)
+    meta = {
+        "format": FORMAT,
+        **described,
+        "feature_spec": asdict(model.feature_spec),
+        **{k: getattr(model, k) for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra")},
+    }
+    write_archive(path, meta, arrays)
+
+
+def load(path: Path) -> TrainedModel:
+    """Read a file written by ``save``.
+
+    Raises:
+        InputError: the file is missing, damaged, or not a model of this format.
+    """
+    with reading(path, FORMAT) as (meta, archive):
+        names = tuple(meta["feature_names"])
+        svm = read_svm(path, meta, archive, len(names))
+        rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
+        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest)
+
+
+def svm_members(svm: SvmModel, prefix: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """An SVM as arrays (their names begin with ``prefix``) and JSON values."""
+    arrays = {prefix + name: getattr(svm, name) for name in _ARRAYS}
+    return arrays, {"spec": asdict(svm.spec), "gamma": svm.gamma, "classes": svm.classes}
+
+
+def read_svm(
+    path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], features: int, prefix: str = ""
+) -> SvmModel:
+    """Undo :func:`svm_members`.
+
+    Raises:
+        InputError: the arrays do not fit each other or the number of features.
+    """
+    arrays = {name: archive[prefix + name] for name in _ARRAYS if prefix + name in archive}
+    arrays.setdefault("knots", np.zeros((0, features)))  # files written before there were ranks
+    svm = SvmModel(
+        spec=SvmSpec(**meta["spec"]),
+        gamma=float(meta["gamma"]),
+        classes=tuple(meta["classes"]),
+        **arrays,
+    )
+    _check(svm, features, path)
+    return svm
+
+
+def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a JSON text and arrays as one compressed archive, whole or not at all.
+
+    Raises:
+        InputError: the folder does not exist, or ``meta`` is not JSON.
+    """
+    try:
+        text = json.dumps(meta, allow_nan=False)
+        with whole_file(path) as draft, draft.open("wb") as out:
+            np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(f"the model cannot be written to {path}: {error}.") from error
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
+    """Open an archive of format ``kind``: its JSON text and its arrays, which are read when asked for.
+
+    Raises:
+        InputError: missing, damaged, of another format, or whatever goes wrong with its content in the block.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            meta = json.loads(str(archive["meta"]))
+            if meta["format"] != kind:
+                raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
+            yield meta, archive
+    except InputError:
+        raise
+    except (
+        OSError, EOFError, AttributeError, KeyError, IndexError, TypeError, ValueError, zipfile.BadZipFile, zlib.error
+    ) as error:  # fmt: skip
+        raise InputError(f"{path} is not a readable model file: {error}.") from error
+
+
+def _check(svm: SvmModel, features: int, path: Path) -> None:
+    """Refuse arrays that do not fit together, which would otherwise broadcast into nonsense."""
+    classes, vectors = len(svm.classes), int(svm.support_count.sum())
+    expected = {
+        "center": (features,),
+        "width": (features,),
+        "knots": (KNOTS if svm.spec.ranks else 0, features),
+        "support": (vectors, features),
+        "support_count": (classes,),
+        "dual": (classes - 1, vectors),
+        "intercept": (classes * (classes - 1) // 2,),
+    }
+    for name, shape in expected.items():
+        if getattr(svm, name).shape != shape:
+            raise InputError(f"{path} is damaged: {name} has the shape {getattr(svm, name).shape}, not {shape}.")

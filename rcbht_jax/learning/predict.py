@@ -1,0 +1,142 @@
+"""A trained model applied to label tracks: the class of every sentence, and how often it is right where that is known.
+
+The machine has no probabilities: its decision values, one per pair of classes, say how clear each choice was.
+Probabilities while a stream goes on are :mod:`rcbht_jax.introspection`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning.evaluation import data_hash
+from rcbht_jax.learning.model_io import TrainedModel
+from rcbht_jax.learning.svm import pairs, vote
+from rcbht_jax.learning.tasks import Spans, TaskSpec, describe, spans
+from rcbht_jax.types import LabelTracks, Recordings
+
+MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
+
+
+@dataclass(frozen=True)
+class Classified:
+    """What a model says of every sentence."""
+
+    classes: tuple[str, ...]  # of the model
+    spans: Spans
+    said: NDArray[np.str_]  # [item]
+    decision: NDArray[np.float64]  # [item, pair] > 0 votes for the first of the pair
+    seen: NDArray[np.bool_]  # [item] the model was trained on this very data set, source and session
+
+    @property
+    def pairs(self) -> list[str]:
+        """Names of the decision values, "first/second"."""
+        return [f"{self.classes[i]}/{self.classes[j]}" for i, j in zip(*pairs(len(self.classes)), strict=True)]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Items whose class the data set names, and the model knows ``[item]``."""
+        return np.isin(self.spans.name, self.classes)
+
+    def accuracy(self, seen: bool = False) -> float | None:
+        """Share right of the known sentences that were not trained on (or those that were); None without any."""
+        those = self.known & (self.seen == seen)
+        return float((self.said == self.spans.name)[those].mean()) if those.any() else None
+
+
+def encoders_of(model: TrainedModel) -> dict[str, Mapping[str, Any]]:
+    """Name of each label track that a model reads -> how its labels were made."""
+    names = model.svm.spec.features.split("+")
+    return {names[0]: model.encoder} if len(names) == 1 else {name: model.encoder.get(name, {}) for name in names}
+
+
+def task_of(
+    model: TrainedModel, sources: tuple[str, ...] = (), sessions: tuple[str, ...] = (), outcomes: tuple[str, ...] = ()
+) -> TaskSpec:
+    """The task that a model was trained for, on other data sets and sessions (empty = all) and outcomes (as trained).
+
+    Raises:
+        InputError: the model does not say what it was trained for.
+    """
+    try:
+        trained = model.task["outcomes"]
+        spec = TaskSpec(model.task["task"], model.task["boundaries"], model.task["arms"])
+    except (KeyError, TypeError) as error:
+        raise InputError(f"the model does not say what it was trained for: {error} is missing.") from error
+    kept = outcomes or (None if trained is None else tuple(trained))
+    return replace(spec, sources=sources, sessions=sessions, outcomes=kept)
+
+
+def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse labels that were made in another way than those the model was trained on.
+
+    Args:
+        model: trained.
+        made: how the labels were made, by the names that the model gives them.
+
+    Raises:
+        InputError: names the first difference.
+    """
+    for name, wanted in encoders_of(model).items():
+        for key in MADE_BY:
+            if key in wanted and made[name].get(key) != wanted[key]:
+                what = _difference(wanted[key], made[name].get(key)) or key
+                raise InputError(
+                    f"the model was trained on labels {name or 'of its own'} made otherwise ({what}); "
+                    'make such labels with "rcbht encode" first.'
+                )
+
+
+def _difference(wanted: Any, found: Any) -> str:
+    """The first option that differs, in words."""
+    if not (isinstance(wanted, dict) and isinstance(found, dict)):
+        return ""
+    key = next(key for key in {**wanted, **found} if wanted.get(key) != found.get(key))
+    return f"{key} {wanted.get(key)}, here {found.get(key)}"
+
+
+def classify(
+    model: TrainedModel, recordings: Recordings, tracks: Mapping[str, LabelTracks], spec: TaskSpec
+) -> Classified:
+    """Apply a model.
+
+    Args:
+        model: trained by :func:`rcbht_jax.learning.evaluation.train`.
+        recordings: the data set.
+        tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``; see
+            :func:`check_encoders`.
+        spec: of :func:`task_of`.
+
+    Raises:
+        InputError: no sentence passes the filters, or the labels give other features than the model reads.
+    """
+    found = spans(recordings, spec)
+    if not len(found.row):
+        why = (
+            ", ".join(f"{count} trials: {reason}" for reason, count in found.dropped.items())
+            or "no trial passes the filters"
+        )
+        raise InputError(f"there is no sentence to classify ({why}).")
+    made = describe(dict(tracks), found, model.feature_spec)
+    if made.names != model.feature_names:
+        raise InputError(
+            f"the labels give {len(made.names)} features and the model of version {model.version} reads "
+            f"{len(model.feature_names)} others; train it anew."
+        )
+    decision = model.svm.decision(made.values)
+    said = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
+    return Classified(model.svm.classes, found, said, decision, _seen(model, recordings)[found.row])
+
+
+def _seen(model: TrainedModel, recordings: Recordings) -> NDArray[np.bool_]:
+    """Recordings that the model was trained on ``[recording]``, as far as its file tells."""
+    seen = np.full(len(recordings), data_hash(recordings) == model.data_hash)
+    for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
+        if model.task.get(kept):
+            seen &= np.isin(values, model.task[kept])
+    return seen

@@ -1,0 +1,328 @@
+"""Support vector machines on feature matrices: fitting, decision values without scikit-learn, selection.
+
+One-versus-one C-SVC with linear, polynomial (degree 3) and Gaussian kernels. The default gamma is "auto"
+(1 / number of features), the default of scikit-learn 0.18 that the authors used, and not today's "scale";
+the cost grid is theirs, 1e-5 ... 1e4 in powers of ten (evaluation notes, "Definitions").
+
+Selection is always nested: kernel, cost, scaling and the feature matrix itself are chosen by grouped
+cross-validation inside the training side of a split, so nothing is ever chosen on the items that give the
+score. Items of one group (a trial) are never on both sides.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.scaling import Scale, fit_scale
+
+KERNELS = ("linear", "poly", "rbf")
+COSTS = tuple(10.0**p for p in range(-5, 5))
+DEGREE = 3
+
+Matrix = NDArray[np.floating[Any]]
+Ints = NDArray[np.integer[Any]]
+Weight = NDArray[np.float64] | None  # positive [feature] by which scaled features are multiplied; None = ones
+Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
+
+# Bound on the solver's iterations while selecting, reached only by costs that are hopeless for overlapping classes.
+_MIN_ITERATIONS = 20_000
+_PER_ITEM = 100
+
+
+@dataclass(frozen=True)
+class SvmSpec:
+    """Hyper-parameters of one classifier."""
+
+    kernel: str = "poly"  # one of KERNELS
+    cost: float = 1.0  # C
+    scaling: bool = False  # standardise features by mean and deviation of the training side
+    gamma: str = "auto"  # "auto" = 1 / features, "scale" = 1 / (features x variance)
+    balanced: bool = False  # weigh classes by the inverse of their frequency
+    features: str = ""  # which candidate feature matrix; "" = the only one
+    floor: float = 0.0  # least deviation to divide by when scaling, so that a rare label does not shout
+    ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
+
+    def __post_init__(self) -> None:
+        if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not self.cost > 0:
+            raise InputError(
+                f"an SVM with kernel {self.kernel!r}, gamma {self.gamma!r} and cost {self.cost} does not exist; "
+                f"choose a kernel of {', '.join(KERNELS)}, gamma auto or scale, and a positive cost."
+            )
+        if self.ranks and not self.scaling:
+            raise InputError("ranks are a way of scaling; choose scaling with them.")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What nested selection may choose from; ties go to the earlier kernel, no scaling, the smaller cost."""
+
+    kernels: tuple[str, ...] = KERNELS
+    costs: tuple[float, ...] = COSTS  # increasing; those too hard to solve are passed over
+    scalings: tuple[bool, ...] = (False, True)
+    gamma: str = "auto"
+    balanced: bool = False  # balanced class weights, and selection by balanced accuracy
+    inner: int = 5  # folds of the selection
+    floor: float = 0.0  # see SvmSpec
+    ranks: bool = False  # scaled features are ranks, see SvmSpec
+
+    def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
+        """Every choice but the cost, which is set to the smallest."""
+        return [
+            SvmSpec(kernel, self.costs[0], scaling, self.gamma, self.balanced, name, self.floor, self.ranks and scaling)
+            for name in candidates
+            for scaling in self.scalings
+            for kernel in self.kernels
+        ]
+
+    @property
+    def single(self) -> bool:
+        """True if there is nothing to choose among the hyper-parameters."""
+        return len(self.kernels) * len(self.costs) * len(self.scalings) == 1
+
+
+@dataclass(frozen=True)
+class SvmModel:
+    """A fitted one-versus-one SVM as plain arrays; ``predict`` needs NumPy only.
+
+    Pairs are ordered (0, 1), (0, 2), ... (1, 2), ...; a positive decision value votes for the first class.
+    """
+
+    spec: SvmSpec
+    gamma: float  # the number that "auto" or "scale" stood for
+    classes: tuple[str, ...]  # [class]
+    center: NDArray[np.float64]  # [feature] subtracted first
+    width: NDArray[np.float64]  # [feature] divided by second
+    knots: NDArray[np.float64]  # [knot, feature] quantiles of the training items for ranks; [0, feature] = no ranks
+    support: NDArray[np.float64]  # [vector, feature] after scaling, sorted by class
+    support_count: NDArray[np.int64]  # [class] vectors per class
+    dual: NDArray[np.float64]  # [class - 1, vector] signed dual coefficients, as in libsvm
+    intercept: NDArray[np.float64]  # [pair]
+
+    def decision(self, x: Matrix) -> NDArray[np.float64]:
+        """One-versus-one decision values ``[item, pair]`` of ``[item, feature]``.
+
+        Raises:
+            InputError: the number of features is not the model's.
+        """
+        if x.ndim != 2 or x.shape[1] != self.center.size:
+            raise InputError(f"features of shape {x.shape} do not fit a model of {self.center.size} features.")
+        scaled = Scale(self.center, self.width, self.knots)(x)
+        if self.spec.kernel == "linear":  # one normal vector per pair costs far less than every support vector
+            return np.asarray(scaled @ (self.support.T @ self.pair_weights()) + self.intercept, np.float64)
+        kernel = gram(scaled, self.support, self.spec.kernel, self.gamma)
+        return kernel @ self.pair_weights() + self.intercept
+
+    def pair_weights(self) -> NDArray[np.float64]:
+        """``[vector, pair]``: libsvm keeps class i's weight against j in row j - 1, class j's in row i."""
+        edge = np.concatenate([[0], np.cumsum(self.support_count)])
+        first, second = pairs(len(self.classes))
+        weights = np.zeros((edge[-1], first.size))
+        for p, (i, j) in enumerate(zip(first, second, strict=True)):
+            weights[edge[i] : edge[i + 1], p] = self.dual[j - 1, edge[i] : edge[i + 1]]
+            weights[edge[j] : edge[j + 1], p] = self.dual[i, edge[j] : edge[j + 1]]
+        return weights
+
+    def predict_index(self, x: Matrix) -> NDArray[np.int64]:
+        """Class index ``[item]`` by majority of pair votes; ties go to the earlier class."""
+        return vote(self.decision(x), len(self.classes))
+
+    def predict(self, x: Matrix) -> NDArray[np.str_]:
+        """Class name ``[item]``."""
+        return np.array(self.classes)[self.predict_index(x)]
+
+
+def pairs(classes: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and second class of every pair, in the order of the decision values."""
+    first, second = np.triu_indices(classes, 1)
+    return first.astype(np.int64), second.astype(np.int64)
+
+
+def vote(decision: Matrix, classes: int) -> NDArray[np.int64]:
+    """Class index ``[item]`` from decision values ``[item, pair]``."""
+    first, second = pairs(classes)
+    winner = np.where(decision > 0, first, second)
+    votes = (winner[..., None] == np.arange(classes)).sum(1)
+    return votes.argmax(-1).astype(np.int64)
+
+
+def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]:
+    """Kernel values ``[items of a, items of b]``."""
+    dot = np.asarray(a @ b.T, np.float64)
+    if kernel == "linear":
+        return dot
+    if kernel == "poly":
+        return (gamma * dot) ** DEGREE
+    square = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * dot
+    return np.exp(-gamma * np.maximum(square, 0))
+
+
+def _gamma(x: Matrix, kind: str) -> float:
+    variance = float(x.var()) if kind == "scale" else 1.0
+    return 1.0 / (x.shape[1] * (variance if variance > 0 else 1.0))
+
+
+def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weight = None) -> SvmModel:
+    """Train on ``[item, feature]`` with class indices ``[item]``; ``weight`` ``[feature]`` follows the scaling.
+
+    Raises:
+        InputError: a class has no item, or a feature is not finite.
+    """
+    _check(x, y, classes)
+    x = np.asarray(x, np.float64)
+    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks, weight)
+    scaled = scale(x)
+    gamma = _gamma(scaled, spec.gamma)
+    machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
+    # scikit-learn turns the sign around when there are two classes only.
+    sign = -1.0 if len(classes) == 2 else 1.0
+    return SvmModel(
+        spec=spec,
+        gamma=gamma,
+        classes=tuple(classes),
+        center=scale.center,
+        width=scale.width,
+        knots=scale.knots,
+        support=machine.support_vectors_,
+        support_count=machine.n_support_.astype(np.int64),
+        dual=sign * machine.dual_coef_,
+        intercept=sign * machine.intercept_,
+    )
+
+
+def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterations: int, gamma: float = 1.0) -> Any:
+    """A fitted ``SVC``; its ``fit_status_`` is 1 if it stopped at the bound on iterations (-1 = none)."""
+    # Imported by those who train only: it takes longer to import than a stream may take to start.
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.svm import SVC
+
+    machine = SVC(
+        C=cost,
+        kernel=kernel,
+        degree=DEGREE,
+        gamma=gamma,
+        class_weight="balanced" if balanced else None,
+        max_iter=iterations,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return machine.fit(x, y)
+
+
+def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:
+    if x.ndim != 2 or x.shape[0] != y.shape[0]:
+        raise InputError(f"features of shape {x.shape} do not fit {y.shape[0]} items; expected one row per item.")
+    if not np.isfinite(x).all():
+        raise InputError(f"feature {int(np.argwhere(~np.isfinite(x))[0, 1])} is not finite.")
+    count = np.bincount(y, minlength=len(classes))
+    if len(classes) < 2 or len(count) > len(classes) or (count == 0).any():
+        raise InputError(
+            f"the classes {', '.join(classes)} have {count.tolist()} items; at least two classes with at "
+            "least one item each are needed."
+        )
+
+
+def grouped_folds(y: Ints, groups: NDArray[Any], folds: int, seed: int) -> list[Split]:
+    """Stratified folds that keep groups together, in a seeded order.
+
+    Raises:
+        InputError: a class has fewer groups than there are folds.
+    """
+    from sklearn.model_selection import StratifiedGroupKFold
+
+    fewest = _fewest_groups(y, groups)
+    if folds < 2 or fewest < folds:
+        raise InputError(
+            f"{folds} folds need at least 2 and at most {fewest}, the number of trials of the rarest class."
+        )
+    splitter = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
+    return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
+
+
+def _fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
+    return min(len(np.unique(groups[y == c])) for c in np.unique(y))
+
+
+def select(
+    candidates: Mapping[str, Matrix],
+    y: Ints,
+    groups: NDArray[Any],
+    grid: Grid,
+    seed: int,
+    weights: Mapping[str, Weight] | None = None,
+) -> SvmSpec:
+    """The grid's best choice by grouped cross-validation on the items given (training items).
+
+    Args:
+        candidates: feature matrices ``[item, feature]`` of the same items, by name.
+        y: class index ``[item]``.
+        groups: trial ``[item]``.
+        grid: choices; fewer inner folds are used when a class has fewer trials than ``grid.inner``.
+        seed: of the folds.
+        weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
+    """
+    paths = grid.paths(list(candidates))
+    if grid.single and len(paths) == 1:
+        return paths[0]
+    splits = grouped_folds(y, groups, min(grid.inner, _fewest_groups(y, groups)), seed)
+    scores = np.zeros((len(paths), len(grid.costs)))
+    for train, test in splits:
+        scaled, made_for = np.zeros((0, 0)), None
+        for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, and share its scaling
+            if made_for != (made_for := (spec.features, spec.scaling)):
+                scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
+            said = _said(scaled, y, train, test, spec, grid.costs)
+            scores[i] += [_score(y[test], s, grid.balanced) for s in said]
+    best = int(scores.round(9).argmax())
+    return replace(paths[best // len(grid.costs)], cost=grid.costs[best % len(grid.costs)])
+
+
+def _score(truth: Ints, said: Ints, balanced: bool) -> float:
+    return metrics.balanced_accuracy(truth, said) if balanced else metrics.accuracy(truth, said)
+
+
+def predictions(
+    x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], weight: Weight = None
+) -> list[NDArray[np.int64]]:
+    """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
+    return _said(_scaled(x, train, spec, weight), y, train, test, spec, costs)
+
+
+def _scaled(x: Matrix, train: Ints, spec: SvmSpec, weight: Weight) -> NDArray[np.float64]:
+    return fit_scale(x[train], spec.scaling, spec.floor, spec.ranks, weight)(x)
+
+
+def _said(
+    scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
+) -> list[NDArray[np.int64]]:
+    gamma = _gamma(scaled[train], spec.gamma)
+    kernel = gram(scaled, scaled[train], spec.kernel, gamma)
+    return predictions_of_kernel(kernel[train], y[train], kernel[test], costs, spec.balanced)
+
+
+def predictions_of_kernel(
+    train: Matrix, y: Ints, test: Matrix, costs: Sequence[float], balanced: bool = False
+) -> list[NDArray[np.int64]]:
+    """Class index ``[test item]`` for each cost, given kernel values against the training items.
+
+    Once no dual variable reaches its bound the solution no longer depends on the cost, so the path along
+    the (increasing) costs ends there and the last answer stands for the rest. It also ends where the solver
+    gives up: larger costs are harder still, and repeating the last solved answer keeps ties from choosing them.
+    """
+    said: list[NDArray[np.int64]] = []
+    share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
+    for cost in costs:
+        machine = _solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
+        if said and machine.fit_status_ == 1:
+            break
+        said.append(machine.predict(test).astype(np.int64))
+        if np.abs(machine.dual_coef_).max() < cost * share:
+            break
+    return said + [said[-1]] * (len(costs) - len(said))

@@ -1,0 +1,76 @@
+"""The offline taxonomy on a whole data set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.reference.encode import encode, sample_times
+from rcbht_jax.reference.tracks import to_tracks
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+
+_FIELDS = tuple(LabelTrack.__dataclass_fields__)
+
+
+def as_written(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The shortest decimal number that each single-precision value can stand for, in double precision.
+
+    Recorded text has at most seven digits, so this is the number of the file; decisions of the offline
+    taxonomy hang on it.
+    """
+    return values.astype("U").astype(np.float64)
+
+
+def encode_dataset(
+    recordings: Recordings,
+    *,
+    robot: str = "hiro",
+    version: str = "master",
+    clean: bool = False,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> LabelTracks:
+    """Offline labels of every recording.
+
+    Args:
+        recordings: data set in memory; a recording without any state time is treated as one whole state.
+        robot: preset of the thresholds.
+        version: variant of the authors' program, see ``VERSIONS``.
+        clean: with the fixes of the specification's section 12.
+        progress: wraps the loop over recordings.
+
+    Returns:
+        host arrays ``[recording, 6, slot]``, unused slots at the end.
+
+    Raises:
+        InputError: a recording is too short or holds values that are not finite.
+    """
+    rows = []
+    for index in progress(range(len(recordings))):
+        length = int(recordings.length[index])
+        onset = recordings.onset[index]
+        known = onset[: int(np.argmax(np.isnan(onset)))] if np.isnan(onset).any() else onset
+        labels = encode(
+            sample_times(length, recordings.dt),
+            as_written(recordings.wrench[index, :length]),
+            known if len(known) else np.zeros(1),
+            robot=robot,
+            version=version,
+            clean=clean,
+        )
+        rows.append(to_tracks(labels, recordings.dt))
+    return LabelTracks(*(_stack([getattr(row, layer) for row in rows]) for layer in ("primitive", "mc", "llb")))
+
+
+def _stack(tracks: list[LabelTrack]) -> LabelTrack:
+    slots = max(track.label.shape[1] for track in tracks)
+
+    def padded(name: str) -> NDArray[np.generic]:
+        leaves = [getattr(track, name) for track in tracks]
+        out = np.zeros((len(leaves), leaves[0].shape[0], slots), leaves[0].dtype)
+        for row, leaf in zip(out, leaves, strict=True):
+            row[:, : leaf.shape[1]] = leaf
+        return out
+
+    return LabelTrack(**{name: padded(name) for name in _FIELDS})

@@ -1,0 +1,131 @@
+"""One trial's loop around the physics: sensor, state machine and delays, the same for every engine.
+
+``control`` is one control period, pure; engines call it between physics steps, batched by ``jax.vmap``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx.assembly import kinematics, sensor, task
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
+from sim_mjx.assembly.task import TaskState
+from sim_mjx.presets.sessions import TaskParams
+
+Array = Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrialParams:
+    """Everything that makes one trial; leaves of a batch lead with the trial."""
+
+    task: TaskParams
+    sensor: SensorParams
+    parts: PartParams
+    command_delay: Array  # int32, control periods between reference and servo
+    seed: Array  # uint32 [2], key of the sensor's noise
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Loop:
+    """What the controller remembers between control periods."""
+
+    task: TaskState
+    sensor: SensorState
+    commands: Array  # [LONGEST_DELAY, 6] rad, joint references, newest first
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Reading:
+    """What is logged each control period."""
+
+    wrench: Array  # [6K] N and Nm, world frame, as the robot logs it; K = wrist sensors
+    joints: Array  # [J] rad, measured
+    phase: Array  # int32, numbered as in ``sim_mjx.assembly.task``
+
+
+@dataclass(frozen=True)
+class Program:
+    """What runs between physics steps: pure functions of one trial, which engines batch and compile.
+
+    Parameters of any program are a pytree whose leaves lead with the trial, with ``parts`` among its attributes.
+    """
+
+    begin: Callable[[Any, Array], Any]  # parameters, first readings [6K] -> loop state
+    control: Callable[[Any, Any, Array, Array], tuple[Any, Array, Reading]]  # see ``control``
+    home: Callable[[Any], Array]  # parameters -> joint angles at time zero [..., J], rad
+    timeout: Callable[[Any], Array]  # parameters -> longest time of a trial [...], s
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Simulated trials on the host, padded to the longest; rows beyond ``length`` are zero."""
+
+    wrench: NDArray[np.float32]  # [trial, time, 6K] N and Nm, world frame
+    joints: NDArray[np.float32]  # [trial, time, J] rad
+    length: NDArray[np.int32]  # [trial] control periods until the trial ended
+    onset: NDArray[np.float64]  # [trial, 4] s, NaN = state never reached
+    seated: NDArray[np.bool_]  # [trial, tab] tabs past their lips at the end, order of parts.TABS
+    diverged: NDArray[np.bool_]  # [trial] the physics gave a value that is not finite; not data
+
+
+def begin(params: TrialParams, raw: Array) -> Loop:
+    """Loop state before the first period; ``raw`` [6] is the first sensor reading, wrist frame."""
+    commands = jnp.broadcast_to(params.task.home, (LONGEST_DELAY, 6))
+    return Loop(task.start(params.task), sensor.begin(params.sensor, raw), commands)
+
+
+def control(params: TrialParams, loop: Loop, joints: Array, raw: Array) -> tuple[Loop, Array, Reading]:
+    """One control period.
+
+    Args:
+        params: one trial.
+        loop: before.
+        joints: measured angles [6], rad.
+        raw: force and moment of the part on the hand [6], wrist frame.
+
+    Returns:
+        the loop after it, the servo references [2, 6] that the coming physics steps go between, and what is logged.
+    """
+    _, rotation, _ = kinematics.fk(joints)
+    noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (6,), raw.dtype)
+    read, wrench = sensor.read(params.sensor, loop.sensor, raw, noise, rotation)
+    state = task.advance(params.task, loop.task, joints, wrench)
+    commands = jnp.concatenate([state.command[None], loop.commands[:-1]])
+    # a servo interpolates: a reference that jumped every 5 ms would shake the tool by its own weight
+    between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
+    return Loop(state, read, commands), between, Reading(wrench, joints, loop.task.phase)
+
+
+ONE_ARM = Program(begin, control, lambda params: params.task.home, lambda params: params.task.timeout)
+
+
+def as_float32(params: Any) -> Any:
+    """All real leaves of a program's parameters in single precision, for the controllers."""
+
+    def cast(leaf: Array) -> Array:
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(jnp.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(cast, params)
+
+
+def stack(trials: list[TrialParams]) -> TrialParams:
+    """A batch of single trials."""
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
+
+
+def batch_size(params: Any) -> int:
+    """Trials in a batch of a program's parameters."""
+    return len(jax.tree.leaves(params)[0])

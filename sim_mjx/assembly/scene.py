@@ -1,0 +1,65 @@
+"""Scenes: the compiled model with what a rollout must know about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx.assembly import parts
+from sim_mjx.assembly.robot import new_robot
+from sim_mjx.assembly.rollout import ONE_ARM, Program
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+
+SUBSTEPS = 2  # physics steps per control period
+ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One compiled scene and all that an engine must know about it.
+
+    The model holds nominal parts; each trial replaces some of its fields.
+    """
+
+    model: mujoco.MjModel
+    program: Program
+    joints: NDArray[np.int32]  # [J] addresses in qpos
+    forces: NDArray[np.int32]  # [K] addresses of the wrists' forces in sensordata; each is followed by its torque
+    tips: NDArray[np.int32]  # [tab] geoms; a tab is seated when its tip is past its lip
+    lips: NDArray[np.int32]  # [tab] geoms
+    fields: Callable[[Any], dict[str, NDArray[Any]]]  # parts of a trial or a batch -> fields of the model
+    substeps: int = SUBSTEPS
+
+
+def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
+    """Right arm, male part in the hand, female part on its mount.
+
+    Args:
+        substeps: physics steps per control period of 5 ms.
+        iterations: of the constraint solver. ls_iterations: of its line search.
+    """
+    spec = new_robot(("R",))
+    parts.add_male(spec, "R")
+    parts.add_female(spec, "R")
+    set_solver(spec, substeps, iterations, ls_iterations)
+    model = spec.compile()
+    joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
+    forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
+    tips, lips = (
+        np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", "LIP_")
+    )
+    return Scene(model, ONE_ARM, joints, forces, tips, lips, partial(parts.model_fields, model), substeps)
+
+
+def set_solver(spec: mujoco.MjSpec, substeps: int, iterations: int, ls_iterations: int) -> None:
+    """Time step and solver of every scene; arguments as of :func:`one_arm`."""
+    spec.option.timestep = CONTROL_PERIOD / substeps
+    spec.option.iterations, spec.option.ls_iterations = iterations, ls_iterations
+    # pyramids push a sliding contact apart: the raw wrench chattered by 5 N a step, now by 0.03 N
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -1,0 +1,151 @@
+"""One period of the two-arm trial: both sensors, the right arm's state machine, the left arm's force control.
+
+Pure functions of one trial, batched by the engines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from sim_mjx.assembly import kinematics, sensor, task
+from sim_mjx.assembly.controllers import force_law
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.rollout import Program, Reading
+from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
+from sim_mjx.assembly.task import TaskState
+from sim_mjx.presets.sessions import TaskParams
+
+Array = Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HoldParams:
+    """What the left arm does: it keeps its pose until the right hand touches, then gives way to the force.
+
+    Set-points are in its wrist frame and count from the free-space offset; one row per phase of the right arm:
+    rotation, insertion, pre-mating, mating.
+    """
+
+    home: Array  # [6] rad
+    force: Array  # [4, 3] N, set-point
+    moment: Array  # [4, 3] Nm, set-point
+    force_gain: Array  # rad/(Nm) per control period; 0 = force control off
+    moment_gain: Array  # rad/(Nm) per control period; 0 = force control off
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TwoArmParams:
+    """Everything that makes one two-arm trial; leaves of a batch lead with the trial."""
+
+    task: TaskParams  # of the right arm
+    hold: HoldParams  # of the left arm
+    sensor: SensorParams  # of the right wrist
+    left_sensor: SensorParams
+    offset: Array  # [12] N and Nm, what right and left wrist log in free space
+    chatter: Array  # standard deviation of the force between the parts from tick to tick, as a share of itself
+    parts: PartParams
+    command_delay: Array  # int32, control periods between reference and servo, both arms
+    seed: Array  # uint32 [2], key of the sensors' noise
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TwoArmLoop:
+    """What the controller remembers between control periods."""
+
+    task: TaskState
+    sensor: SensorState
+    left_sensor: SensorState
+    rest: Array  # [12] first readings
+    commands: Array  # [LONGEST_DELAY, 12] rad, joint references right and left, newest first
+
+
+def begin(params: TwoArmParams, raw: Array) -> TwoArmLoop:
+    """Loop state before the first period; ``raw`` [12] are the first readings, right and left wrist frame."""
+    commands = jnp.broadcast_to(_home(params), (LONGEST_DELAY, 12))
+    right, left = sensor.begin(params.sensor, raw[:6]), sensor.begin(params.left_sensor, raw[6:])
+    return TwoArmLoop(task.start(params.task), right, left, raw, commands)
+
+
+def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -> tuple[TwoArmLoop, Array, Reading]:
+    """One control period.
+
+    Args:
+        params: one trial.
+        loop: before.
+        joints: measured angles [12], rad, right and left.
+        raw: force and moment of the parts on the hands [12], right and left, each in its wrist's frame.
+
+    Returns:
+        the loop after it, the servo references [2, 12] that the coming physics steps go between, and what is
+        logged: wrenches in the wrists' frames.
+    """
+    noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
+    itself = jnp.eye(3, dtype=raw.dtype)
+    # the recorded rigid contact chatters, on both wrists at once; ours is elastic and does not
+    rough = loop.rest + (raw - loop.rest) * (1.0 + params.chatter * noise[12])
+    felt = _felt(params.sensor, rough[:6], params.offset[:6])
+    left_felt = _felt(params.left_sensor, rough[6:], params.offset[6:])
+    read, right = sensor.read(params.sensor, loop.sensor, felt, noise[:6], itself)
+    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_felt, noise[6:12], itself)
+    state = task.advance(params.task, loop.task, joints[:6], _in_world(right, joints[:6], "R"))
+    # recorded: once mating begins the right arm keeps still
+    state = replace(state, command=jnp.where(state.phase == task.MATING, loop.task.command, state.command))
+    held = hold(params.hold, loop.commands[0, 6:], joints[6:], left - params.offset[6:], state.phase)
+    commands = jnp.concatenate([jnp.concatenate([state.command, held])[None], loop.commands[:-1]])
+    between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
+    log = Reading(jnp.concatenate([right, left]), joints, loop.task.phase)
+    return TwoArmLoop(state, read, left_read, loop.rest, commands), between, log
+
+
+def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase: Array) -> Array:
+    """One period of the left arm's force control.
+
+    Args:
+        params: of the left arm.
+        command: its joint references [6], rad.
+        joints: measured [6], rad.
+        wrench: measured and filtered [6], N and Nm, left wrist frame, without the free-space offset.
+        phase: of the right arm.
+
+    Returns:
+        the new references [6]: unchanged before the right hand has touched and after the end.
+    """
+    _, rotation, _ = kinematics.fk(joints, "L")
+    row = jnp.clip(phase - task.ROTATION, 0, 3)
+    pressed = force_law(
+        command,
+        _in_world(wrench, joints, "L"),
+        rotation @ params.force[row],
+        rotation @ params.moment[row],
+        params.force_gain,
+        params.moment_gain,
+        "L",
+    )
+    return jnp.where((phase >= task.ROTATION) & (phase < task.ENDED), pressed, command)
+
+
+def _felt(touch: SensorParams, raw: Array, offset: Array) -> Array:
+    """Readings [6] with the free-space offset; the tare took place without it."""
+    about_wrist = offset[3:] + jnp.cross(touch.reference, offset[:3])
+    return raw + jnp.concatenate([offset[:3], about_wrist])
+
+
+def _in_world(wrench: Array, joints: Array, arm: str) -> Array:
+    """A wrench [6] of the wrist frame in world axes."""
+    _, rotation, _ = kinematics.fk(joints, arm)
+    return jnp.concatenate([rotation @ wrench[:3], rotation @ wrench[3:]])
+
+
+def _home(params: TwoArmParams) -> Array:
+    xp = params.task.home.__array_namespace__()
+    return xp.concat([params.task.home, params.hold.home], axis=-1)
+
+
+TWO_ARM = Program(begin, control, _home, lambda params: params.task.timeout)

@@ -1,0 +1,77 @@
+"""The compiled two-arm scene: male part in the right hand, female part on a springy mount in the left hand."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx.assembly import parts
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.robot import new_robot
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, set_solver
+from sim_mjx.assembly.two_arm_program import TWO_ARM
+
+ARMS = ("R", "L")
+# m, right wrist frame: the tips are 87 mm from the wrist and around the tool centre point; the point of the hand
+# that stays within 0.6 mm from first touch to mating lies there, and the wrench's lever arm ends there
+GRIP = (0.030, 0.0, -0.0225)
+# m, left wrist frame: 1 mm out from where the recorded rear tips are when mating begins; the parts' position adds to it
+FIRST_TOUCH = np.array([-0.0855, 0.002, -0.0440])
+# mount's axes in the left wrist's frame: x forward, y up, z towards the right hand
+TURN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
+    """Both arms, male part in the right hand, female part in the left.
+
+    Args:
+        substeps: physics steps per control period of 5 ms.
+        iterations: of the constraint solver. ls_iterations: of its line search.
+    """
+    spec = new_robot(ARMS)
+    parts.add_male(spec, "R", GRIP)
+    parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, _quaternion(TURN))
+    set_solver(spec, substeps, iterations, ls_iterations)
+    model = spec.compile()
+    joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
+    forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
+    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "LIP_"))
+    return Scene(
+        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), np.array(tips, np.int32),
+        np.array(lips, np.int32), partial(model_fields, model), substeps,
+    )  # fmt: skip
+
+
+def model_fields(model: mujoco.MjModel, params: PartParams) -> dict[str, NDArray[Any]]:
+    """Fields of the compiled model that hold these parameters; keys are MjModel attribute names.
+
+    Args:
+        model: of this scene.
+        params: of one trial or a batch; ``position`` and ``roll`` are in the mount's axes, as in the one-arm scene.
+    """
+    out = parts.model_fields(model, params)
+    for name in parts.TABS:
+        out["geom_pos"][..., model.geom(f"RFOOT_{name}").id, :] += GRIP
+    half = np.asarray(params.roll)[..., None] / 2
+    mount = model.body("MOUNT").id
+    out["body_pos"][..., mount, :] = FIRST_TOUCH + params.position @ TURN.T
+    # of a turn of the mount about its own z axis
+    still, turned = _quaternion(TURN), _product(_quaternion(TURN), (0.0, 0.0, 0.0, 1.0))
+    out["body_quat"][..., mount, :] = np.cos(half) * still + np.sin(half) * turned
+    return out
+
+
+def _quaternion(turn: NDArray[np.float64]) -> Any:
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, turn.ravel())
+    return out
+
+
+def _product(first: Any, second: Any) -> NDArray[np.float64]:
+    out = np.zeros(4)
+    mujoco.mju_mulQuat(out, np.asarray(first, np.float64), np.asarray(second, np.float64))
+    return out

@@ -1,1 +1,0 @@
-"""The commands of ``rcbht`` that simulate; entered by name in the table of ``rcbht_jax.cli``."""

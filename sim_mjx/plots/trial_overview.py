@@ -1,0 +1,179 @@
+"""One trial at a glance: the arm and the parts at the moments that matter, tabs, wrench and labels beneath."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from rcbht_jax.labels import AXES, COLORS
+from rcbht_jax.plots.canvas import label_legend, new_figure
+from rcbht_jax.types import LabelTracks, Recordings
+from sim_mjx.assembly.parts import TABS
+from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
+from sim_mjx.presets.sessions import STATES
+from sim_mjx.validation.replay import PASSES, Replay
+
+INCHES, DPI = (16.0, 14.5), 100
+FRAMES = 6  # moments shown, at most
+CLOSE = 0.35  # s, moments within it share a frame
+SHADES = ("#f7f7f7", "#e8eef7", "#d9e6d8", "#fbeed5")  # background of the four states
+XYZ = ("#1b6ca8", "#5aa469", "#d1495b")  # colours of the axes
+TAB_COLORS = ("#1b6ca8", "#6baed6", "#b2182b", "#f4a582")
+TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # right and left tabs often coincide
+LETTERS = "abcdef"
+
+
+def story(
+    replay: Replay, recordings: Recordings, tracks: LabelTracks, row: int, moments: Mapping[str, float]
+) -> Figure:
+    """The figure of one trial.
+
+    Args:
+        replay: how it moved. recordings: its store. tracks: its labels. row: of the trial in both.
+        moments: what to show, name -> s, in order.
+    """
+    figure = new_figure(INCHES, DPI)
+    frames = choose(moments)
+    grid = figure.add_gridspec(
+        5, 1, left=0.06, right=0.985, top=0.91, bottom=0.092, height_ratios=(3.2, 1.0, 1.5, 1.2, 1.3), hspace=0.1
+    )
+    strip = grid[0].subgridspec(2, len(frames), hspace=0.04, wspace=0.06)
+    for column, (name, seconds) in enumerate(frames.items()):
+        pair = (figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column]))
+        still(pair, replay, seconds)
+        pair[0].set_title(f"{LETTERS[column]}   {seconds:.2f} s\n{name}", fontsize=11, loc="left", pad=4)
+    panels = [figure.add_subplot(grid[1])]
+    panels += [figure.add_subplot(grid[i], sharex=panels[0]) for i in (2, 3, 4)]
+    _tabs(panels[0], replay)
+    _wrench(panels[1], recordings, row, range(3), "force, N")
+    _wrench(panels[2], recordings, row, range(3, 6), "moment, Nm")
+    used = _labels(panels[3], tracks, row, recordings.dt)
+    for panel in panels:
+        shade_states(panel, recordings, row, names=panel is panels[0])
+        panel.set_xlim(0, len(replay.qpos) * replay.dt)
+        for letter, seconds in zip(LETTERS, frames.values(), strict=False):
+            panel.axvline(seconds, color="0.25", linewidth=0.8, linestyle=(0, (2, 2)))
+            if panel is panels[0]:
+                panel.annotate(letter, (seconds, 0.0), (-3, 4), xycoords=panel.get_xaxis_transform(), ha="right",
+                               textcoords="offset points", fontsize=11, weight="bold")  # fmt: skip
+        panel.tick_params(labelbottom=panel is panels[-1])
+    panels[-1].set_xlabel("time, s", fontsize=11)
+    label_legend(figure, "llb", used, (0.06, 0.002), 7)
+    figure.suptitle(_title(replay, recordings, row), x=0.06, y=0.988, ha="left", va="top", fontsize=14)
+    return figure
+
+
+def choose(moments: Mapping[str, float]) -> dict[str, float]:
+    """At most ``FRAMES`` moments: what happens at nearly the same time shares a frame, shown at its last moment."""
+    groups: list[list[tuple[str, float]]] = []
+    for name, seconds in moments.items():
+        if groups and seconds - groups[-1][0][1] < CLOSE:
+            groups[-1].append((name, seconds))
+        else:
+            groups.append([(name, seconds)])
+    while len(groups) > FRAMES:
+        gaps = np.diff([group[-1][1] for group in groups])
+        first = int(np.argmin(gaps[:-1]))  # the end keeps its own frame
+        groups[first : first + 2] = [groups[first] + groups[first + 1]]
+    return {_joined([name for name, _ in group]): group[-1][1] for group in groups}
+
+
+def _joined(names: list[str]) -> str:
+    """Several tabs that pass their lips are named together."""
+    tabs = [name.removesuffix(PASSES) for name in names if name.endswith(PASSES)]
+    rest = [name for name in names if not name.endswith(PASSES)]
+    return ", ".join([*rest, f"{' '.join(tabs)}{PASSES}"] if tabs else rest)
+
+
+def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Drawing, Drawing]:
+    """Draw arms and parts at one moment: one arm from the robot's right, two from above."""
+    index = min(round(seconds / replay.dt), len(replay.qpos) - 1)
+    one = all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
+    view = SIDE if one else ABOVE
+    drawings = Drawing(pair[0], replay.model, view), Drawing(pair[1], replay.model, view)
+    for drawing in drawings:
+        drawing.show(replay.qpos[index], replay.past[index])
+    x, y = drawings[0].place("MOUNT")
+    _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
+    _look_at(pair[1], *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
+    for ax in pair:
+        ax.set(xticks=[], yticks=[])
+        for spine in ax.spines.values():
+            spine.set_color("0.75")
+    return drawings
+
+
+def _look_at(ax: Axes, x: float, y: float, half: float) -> None:
+    """Show a window of at least ``half`` metres to every side of a point."""
+    box = ax.get_window_extent()
+    wide = box.width / box.height
+    ax.set(xlim=(x - half * max(wide, 1.0), x + half * max(wide, 1.0)))
+    ax.set(ylim=(y - half * max(1.0 / wide, 1.0), y + half * max(1.0 / wide, 1.0)))
+
+
+def _tabs(ax: Axes, replay: Replay) -> None:
+    times = np.arange(len(replay.height)) * replay.dt
+    for tab, (color, style) in enumerate(zip(TAB_COLORS, TAB_STYLES, strict=True)):
+        ax.plot(times, replay.height[:, tab] * 1e3, color=color, linestyle=style, linewidth=1.8, label=TABS[tab])
+    ax.axhline(0, color=SEATED, linewidth=1.2)
+    ax.annotate("past the lip", (0.002, 0), (0, -4), xycoords=ax.get_yaxis_transform(), textcoords="offset points",
+                va="top", color=SEATED, fontsize=9)  # fmt: skip
+    ax.set(ylim=(-5, 12))
+    ax.set_ylabel("tips above\ntheir lips, mm", fontsize=11)
+    _legend(ax, 4)
+
+
+def _legend(ax: Axes, columns: int) -> None:
+    ax.legend(loc="upper right", ncols=columns, fontsize=9, frameon=False, bbox_to_anchor=(1.0, 0.95))
+
+
+def _wrench(ax: Axes, recordings: Recordings, row: int, axes: range, title: str) -> None:
+    values = recordings.wrench[row, : recordings.length[row]]
+    times = np.arange(len(values)) * recordings.dt
+    for axis, color in zip(axes, XYZ, strict=True):
+        ax.plot(times, values[:, axis], color=color, linewidth=1.2, label=AXES[axis])
+    ax.set_ylabel(title, fontsize=11)
+    _legend(ax, 3)
+    ax.grid(axis="y", color="0.85", linewidth=0.6)
+
+
+def _labels(ax: Axes, tracks: LabelTracks, row: int, dt: float) -> set[int]:
+    """One band of low-level behaviours per axis; returns the labels that occur."""
+    used: set[int] = set()
+    for axis in range(6):
+        label, t0, t1 = (np.asarray(getattr(tracks.llb, name))[row, axis] for name in ("label", "t0", "t1"))
+        kept = label > 0
+        spans = [
+            [(a, axis + 0.06), (a, axis + 0.94), (b, axis + 0.94), (b, axis + 0.06)]
+            for a, b in zip(t0[kept] * dt, t1[kept] * dt, strict=True)
+        ]
+        ax.add_collection(PolyCollection(spans, facecolors=[COLORS["llb"][code - 1] for code in label[kept]]))
+        used |= {int(code) for code in label[kept]}
+    ax.set(ylim=(6, 0))
+    ax.set_yticks(np.arange(6) + 0.5, AXES)
+    ax.tick_params(axis="y", length=0)
+    return used
+
+
+def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> None:
+    """Background and, if wanted, names of the states."""
+    onset = recordings.onset_harmonised[row]
+    known = np.flatnonzero(np.isfinite(onset))
+    ends = [*onset[known][1:], recordings.length[row] * recordings.dt]
+    for state, end in zip(known, ends, strict=True):
+        ax.axvspan(onset[state], end, color=SHADES[state], zorder=-1)
+        if names:
+            ax.annotate(STATES[state], ((onset[state] + end) / 2, 1.0), (0, -11), xycoords=ax.get_xaxis_transform(),
+                        textcoords="offset points", ha="center", fontsize=10, color="0.3")  # fmt: skip
+
+
+def _title(replay: Replay, recordings: Recordings, row: int) -> str:
+    kind = f" ({recordings.failure_type[row]})" if recordings.failure_type[row] else ""
+    facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
+    past = [TABS[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
+    return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}\n{replay.how}"

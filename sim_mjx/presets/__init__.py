@@ -1,0 +1,1 @@
+"""Recorded sessions as data: task, parts, sensor and placement grid of each."""

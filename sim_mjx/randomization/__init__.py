@@ -1,0 +1,1 @@
+"""Domain randomization: distributions, faults and overrides of physical parameters."""

@@ -1,0 +1,119 @@
+"""Physical parameters by name, so that a search, a file or a user can set them: "parts.friction", "sensor.delay".
+
+A name is a field of the parts or of the sensor, with an element or a range of it in brackets where it has several:
+``parts.tab_stiffness`` all four tabs, ``parts.hook_overlap[0:2]`` the front ones, ``parts.mount_stiffness[2]`` the
+mount's vertical. Values are in SI units, those of ``PartParams`` and ``SensorParams``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.synthesis.shards import write_atomically
+
+Group = TypeVar("Group", PartParams, SensorParams)
+Physical = tuple[tuple[str, float], ...]  # name, value; hashable
+GROUPS: dict[str, type] = {"parts": PartParams, "sensor": SensorParams}
+NAME = re.compile(r"(parts|sensor)\.(\w+)(?:\[(\d+)(?::(\d+))?\])?")
+FORMAT = "rcbht-physical"
+
+
+def check(physical: Physical) -> None:
+    """Refuse a name that means nothing or a value that is no number.
+
+    Raises:
+        InputError: which one, and what there is.
+    """
+    for name, value in physical:
+        match = NAME.fullmatch(name)
+        if match is None or match[2] not in {field.name for field in fields(GROUPS[match[1]])}:
+            known = ", ".join(f"{group}.{f.name}" for group, kind in GROUPS.items() for f in fields(kind))
+            raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
+        if not math.isfinite(value):
+            raise InputError(f"The physical parameter {name} is {value}; expected a finite number.")
+
+
+def changed(group: Group, prefix: str, physical: Physical) -> Group:
+    """Parameters of one trial with the named ones replaced; whole-numbered ones are rounded.
+
+    Args:
+        group: one trial's parts or sensor.
+        prefix: "parts" or "sensor"; other names are ignored.
+        physical: names and values, later ones over earlier ones.
+
+    Raises:
+        InputError: an unknown name, or an element that the parameter does not have.
+    """
+    check(physical)
+    for name, value in physical:
+        owner, attribute, where = _place(name)
+        if owner != prefix:
+            continue
+        array = np.array(getattr(group, attribute))
+        _check_place(name, array, where)
+        array[where] = round(value) if array.dtype.kind in "iu" else value
+        group = replace(group, **{attribute: array})
+    return group
+
+
+def value(part: PartParams, touch: SensorParams, name: str) -> float:
+    """What one trial has of a parameter; the mean where the name covers several elements.
+
+    Raises:
+        InputError: unknown name.
+    """
+    check(((name, 0.0),))
+    owner, attribute, where = _place(name)
+    array = np.asarray(getattr(part if owner == "parts" else touch, attribute))
+    _check_place(name, array, where)
+    return float(np.mean(array[where]))
+
+
+def _place(name: str) -> tuple[str, str, Any]:
+    """Owner, field and index of a checked name."""
+    match = NAME.fullmatch(name)
+    assert match is not None
+    if match[3] is None:
+        return match[1], match[2], ...
+    first = int(match[3])
+    return match[1], match[2], slice(first, int(match[4]) if match[4] else first + 1)
+
+
+def _check_place(name: str, array: np.ndarray, where: Any) -> None:
+    if where is not ... and (array.ndim != 1 or not where.start < where.stop <= len(array)):
+        raise InputError(f"The physical parameter {name} does not exist; there are {array.size} elements.")
+
+
+def write(path: Path, values: Mapping[str, float], about: Mapping[str, Any]) -> None:
+    """Write parameters as a JSON file, atomically, with what is known about them."""
+    check(tuple(values.items()))
+    text = json.dumps({"format": FORMAT, "values": dict(values), **about}, indent=1, allow_nan=False) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def read(path: Path) -> Physical:
+    """Parameters from a JSON file.
+
+    Raises:
+        InputError: not such a file, or an unknown parameter in it.
+    """
+    try:
+        content = json.loads(path.read_text())
+        if content["format"] != FORMAT:
+            raise KeyError("format")
+        physical = tuple((str(name), float(value)) for name, value in content["values"].items())
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f'{path} holds no physical parameters; expected a file of "rcbht fidelity fit".') from error
+    check(physical)
+    return physical

@@ -1,0 +1,1 @@
+"""Trials by the thousand into a store: sharded, resumable, reproducible."""

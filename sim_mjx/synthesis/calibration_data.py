@@ -1,0 +1,129 @@
+"""Simulated trials as what thresholds are calibrated on: rollouts, words and scores without leaving the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.on_device import device_corpus
+from rcbht_jax.calibration.search import evaluate
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly import task
+from sim_mjx.assembly.scene import Scene
+from sim_mjx.engines import device
+from sim_mjx.presets.sessions import STATES
+
+Array = Any
+MOST_WRENCH = 2000.0  # N or Nm; beyond, the physics has come apart
+
+
+def simulated_scores(
+    scene: Scene,
+    params: Any,
+    impl: str,
+    config: EncoderConfig,
+    limits: NDArray[np.float64],
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> NDArray[np.float32]:
+    """Simulate trials and score thresholds by how well their words tell the states apart.
+
+    Only parameters and candidates go to the device, and only the scores and a few counts come back.
+
+    Args:
+        scene: what is simulated; one arm.
+        params: batch of trials of the scene's program.
+        impl: "jax" or "warp".
+        config: of the encoder.
+        limits: candidates ``[candidate, 6, 4]``, N/s and Nm/s.
+        progress: called with the number of control periods done since the last call, summed over trials.
+
+    Returns:
+        ``[candidate, score]`` in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
+
+    Raises:
+        InputError: no trial was completed.
+    """
+    return evaluate(states_corpus(device.run(scene, params, impl, progress=progress), config), config, limits)
+
+
+def states_corpus(out: device.Outcome, config: EncoderConfig) -> Corpus:
+    """The completed trials with a sentence for each of their four states, on the device.
+
+    A completed trial went through all states, seated all its tabs and felt nothing impossible.
+
+    Raises:
+        InputError: there is none.
+    """
+    edges, y, usable = _states(out)
+    return _corpus(config, out.wrench, edges, y, usable, STATES)
+
+
+def whole_corpus(
+    out: device.Outcome, y: NDArray[np.integer], classes: tuple[str, ...], config: EncoderConfig
+) -> Corpus:
+    """The trials that did not seat all tabs and felt nothing impossible, one sentence each, on the device.
+
+    Args:
+        out: of :func:`sim_mjx.engines.device.run`.
+        y: int ``[trial]``, index into ``classes``; -1 leaves a trial out.
+        classes: their names.
+        config: of the encoder.
+
+    Raises:
+        InputError: there is none.
+    """
+    edges, truth, usable = _whole(out, jax.device_put(y.astype(np.int32)))
+    return _corpus(config, out.wrench, edges, truth, usable, classes)
+
+
+def _corpus(
+    config: EncoderConfig, wrench: Array, edges: Array, y: Array, usable: Array, classes: tuple[str, ...]
+) -> Corpus:
+    order, count = _first(usable)
+    kept = int(jax.device_get(count))
+    if not kept:
+        raise InputError(f"none of the {len(wrench)} simulated trials can be used; nothing to calibrate on.")
+    wrench, edges, y = _rows(kept, order, (wrench, edges, y))
+    return device_corpus(config, wrench, edges, y, classes)
+
+
+@jax.jit
+def _states(out: device.Outcome) -> tuple[Array, Array, Array]:
+    """Edges ``[trial, 5]``, samples; classes ``[trial, 4]``; which trials were completed."""
+    # a phase is logged one period after the measurement that began it
+    begun = [(out.phase < phase).sum(1, dtype=jnp.int32) - 1 for phase in (task.ROTATION, task.INSERTION, task.MATING)]
+    edges = jnp.stack([jnp.zeros_like(out.length), *begun, out.length], axis=1)
+    entered = (out.phase == task.MATING).any(1)  # a trial that ran out of time is logged as if it had passed all
+    y = jnp.broadcast_to(jnp.arange(len(STATES), dtype=jnp.int32)[None], (len(out.phase), len(STATES)))
+    return edges, y, _sane(out) & entered & out.seated.all(1) & (jnp.diff(edges, axis=1) > 0).all(1)
+
+
+@jax.jit
+def _whole(out: device.Outcome, y: Array) -> tuple[Array, Array, Array]:
+    edges = jnp.stack([jnp.zeros_like(out.length), out.length], axis=1)
+    return edges, y[:, None], _sane(out) & ~out.seated.all(1) & (y >= 0)
+
+
+def _sane(out: device.Outcome) -> Array:
+    inside = jnp.arange(out.wrench.shape[1], dtype=jnp.int32)[None] < out.length[:, None]
+    return ((jnp.abs(out.wrench) <= MOST_WRENCH).all(2) | ~inside).all(1)  # false for NaN
+
+
+@jax.jit
+def _first(usable: Array) -> tuple[Array, Array]:
+    """The trials, usable ones first, and how many they are."""
+    return jnp.argsort(~usable, stable=True), usable.sum(dtype=jnp.int32)
+
+
+@partial(jax.jit, static_argnums=0)
+def _rows(count: int, order: Array, leaves: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(leaf[order[:count]] for leaf in leaves)

@@ -1,0 +1,101 @@
+"""What is kept of a batch of trials, as arrays with plain names: checked, with onsets as recorded trials have them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.io.hiro import onsets
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks
+from sim_mjx.assembly import kinematics
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.engines.common import blocks
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.synthesis.shards import Arrays
+
+LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
+TILTS = 2**16  # angles that are computed at once
+# No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
+MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
+
+
+def of_trials(out: Rollouts) -> Arrays:
+    """What is kept of a batch of trials; of a diverged one nothing but its mark."""
+    diverged = _diverged(out)
+    # a trial that was stopped has "entered" all later states with its last sample
+    last = (out.length - 1)[:, None] * CONTROL_PERIOD
+    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
+    better, notes = _harmonised(onset, out, diverged)
+    wrench = out.wrench[:, : out.length.max()]
+    if (diverged & ~out.diverged).any():  # whose wrench an engine has not emptied
+        wrench = np.where(diverged[:, None, None], np.float32(0), wrench)
+    return {
+        "wrench": wrench, "length": out.length,
+        "onset": onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
+        "diverged": diverged,
+    }  # fmt: skip
+
+
+def of_labels(tracks: LabelTracks, trials: int) -> Arrays:
+    """Labels of ``trials`` trials: arrays [trial, wrist, 6, slot] called ``layer.field``."""
+    return {
+        f"{layer}.{name}": np.asarray(getattr(getattr(tracks, layer), name)).reshape(trials, -1, 6, width)
+        for layer in LAYERS
+        for name in LABEL_FIELDS
+        for width in (getattr(tracks, layer).label.shape[-1],)
+    }
+
+
+def _diverged(out: Rollouts) -> NDArray[np.bool_]:
+    """Trials [trial] that are not data: marked by the engine, or with a wrench or a motion that cannot be.
+
+    An engine may reset a trial that came apart, whose values are then finite again.
+    """
+    diverged = out.diverged.copy()
+    for rows in blocks(len(diverged)):
+        inside = np.arange(out.wrench.shape[1]) < out.length[rows, None]
+        wild = (~(np.abs(out.wrench[rows]) <= MOST_WRENCH).all(2) & inside).any(1)
+        step = np.abs(np.diff(out.joints[rows], axis=1)).max(2)
+        jumped = (~(step <= MOST_STEP) & inside[:, 1:]).any(1)
+        diverged[rows] |= wild | jumped
+    return diverged
+
+
+def _harmonised(
+    onset: NDArray[np.float64], out: Rollouts, diverged: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
+    """Onsets [trial, 4] with the end of a rotation that lasted one sample moved, as in recorded trials; and notes."""
+    better, notes = onset.copy(), [""] * len(onset)
+    rows = [
+        row for row in np.flatnonzero(~diverged).tolist()
+        if onsets.needs_harmonising(onset[row], CONTROL_PERIOD)
+    ]  # fmt: skip
+    ends = np.where(np.isfinite(onset[:, 3]), np.round(onset[:, 3] / CONTROL_PERIOD), out.length).astype(np.int64)
+    spans = [slice(int(np.round(onset[row, 1] / CONTROL_PERIOD)), int(ends[row])) for row in rows]
+    tilts = _tilts([out.joints[row, span, :6] for row, span in zip(rows, spans, strict=True)])
+    for row, span, tilt in zip(rows, spans, tilts, strict=True):
+        times = np.arange(span.start, span.stop, dtype=np.float64) * CONTROL_PERIOD
+        better[row], notes[row] = onsets.harmonised(onset[row], times, tilt)
+    return better, np.array(notes, np.str_)
+
+
+def _tilts(joints: list[NDArray[np.float32]]) -> list[NDArray[np.float64]]:
+    """Angles [n] in degrees between hand and vertical, for each array of joint angles [n, 6]."""
+    if not joints:
+        return []
+    flat = np.concatenate(joints)
+    angles = np.empty(-(-len(flat) // TILTS) * TILTS)
+    for start in range(0, len(flat), TILTS):
+        block = np.zeros((TILTS, 6), np.float32)  # always full: a compiler may round the last lanes differently
+        block[: len(flat) - start] = flat[start : start + TILTS]
+        angles[start : start + TILTS] = _tilt(block)
+    return np.split(np.degrees(angles[: len(flat)]), np.cumsum([len(part) for part in joints])[:-1])
+
+
+@jax.jit
+def _tilt(joints: jax.Array) -> jax.Array:
+    return kinematics.tilt(kinematics.fk(joints)[1])

@@ -1,0 +1,90 @@
+"""Snaps in a force: a quick fall below the level before it, as a tab gives way; and the force before the filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+
+Floats = NDArray[np.float64]
+LEAST_DROP = 5.0  # N
+FALL = 12  # control periods in which a snap falls
+BEFORE, LEVEL = 20, 200  # control periods: the level before a snap is the median from LEVEL to BEFORE of it
+BELOW = 0.75  # of that level: the overshoot of a force loop falls no lower, because the level before a push is low
+RELEASE, DROP = (11.0, 18.0), (7.0, 17.0)  # N, of session B's snaps
+APART = 100  # control periods between two snaps: a snap's own ringing is none
+SETTLED = 1.5  # s after touch, before which the hand still bounces
+
+
+class Snap(NamedTuple):
+    """One tab, or several, giving way."""
+
+    time: float  # s, of the release
+    release: float  # N, largest force before the fall
+    drop: float  # N, to the lowest force after it
+
+
+def unfiltered(force: NDArray[np.floating], sensor: SensorParams) -> Floats:
+    """What the sensor felt before its low-pass filter: the recorded one inverted exactly.
+
+    Args:
+        force: logged [..., time], N.
+        sensor: of one trial; its ``d`` must not be zero.
+    """
+    a, b, c, d = (float(value) for value in (sensor.a, sensor.b, sensor.c, sensor.d))
+    state = np.zeros(force.shape[:-1])
+    out = np.empty(force.shape)
+    for sample in range(force.shape[-1]):  # recursive: each input changes the state that the next one is taken from
+        out[..., sample] = (force[..., sample] - c * state) / d
+        state = a * state + b * out[..., sample]
+    return out
+
+
+def find(force: Floats, touch: float = 0.0, least: float = LEAST_DROP) -> list[Snap]:
+    """Snaps in one force.
+
+    Args:
+        force: unfiltered [time], N, at the control period.
+        touch: when the parts first met, s; the bouncing just after it is left out.
+        least: smallest drop, N.
+    """
+    found: list[Snap] = []
+    fall = force[:-FALL] - force[FALL:]
+    earliest = max(LEVEL + FALL, round((touch + SETTLED) / CONTROL_PERIOD))
+    for start in (earliest + np.argsort(-fall[earliest:], kind="stable")).tolist():
+        if fall[start] < least / 2:
+            break
+        around = force[start - FALL : start + FALL]
+        first = start + FALL - 1 - int(np.argmax(around[::-1]))  # the last maximum, where a level held
+        if any(abs(first * CONTROL_PERIOD - snap.time) < APART * CONTROL_PERIOD for snap in found):
+            continue
+        release, bottom = float(force[first]), float(force[first : first + 3 * FALL].min())
+        level = float(np.median(force[first - LEVEL + BEFORE : first - BEFORE + 1]))
+        if release - bottom >= least and bottom < BELOW * level:
+            found.append(Snap(first * CONTROL_PERIOD, release, release - bottom))
+    return sorted(found)
+
+
+def summary(found: Sequence[Sequence[Snap]]) -> dict[str, Any]:
+    """Numbers of the snaps of several trials, JSON values: how many, how strong, how many as recorded."""
+    every = [snap for trial in found for snap in trial]
+    shares = {
+        name: np.round(np.percentile([getattr(snap, name) for snap in every], (5, 50, 95)), 1).tolist() if every else []
+        for name in ("release", "drop")
+    }
+    return {
+        "trials": len(found),
+        "trials_with_0_1_2_more": [sum(min(len(trial), 3) == count for trial in found) for count in range(4)],
+        **{f"{name}_N_5_50_95_percent": values for name, values in shares.items()},
+        "trials_with_a_snap_as_recorded": sum(any(map(as_recorded, trial)) for trial in found),
+    }
+
+
+def as_recorded(snap: Snap) -> bool:
+    """Whether a snap lies in the ranges that session B's do."""
+    return RELEASE[0] <= snap.release <= RELEASE[1] and DROP[0] <= snap.drop <= DROP[1]

@@ -1,0 +1,142 @@
+"""Is the wrench converged? Production settings of the solver against far more iterations.
+
+Two comparisons: one control period from the same state, which is the solver's error itself, and whole trials, in
+which a contact amplifies any difference, as long as both go through the same states.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+from mujoco import rollout as mj_rollout
+from numpy.typing import NDArray
+
+from sim_mjx.assembly.rollout import Rollouts, batch_size
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, one_arm
+from sim_mjx.engines import native
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+
+REFERENCE = (100, 50)  # iterations of the solver and of its line search
+FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Largest absolute difference, and where the force has it."""
+
+    force: float  # N, any axis
+    moment: float  # Nm, any axis
+    trial: int
+    time: float  # s
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How far the production settings are from the reference."""
+
+    trials: int
+    step: Difference  # sensor after one control period from the same state
+    path: Difference  # logged wrench until the trials enter their states at different times
+    same_onsets: float  # share of trials that enter all states in the same control periods
+    same_outcome: float  # share of trials with the same tabs seated
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver's own error is within the limits."""
+        return self.step.force <= FORCE_LIMIT and self.step.moment <= MOMENT_LIMIT
+
+
+def certify(
+    params: Any,
+    scene_of: Callable[..., Scene] = one_arm,
+    settings: tuple[int, int] = (ITERATIONS, LS_ITERATIONS),
+) -> Certificate:
+    """Simulate a batch of trials with the native engine, with production and with reference settings.
+
+    Args:
+        params: batch of trials.
+        scene_of: makes the scene, given ``iterations`` and ``ls_iterations``.
+        settings: iterations of the solver and of its line search that are certified.
+    """
+    scene = scene_of(iterations=settings[0], ls_iterations=settings[1])
+    exact = scene_of(iterations=REFERENCE[0], ls_iterations=REFERENCE[1])
+    with _Probe(exact, params) as probe:
+        found = native.simulate(scene, params, watch=probe.compare)
+    expected = native.simulate(exact, params)
+    alike = _agree_until(found, expected)
+    same = (np.nan_to_num(found.onset, nan=-1.0) == np.nan_to_num(expected.onset, nan=-1.0)).all(1)
+    return Certificate(
+        batch_size(params),
+        probe.largest(),
+        _largest(_path_errors(found, expected, alike)),
+        float(same.mean()),
+        float((found.seated == expected.seated).all(1).mean()),
+    )
+
+
+class _Probe:
+    """Repeats each control period of a running simulation with the reference settings."""
+
+    def __init__(self, exact: Scene, params: Any) -> None:
+        self._exact, self._worst = exact, Difference(0.0, 0.0, 0, 0.0)
+        self._models = [
+            native.model_of(exact, jax.tree.map(lambda leaf, i=i: leaf[i], params.parts))
+            for i in range(batch_size(params))
+        ]
+        threads = os.cpu_count() or 1
+        self._datas = [mujoco.MjData(exact.model) for _ in range(threads)]
+        self._pool = mj_rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def __enter__(self) -> _Probe:
+        self._pool.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._pool.__exit__(*error)
+
+    def compare(
+        self,
+        trials: NDArray[np.intp],
+        state: NDArray[np.float64],
+        wanted: NDArray[np.float64],
+        readings: NDArray[np.float64],
+    ) -> None:
+        """One control period of some trials; see ``native.Watch``."""
+        models = [self._models[trial] for trial in trials]
+        _, exact = self._pool.rollout(models, self._datas, state, wanted, nstep=self._exact.substeps)
+        wrench = (self._exact.forces[:, None] + np.arange(6)).ravel()
+        here = _largest(np.abs(readings - exact)[:, :, wrench])
+        worst, moment = self._worst, max(self._worst.moment, here.moment)
+        if here.force > worst.force:  # a full physics state begins with the time
+            worst = Difference(here.force, moment, int(trials[here.trial]), float(state[here.trial, 0]))
+        self._worst = replace(worst, moment=moment)
+
+    def largest(self) -> Difference:
+        return self._worst
+
+
+def _agree_until(found: Rollouts, expected: Rollouts) -> NDArray[np.int64]:
+    """Control periods [trial] during which both simulations are in the same state."""
+    first, second = (np.nan_to_num(np.round(out.onset / CONTROL_PERIOD), nan=np.inf) for out in (found, expected))
+    differ = np.where(first != second, np.minimum(first, second), np.inf).min(1)
+    return np.minimum(differ, np.minimum(found.length, expected.length)).astype(np.int64)
+
+
+def _path_errors(found: Rollouts, expected: Rollouts, periods: NDArray[np.int64]) -> NDArray[np.float64]:
+    longest = min(found.wrench.shape[1], expected.wrench.shape[1])
+    error = np.abs(found.wrench[:, :longest].astype(np.float64) - expected.wrench[:, :longest])
+    return np.where((np.arange(longest) < periods[:, None])[..., None], error, 0.0)
+
+
+def _largest(errors: NDArray[np.float64]) -> Difference:
+    """Of errors [trial, time, 6K]."""
+    by_kind = errors.reshape(*errors.shape[:2], -1, 2, 3).max((2, 4))
+    force, moment = by_kind[..., 0], float(by_kind[..., 1].max())
+    trial, period = np.unravel_index(force.argmax(), force.shape)
+    return Difference(float(force.max()), moment, int(trial), float(period) * CONTROL_PERIOD)

@@ -1,0 +1,217 @@
+"""Black-box search for a handful of physical parameters: CMA-ES, a whole population per evaluation, resumable.
+
+The search (``rcbht_jax._util.cma``) runs in the unit cube that the bounds span; a candidate beyond a bound is mirrored back.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util import cma
+from rcbht_jax._util.cma import State
+from rcbht_jax.errors import InputError
+from sim_mjx.synthesis.shards import write_atomically
+
+Floats = NDArray[np.float64]
+Values = dict[str, float]
+Objective = Callable[[list[Values]], Floats]  # losses [population] of a population; NaN = worse than any number
+FORMAT = "rcbht-fit"
+
+
+class Bound(NamedTuple):
+    """Range of one parameter."""
+
+    low: float
+    high: float
+    log: bool = False  # search its logarithm: for what varies by factors
+
+
+@dataclass(frozen=True)
+class Search:
+    """How to search. Everything here decides the result, and nothing else does."""
+
+    bounds: dict[str, Bound]
+    population: int = 16  # candidates per generation
+    generations: int = 40
+    seed: int = 0
+    start: Values = field(default_factory=dict)  # first mean; the middle of its range where a parameter has none
+    spread: float = 0.25  # first standard deviation, in widths of the ranges
+    about: dict[str, Any] = field(default_factory=dict)  # what the objective is (JSON): a resumed one must be the same
+
+
+class Generation(NamedTuple):
+    """What one generation came to."""
+
+    number: int  # from 1
+    best: float  # lowest loss in it
+    median: float  # of its finite losses
+    step: float  # of the search, in widths of the ranges
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A finished or interrupted search."""
+
+    values: Values  # the best parameters
+    loss: float
+    generations: list[Generation]
+
+
+def fit(
+    objective: Objective,
+    search: Search,
+    *,
+    checkpoint: Path | None = None,
+    progress: Callable[[Generation, Fit], None] | None = None,
+) -> Fit:
+    """Search for the parameters of the lowest loss.
+
+    Args:
+        objective: losses of a population; called once per generation.
+        search: bounds and settings.
+        checkpoint: file that is replaced after every generation; an existing one is resumed, and the outcome is
+            that of a search without interruption.
+        progress: called after every generation.
+
+    Raises:
+        InputError: impossible settings, or the checkpoint is damaged or belongs to another search.
+    """
+    check(search)
+    state, found = _begin(search), Fit({}, math.inf, [])
+    if checkpoint is not None and checkpoint.exists():
+        state, found = _load(checkpoint, search)
+    for number in range(len(found.generations) + 1, search.generations + 1):
+        points = _ask(state, search, number)
+        candidates = [_values(point, search.bounds) for point in _mirrored(points)]
+        losses = np.asarray(objective(candidates), np.float64)
+        if losses.shape != (search.population,):
+            raise ValueError(f"the objective gave {losses.shape} losses for {search.population} candidates")
+        state = cma.update(state, points, losses, number)
+        done = Generation(number, _lowest(losses), _median(losses), state.step)
+        found = _better(found, candidates, losses, done)
+        if checkpoint is not None:
+            _save(checkpoint, search, state, found)
+        if progress is not None:
+            progress(done, found)
+    if not found.values:
+        raise InputError("No candidate of the search had a finite loss; widen the bounds.")
+    return found
+
+
+def check(search: Search) -> None:
+    """Refuse an impossible search.
+
+    Raises:
+        InputError: no parameters, an empty range, too small a population, or a start outside its range.
+    """
+    if not search.bounds:
+        raise InputError("A search needs at least one parameter.")
+    if search.population < 4 or search.generations < 1 or not 0.0 < search.spread <= 1.0:
+        raise InputError(
+            f"Population {search.population}, generations {search.generations}, spread {search.spread}: expected at "
+            "least 4, at least 1, and a spread above 0 up to 1."
+        )
+    for name, (low, high, log) in search.bounds.items():
+        if not (math.isfinite(low) and math.isfinite(high) and low < high and (low > 0 or not log)):
+            raise InputError(f"The range of {name} is {low} to {high}; expected it increasing, and positive if log.")
+    for name, value in search.start.items():
+        if name not in search.bounds or not search.bounds[name].low <= value <= search.bounds[name].high:
+            raise InputError(f"The search starts at {name} = {value}, which is outside its range.")
+
+
+def _begin(search: Search) -> State:
+    middle = [_share(search.start[name], b) if name in search.start else 0.5 for name, b in search.bounds.items()]
+    return cma.start(np.array(middle), search.spread)
+
+
+def _share(value: float, bound: Bound) -> float:
+    low, high, at = (math.log(x) if bound.log else x for x in (bound.low, bound.high, value))
+    return (at - low) / (high - low)
+
+
+def _values(point: Floats, bounds: Mapping[str, Bound]) -> Values:
+    """Parameters of a point of the unit cube."""
+    out = {}
+    for share, (name, (low, high, log)) in zip(point.tolist(), bounds.items(), strict=True):
+        at = low * (high / low) ** share if log else low + (high - low) * share
+        out[name] = min(max(at, low), high)
+    return out
+
+
+def _mirrored(points: Floats) -> Floats:
+    """Points folded into the unit cube."""
+    folded = np.mod(points, 2.0)
+    return np.where(folded > 1.0, 2.0 - folded, folded)
+
+
+def _ask(state: State, search: Search, number: int) -> Floats:
+    """A population [population, n], not yet mirrored; each generation has its own random stream."""
+    spread, turn = np.linalg.eigh(state.covariance)
+    normal = np.random.default_rng((search.seed, number)).normal(size=(search.population, len(state.mean)))
+    return state.mean + state.step * (normal * np.sqrt(np.maximum(spread, 0.0))) @ turn.T
+
+
+def _lowest(losses: Floats) -> float:
+    finite = losses[np.isfinite(losses)]
+    return float(finite.min()) if finite.size else math.inf
+
+
+def _median(losses: Floats) -> float:
+    finite = losses[np.isfinite(losses)]
+    return float(np.median(finite)) if finite.size else math.inf
+
+
+def _better(found: Fit, candidates: list[Values], losses: Floats, done: Generation) -> Fit:
+    history = [*found.generations, done]
+    if not done.best < found.loss:
+        return Fit(found.values, found.loss, history)
+    return Fit(candidates[int(np.nanargmin(losses))], done.best, history)
+
+
+def _settings(search: Search) -> dict[str, Any]:
+    """What must be the same when resuming, as JSON values; more generations may be added."""
+    settings = asdict(search)
+    settings.pop("generations")
+    settings["bounds"] = {name: list(bound) for name, bound in search.bounds.items()}
+    return json.loads(json.dumps(settings))
+
+
+def _save(path: Path, search: Search, state: State, found: Fit) -> None:
+    content = {
+        "format": FORMAT,
+        "search": _settings(search),
+        "values": found.values,
+        "loss": found.loss if math.isfinite(found.loss) else None,
+        "generations": [[g if math.isfinite(g) else None for g in row] for row in found.generations],
+        "state": {name: np.asarray(value).tolist() for name, value in state._asdict().items()},
+    }
+    text = json.dumps(content, indent=1, allow_nan=False)
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def _load(path: Path, search: Search) -> tuple[State, Fit]:
+    try:
+        content = json.loads(path.read_text())
+        if content["format"] != FORMAT:
+            raise KeyError("format")
+        filled = [[math.inf if x is None else x for x in row] for row in content["generations"]]
+        rows = [Generation(int(number), best, median, step) for number, best, median, step in filled]
+        loss = math.inf if content["loss"] is None else content["loss"]
+        arrays: dict[str, Any] = {name: np.array(content["state"][name]) for name in State._fields}
+        state = State(**arrays | {"step": float(arrays["step"])})
+        found, settings = Fit(content["values"], loss, rows), content["search"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is not the checkpoint of a search, or damaged; delete it to begin anew.") from error
+    if settings != _settings(search):
+        raise InputError(
+            f"{path} belongs to a search with other settings; finish that one, or delete it to begin anew."
+        )
+    return state, found

@@ -1,0 +1,166 @@
+"""The authors' rule on primitives whose limits can be counted by hand; learners that must not see test folds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rcbht_jax.calibration import contextual
+from rcbht_jax.calibration.dataset import corpus
+from rcbht_jax.calibration.nested import CalibratedSvm, Library, fixed
+from rcbht_jax.calibration.objective import Objective
+from rcbht_jax.calibration.search import Space
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.tasks import TaskSpec, describe, sentences
+from rcbht_jax.learning.validation import nested_svm
+from rcbht_jax.types import LabelTrack, Recordings
+
+DT = 0.005
+CONFIG = EncoderConfig(window=5, dt=DT)
+QUICK = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,), inner=2)
+
+
+def track(slopes: list[float]) -> LabelTrack:
+    """One trial of primitives of 1 s each, slopes on the axes times 1 ... 6; a free slot at the end."""
+    n = len(slopes)
+    grad = np.zeros((1, 6, n + 1))
+    grad[:, :, :n] = np.array(slopes) * np.arange(1, 7)[:, None]
+    label = np.zeros((1, 6, n + 1), np.int8)
+    label[..., :n] = 7
+    t0 = np.broadcast_to(np.arange(n + 1, dtype=np.int32) * 200, label.shape).copy()
+    zero = np.zeros_like(grad)
+    return LabelTrack(label, t0, t0 + np.int32(200), t0, zero, zero, zero, grad)
+
+
+def test_limits_of_a_trial_counted_by_hand():
+    # Approach 0-2 s, rotation 2-4.5 s, insertion 4.5-8.5 s, mating after.
+    made = track([9, 9, 1, -3, 50, 6, -20, 7, 80, 99])
+    onset, end = np.array([[0, 1.5, 4.5, 8.5]]), np.array([10.0])
+    impulse, constant = contextual.trial_limits(made, onset, end, DT)
+    axis = np.arange(1, 7)
+    # Primitives inside the insertion begin at 5, 6 and 7 s; inside the rotation at 2 and 3 s (4-5 s sticks out).
+    np.testing.assert_allclose(impulse[0], 0.85 * 20 * axis)
+    np.testing.assert_allclose(constant[0], 0.90 * abs(1 - 3) / 2 * axis)
+
+
+def test_missing_states_are_silent_and_medians_ignore_them():
+    made = track([9, 9, 1, -3, 50, 6, -20, 7, 80, 99])
+    for missing in (1, 2):
+        onset = np.array([[0, 1.5, 4.5, 8.5]])
+        onset[0, missing] = np.nan
+        impulse, constant = contextual.trial_limits(made, onset, np.array([10.0]), DT)
+        assert np.isnan(constant).all()
+        assert np.isnan(impulse).all() == (missing == 2)
+    # A trial that never mates inserts until its end: 80 comes in, 99 ends with the record and is not inside.
+    onset = np.array([[0, 1.5, 4.5, np.nan]])
+    assert contextual.trial_limits(made, onset, np.array([10.0]), DT)[0][0, 0] == pytest.approx(0.85 * 80)
+    silent = np.full((1, 6), np.nan)
+    values = np.tile([[1.0], [3.0], [50.0]], (1, 6))
+    found = contextual.combine(np.concatenate([values * 10, silent]), np.concatenate([values, silent]), preset())
+    np.testing.assert_allclose(found.thresholds.limits, np.tile([30, 21, 12, 3], (6, 1)))
+    assert found.trials.tolist() == [3, 3]
+
+
+def test_axes_copy_as_the_authors_do_and_the_preset_stands_in():
+    impulse, constant = np.arange(60.0, 66)[None], np.arange(1.0, 7)[None]
+    limits = contextual.combine(impulse, constant, preset()).thresholds.limits
+    np.testing.assert_allclose(limits[:, 0], [60, 62, 62, 64, 64, 64])
+    np.testing.assert_allclose(limits[:, 3], [1, 1, 1, 5, 5, 5])
+    own = contextual.combine(impulse, constant, preset(), contextual.OWN).thresholds.limits
+    np.testing.assert_allclose(own[:, [0, 3]], np.stack([impulse[0], constant[0]], 1))
+    silent = np.full((2, 6), np.nan)
+    fallback = contextual.combine(silent, silent, preset()).thresholds.limits
+    np.testing.assert_allclose(fallback[:, [0, 3]], np.asarray(preset().limits)[:, [0, 3]])
+    with pytest.raises(InputError, match="copying rule"):
+        contextual.combine(impulse, constant, preset(), (("Fx", "Fx"),))
+
+
+def recordings(trials: int = 8, seed: int = 0) -> Recordings:
+    """Two states of the assembly differ by the steepness of a saw tooth; the others by noise only."""
+    rng = np.random.default_rng(seed)
+    steep = np.repeat([3.0, 8.0, 3.0, 30.0], 100)
+    teeth = (np.sign(np.sin(np.arange(400) / 5)) * steep)[None, :, None]
+    steps = teeth * rng.uniform(0.8, 1.2, (trials, 1, 6)) + rng.normal(size=(trials, 400, 6))
+    names = np.array([f"t{k}" for k in range(trials)])
+    same = np.full(trials, "S")
+    onset = np.tile([0.0, 0.5, 1.0, 1.5], (trials, 1))
+    return Recordings(
+        wrench=np.cumsum(steps * DT, axis=1).astype(np.float32),
+        length=np.full(trials, 400, np.int32),
+        dt=DT,
+        onset=onset,
+        onset_harmonised=onset,
+        trial=names,
+        arm=np.full(trials, "R"),
+        source=same,
+        session=same,
+        outcome=np.full(trials, "success"),
+        failure_type=np.full(trials, ""),
+        deviation=np.full((trials, 3), np.nan),
+        note=np.full(trials, ""),
+    )
+
+
+def test_context_of_recordings_and_of_none():
+    some = recordings()
+    found = contextual.calibrate(some, np.arange(8), CONFIG)
+    limits = np.asarray(found.thresholds.limits)
+    assert (np.diff(limits, axis=1) < 0).all()
+    assert found.trials[0] == 8
+    with pytest.raises(InputError, match="no trial to calibrate"):
+        contextual.calibrate(some, np.arange(0), CONFIG)
+    nothing = replace(some, onset_harmonised=np.full((8, 4), np.nan))
+    with pytest.raises(InputError, match="states may be missing"):
+        contextual.calibrate(nothing, np.arange(8), CONFIG)
+
+
+def test_poisoned_test_folds_change_no_threshold_and_no_training():
+    clean = recordings()
+    items = sentences(clean, TaskSpec())
+    train = np.flatnonzero(np.isin(items.trial, ["t0", "t1", "t2", "t4", "t6", "t7"]))
+    test = np.setdiff1d(np.arange(len(items.y)), train)
+    poison = clean.wrench.copy()
+    poison[[3, 5]] = np.random.default_rng(9).normal(size=(2, 400, 6)) * 1e3
+    limits = Space(groups=(0,) * 6).limits(np.random.default_rng(1).random((8, 4)))
+    answers = []
+    for wrench in (clean.wrench, poison):
+        data = replace(clean, wrench=wrench)
+        library = Library.make(corpus(data, items, CONFIG), CONFIG, limits, chunk=8)
+        choose = library.chooser(Objective(), top=2)
+
+        def by_context(rows, seed, data=data):
+            return np.asarray(contextual.calibrate(data, rows, CONFIG).thresholds.limits)[None]
+
+        for chooser in (choose, by_context, fixed(preset().limits)):
+            svm = CalibratedSvm(data, items, CONFIG, chooser, QUICK, FeatureSpec(families=("histogram",)))
+            answers.append(svm.learner()(train, test, 0))
+    for before, after in zip(answers[:3], answers[3:], strict=True):
+        assert before[1] == after[1]  # thresholds, kernel and cost
+    assert any((a[0] != b[0]).any() for a, b in zip(answers[:3], answers[3:], strict=True))  # the poison works
+    assert np.mean(answers[0][0] == items.y[test]) > 0.6
+
+
+def test_any_features_and_scaling_inside_the_folds():
+    """Ranks and balanced families: the same answers as the SVM on the features themselves."""
+    data = recordings()
+    items = sentences(data, TaskSpec())
+    train = np.flatnonzero(np.isin(items.trial, ["t0", "t1", "t2", "t4", "t6", "t7"]))
+    test = np.setdiff1d(np.arange(len(items.y)), train)
+    spec = FeatureSpec(families=("histogram", "spread", "levels"), balance=True)
+    grid = replace(QUICK, scalings=(True,), ranks=True)
+    said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset().limits), grid, spec).learner()(train, test, 0)
+    tracks = encode_recordings(CONFIG, preset(), data.wrench, data.length)
+    made = describe(tracks, items, spec)
+    assert made.weights(spec) is not None
+    learner = nested_svm({"0": made.values}, items.y, items.trial, grid, {"0": made.weights(spec)})
+    expected, same = learner(train, test, 0)
+    np.testing.assert_array_equal(said, expected)
+    assert chosen == {**same, "limits": np.asarray(preset().limits).tolist()}
+    assert chosen["ranks"]

@@ -1,0 +1,195 @@
+"""Search for thresholds: times per label against the encoder, scores against plain refits, resumption, leakage."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rcbht_jax.calibration.cma import Cma
+from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
+from rcbht_jax.calibration.on_device import device_corpus
+from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.calibration.windows import fit_windows
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.features.spans import Intervals, clip, tally
+from rcbht_jax.labels import LAYER_SIZES, LAYERS
+
+CONFIG = EncoderConfig(window=5, dt=0.005)
+LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1 and 2 samples
+SMALL = SearchOptions(candidates=6, generations=2, population=4, space=Space(groups=(0, 0, 0, 1, 1, 1)))
+
+
+def random_limits(count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    limits = np.sort(np.exp(rng.uniform(np.log(0.5), np.log(150), (count, 6, 4))), -1)[..., ::-1]
+    return limits * np.where(np.arange(6) < 3, 1, 0.1)[:, None]
+
+
+@pytest.fixture(scope="module")
+def wrench() -> np.ndarray:
+    """Quiet and busy stretches, so that every layer has long and short labels."""
+    rng = np.random.default_rng(3)
+    busy = np.repeat(rng.choice([0.003, 0.05, 0.6], (4, 41, 6)), 10, axis=1)[:, :410]
+    walk = np.cumsum(rng.normal(size=(4, 410, 6)) * busy, axis=1)
+    return (walk * np.where(np.arange(6) < 3, 1, 0.1)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def made(wrench) -> Corpus:
+    edges = np.array([[0, 100, 101, 300, n] for n in LENGTHS], np.int32)
+    edges[1] = [5, 50, 60, 200, 245]  # does not cover its recording
+    y = np.tile(np.arange(4, dtype=np.int32), (4, 1))
+    return Corpus(wrench, fit_windows(CONFIG, wrench, LENGTHS), edges, y, tuple("abcd"), np.array(list("wxyz")))
+
+
+def times_by_grammar(wrench: np.ndarray, edges: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    tracks = encode_recordings(CONFIG, Thresholds(limits.astype(np.float32)), wrench, LENGTHS)
+    rows = np.repeat(np.arange(4), 4)
+    spans = Intervals(rows, edges[:, :-1].ravel(), edges[:, 1:].ravel(), CONFIG.dt)
+    parts = []
+    for layer, size in zip(LAYERS, LAYER_SIZES, strict=True):
+        words = clip(getattr(tracks, layer), spans, layer)
+        parts.append(tally(words.code, words.duration, size))
+    return np.concatenate(parts, -1).reshape(4, 4, 6, -1)
+
+
+@pytest.mark.parametrize("group", [1, 3])
+def test_times_per_label_are_those_of_the_published_tracks(wrench, made, group):
+    limits = random_limits(4)
+    times = label_times(CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group)
+    for candidate, one in enumerate(limits):
+        np.testing.assert_array_equal(times[candidate], times_by_grammar(wrench, made.edges, one))
+
+
+def test_left_out_accuracy_and_fit_equal_refits(made):
+    rng = np.random.default_rng(0)
+    times = jnp.asarray(rng.integers(0, 50, (1, 9, 3, 6, 25)), jnp.int32)
+    y = rng.integers(0, 3, (9, 3))
+    x = np.sqrt(np.asarray(shares(times[0].reshape(27, 6, 25)), np.float64))
+    x = np.concatenate([x - x.mean(0), np.ones((27, 1))], 1)
+    target = np.eye(3)[y.ravel()]
+    penalty = RIDGE * 27 * np.diag([1.0] * 150 + [1e-3])
+    error = np.zeros_like(target)
+    for trial in range(9):
+        out = np.arange(27) // 3 == trial
+        weights = np.linalg.solve(x[~out].T @ x[~out] + penalty, x[~out].T @ target[~out])
+        error[out] = target[out] - x[out] @ weights
+    right = ((target - error).argmax(1) == y.ravel()).mean()
+    fit = 1 - np.square(error).sum() / np.square(target - target.mean(0)).sum()
+    np.testing.assert_allclose(scores(times, y, 3)[0, :2], [right, fit], atol=2e-4)
+
+
+def test_scores_do_not_depend_on_the_other_candidates():
+    rng = np.random.default_rng(1)
+    times = jnp.asarray(rng.integers(0, 50, (70, 5, 2, 6, 25)), jnp.int32)
+    y = np.tile(np.arange(2), (5, 1))
+    together = scores(times, y, 2)
+    alone = np.concatenate([scores(times[i : i + 1], y, 2) for i in (0, 3, 69)])
+    np.testing.assert_array_equal(together[[0, 3, 69]], alone)
+
+
+def test_labels_that_name_the_class_have_the_best_scores():
+    times = np.zeros((1, 6, 2, 6, 25), np.int32)
+    times[:, :, 0, :, [0, 9, 17]] = 10
+    times[:, :, 1, :, [1, 10, 18]] = 10
+    made = dict(zip(SCORES, scores(jnp.asarray(times), np.tile(np.arange(2), (6, 1)), 2)[0], strict=True))
+    assert made["accuracy"] == 1
+    assert made["fit"] > 0.95
+    assert made["fisher"] == pytest.approx(1)
+    assert made["agreement"] == pytest.approx(1)
+    assert made["information"] == pytest.approx(6 / 25)  # two of 25 labels per axis and layer speak, in three layers
+
+
+def test_cma_finds_the_maximum_of_a_tilted_bowl():
+    target = np.array([0.3, 0.6, 0.45])
+    state = Cma.start(np.full(3, 0.5), 0.2)
+    for _ in range(60):
+        points = state.sample(12, seed=4)
+        off = points - target
+        state = state.update(points, -np.square(off @ np.array([[1, 0.9, 0], [0, 1, 0], [0, 0, 10]])).sum(1))
+    np.testing.assert_allclose(state.mean, target, atol=1e-3)
+
+
+def test_space_keeps_limits_ordered_and_finds_the_way_back():
+    space = Space(groups=(0, 0, 0, 1, 1, 1))
+    limits = space.limits(np.random.default_rng(0).random((50, space.dimensions)))
+    assert (np.diff(limits, axis=-1) <= 0).all()
+    assert (limits >= space.base[:, 3:] * space.low * (1 - 1e-9)).all()
+    assert (limits <= space.base[:, :1] * space.high * (1 + 1e-9)).all()
+    np.testing.assert_allclose(space.limits(space.point(space.base)[None])[0], space.base, rtol=1e-9)
+
+
+def test_search_does_not_depend_on_the_chunk_and_starts_with_the_base(made):
+    whole = search(made, CONFIG, SMALL, chunk=8)
+    pieces = search(made, CONFIG, SMALL, chunk=4)
+    np.testing.assert_array_equal(whole.thresholds.limits, pieces.thresholds.limits)
+    assert [h[2] for h in whole.history] == [h[2] for h in pieces.history]
+    base = evaluate(made, CONFIG, preset().limits[None], chunk=4)[0]
+    assert whole.start_value == pytest.approx(float(base @ SMALL.objective.weights()), abs=1e-6)
+    assert whole.value >= whole.start_value
+    assert whole.evaluations == 6 + 2 * 4
+
+
+def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
+    whole = search(made, CONFIG, SMALL, chunk=4)
+    ledger = tmp_path / "search.npz"
+    for limit in (4, 10):  # in the middle of the Sobol points, then of CMA-ES
+        done = 0
+
+        def stop(count: int, limit: int = limit) -> None:
+            nonlocal done
+            done += count
+            if done >= limit:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            search(made, CONFIG, SMALL, chunk=4, ledger=ledger, progress=stop)
+    resumed = search(made, CONFIG, SMALL, chunk=4, ledger=ledger)
+    np.testing.assert_array_equal(whole.thresholds.limits, resumed.thresholds.limits)
+    assert whole.scores == resumed.scores
+    with pytest.raises(InputError, match="other trials or options"):
+        search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, ledger=ledger)
+    ledger.write_bytes(ledger.read_bytes()[:100])
+    with pytest.raises(InputError, match="not a ledger"):
+        search(made, CONFIG, SMALL, ledger=ledger)
+
+
+def test_successive_halving_scores_survivors_on_all_trials(made):
+    options = SearchOptions(candidates=8, rungs=(0.5, 1.0), keep=0.25, space=SMALL.space)
+    found = search(made, CONFIG, options, chunk=4)
+    assert found.evaluations in (8 + 2, 8 + 3)  # two survivors, and the base if it is not one of them
+    alone = evaluate(made, CONFIG, found.thresholds.limits[None], chunk=4)[0]
+    assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
+
+
+def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
+    whole = made.edges.copy()
+    whole[:, -1] = LENGTHS
+    corpus = Corpus(wrench, made.windows, whole, made.y, made.classes, made.trial)
+    beyond = np.where(np.arange(wrench.shape[1])[:, None] < LENGTHS[:, None, None], wrench, np.nan)  # must not matter
+    arrays = jax.device_put((beyond, whole, made.y))
+    with jax.transfer_guard("disallow"):
+        there = device_corpus(CONFIG, *arrays, made.classes)
+        found = search(there, CONFIG, SMALL)
+        values = evaluate(there, CONFIG, random_limits(4), chunk=4, group=1)
+    np.testing.assert_allclose(values, evaluate(corpus, CONFIG, random_limits(4), chunk=4), atol=2e-5)
+    np.testing.assert_allclose(found.thresholds.limits, search(corpus, CONFIG, SMALL).thresholds.limits)
+
+
+def test_errors_are_sentences(made):
+    with pytest.raises(InputError, match="positive weights"):
+        Objective.of({"speed": 1.0})
+    with pytest.raises(InputError, match="six numbers"):
+        Space(groups=(0, 0, 0, 0, 0, 7))
+    with pytest.raises(InputError, match="increase to 1"):
+        SearchOptions(rungs=(0.5,))
+    one = Corpus(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
+    with pytest.raises(InputError, match="two classes"):
+        search(one, CONFIG, SMALL)

@@ -1,0 +1,164 @@
+"""The commands that learn from a store, end to end on a small synthetic one, and their answers to bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rcbht_jax.cli.main import COMMANDS, main
+from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.learning.model_io import load
+from rcbht_jax.types import Recordings
+
+TRIALS, SAMPLES = 12, 400
+
+
+def synthetic() -> Recordings:
+    """Trials whose four states differ in slope and noise, in two sessions."""
+    rng = np.random.default_rng(0)
+    slopes = np.repeat([0.0, 3.0, -6.0, 30.0], SAMPLES // 4) * 0.005
+    noise = np.repeat([0.001, 0.01, 0.05, 0.2], SAMPLES // 4)[:, None]
+    wrench = np.cumsum(slopes)[None, :, None] + rng.normal(size=(TRIALS, SAMPLES, 6)) * noise
+    onset = np.tile([0.0, 0.5, 1.0, 1.5], (TRIALS, 1))
+    words = np.full(TRIALS, "R")
+    return Recordings(
+        wrench=wrench.astype(np.float32), length=np.full(TRIALS, SAMPLES, np.int32), dt=0.005, onset=onset,
+        onset_harmonised=onset, trial=np.array([f"trial-{i:02d}" for i in range(TRIALS)]), arm=words,
+        source=np.full(TRIALS, "SET"), session=np.array(["A", "B"] * (TRIALS // 2)),
+        outcome=np.full(TRIALS, "success"), failure_type=np.full(TRIALS, ""),
+        deviation=np.full((TRIALS, 3), np.nan), note=np.full(TRIALS, ""),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("commands") / "set.zarr"
+    write_recordings(path, synthetic(), {})
+    assert main(["encode", str(path)]) == 0
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_encode_keeps_labels_and_says_how(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run(capsys, "encode", store, "--window", 20, "--no-gate")
+    assert result["name"] == "online-W20-ungated"
+    tracks, attrs = read_tracks(store, result["name"])
+    assert np.count_nonzero(tracks.llb.label) == result["labels"]["llb"] > 0
+    assert attrs["config"]["gate"] is False
+    offline = run(capsys, "encode", store, "--mode", "offline", "--clean")
+    assert offline["name"] == "offline-clean"
+    tracks, _ = read_tracks(store, "offline-clean")
+    assert (tracks.primitive.emit == np.where(tracks.primitive.label > 0, -1, 0)).all()
+
+
+def test_evaluate_beats_chance_and_reports_baselines(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    quick = ("--kernels", "linear", "--costs", 0.1, 1, "--tracks", "online-W5")
+    result = run(capsys, "evaluate", store, "--folds", 3, "--repeats", 2, *quick)
+    assert result["score"]["accuracy"]["mean"] > 0.9
+    assert result["majority_baseline"]["accuracy"]["mean"] == 0.25
+    crossed = run(capsys, "evaluate", store, "--train-on", "A", "--test-on", "B", *quick)
+    assert np.sum(crossed["confusion"]) == 4 * TRIALS // 2
+    assert main(["evaluate", str(store), "--folds", "3", "--repeats", "1", *map(str, quick)]) == 0
+    assert "duration alone" in capsys.readouterr().out
+
+
+def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "states.model"
+    result = run(
+        capsys, "train", store, "--tracks", "online-W5", "--kernels", "linear", "--costs", 0.1, 1, "--out", out
+    )
+    model = load(out)
+    assert list(model.svm.classes) == result["classes"] == ["approach", "rotation", "insertion", "mating"]
+    assert model.encoder["config"]["window"] == 5
+
+
+def test_grammars_stand_side_by_side_or_are_chosen_from(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = run(capsys, "encode", store, "--window", 20, "--scale", 0.0625)
+    assert made["name"] == "online-W20-x0.0625"
+    assert made["thresholds"][0][3] == 0.0625
+    quick = ("--kernels", "linear", "--costs", 1, "--features", "parts", "levels", "--ranks", "--balance")
+    both = f"online-W5+{made['name']}"
+    folds = ("--folds", 2, "--repeats", 1)
+    result = run(capsys, "evaluate", store, "--tracks", made["name"], both, *folds, *quick)
+    assert result["tracks"] == f"{made['name']} {both}"
+    assert all(line.split()[0] in (made["name"], both) and line.endswith("ranks") for line in result["chosen"])
+    assert set(result["provenance"]["labels"]) == {"online-W5", made["name"]}
+    trained = run(capsys, "train", store, "--tracks", both, *quick, "--out", tmp_path / "m")
+    model = load(tmp_path / "m")
+    assert trained["tracks"] == both
+    assert set(model.encoder) == {"online-W5", made["name"]}
+    assert model.feature_names[0].startswith("online-W5.parts.primitive.Fx.")
+    assert model.feature_spec.balance
+    assert model.svm.spec.ranks
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("encode", "nowhere.zarr"), ("encode", "STORE"), ("encode", "STORE", "--window", "1"),
+        ("encode", "STORE", "--window", "x"), ("encode", "STORE", "--latency-cap", "-1"),
+        ("encode", "STORE", "--scale", "0", "--name", "none"), ("evaluate", "STORE", "--tracks", "online-W5+none"),
+        ("encode", "STORE", "--scale", "2", "--mode", "offline"),
+        ("evaluate", "STORE", "--session", "Z"), ("evaluate", "STORE", "--tracks", "none"),
+        ("evaluate", "STORE", "--train-on", "A"), ("evaluate", "STORE", "--folds", "1"),
+        ("evaluate", "STORE", "--task", "failure-type"), ("evaluate", "STORE", "--costs", "-1"),
+        ("evaluate", "STORE", "--repeats", "0"), ("train", "STORE", "--out", "/nowhere/at/all/x.model"),
+        ("demo", "--data", "nowhere"), ("bench", "--trials", "0"), ("bench", "--samples", "1"), ("fly",),
+    ],
+)  # fmt: skip
+def test_wrong_input_ends_with_one_sentence(
+    words: tuple[str, ...], store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status = main([str(store) if word == "STORE" else word for word in words])
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert out == ""
+    assert "Traceback" not in err
+    assert len([line for line in err.splitlines() if line.strip()]) == 1 or "invalid" in err.lower(), err
+
+
+option = st.sampled_from(
+    [
+        "--window",
+        "--tracks",
+        "--seed",
+        "--task",
+        "--json",
+        "--folds",
+        "--robot",
+        "--mode",
+        "--costs",
+        "--out",
+        "-o",
+        "--",
+    ]
+)
+word = st.one_of(option, st.text(max_size=6), st.integers(-3, 3).map(str), st.floats().map(str))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    command=st.sampled_from([name for name in COMMANDS if name not in ("bench", "demo", "simulate", "fidelity")]),
+    rest=st.lists(word, max_size=5),
+)
+def test_any_words_give_a_sentence_or_help(
+    command: str, rest: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # no store is here, so nothing can succeed but help
+    status = main([*command.split(), *rest])
+    out, err = capsys.readouterr()
+    assert status in (0, 2)
+    assert status == 2 or "usage" in out
+    assert "Traceback" not in err

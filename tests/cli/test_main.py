@@ -1,0 +1,146 @@
+"""The command line: exit status, one sentence for every mistake, machine-readable results."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
+from rcbht_jax.cli.command import Command
+from rcbht_jax.cli.main import main
+
+
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["import", "--help"], ["--version"]])
+def test_help_is_status_zero(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(words) == 0
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", list(main.COMMANDS))
+def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main([*name.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert f"Example: rcbht {name}" in out
+    assert "--json" in out
+
+
+def test_overview_imports_no_command_and_is_quick() -> None:
+    code = (
+        "import sys; from rcbht_jax import cli; cli.main(['--help']); "
+        "sys.exit(any(m in sys.modules for m in ('jax', 'zarr', 'numpy')))"
+    )
+    start = time.perf_counter()
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+    assert time.perf_counter() - start < 1.0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["nonsense"], "no command 'nonsense'"),
+        (["info"], "options are wrong"),
+        (["info", "missing.zarr"], "does not exist"),
+        (["info", "x", "--nope"], "options are wrong"),
+        (["import", "hiro", "missing", "out.zarr"], "is not a folder"),
+        (["import", "hiro", ".", "no/such/place/out.zarr"], "create it first"),
+        (["import", "hiro", "a" * 5000, "out.zarr"], "cannot be used"),
+    ],
+)
+def test_wrong_input_is_one_sentence_and_status_two(
+    words: list[str],
+    sentence: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    last = captured.err.splitlines()[-1]
+    assert last.startswith("rcbht: ")
+    assert sentence in last
+    assert "Traceback" not in captured.err
+
+
+def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "two.zarr")
+    assert main.main(["import", "hiro", str(hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS"), out, "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["imported"]) == 30
+    assert main.main(["import", "hiro", str(hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS"), out]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main.main(["info", out, "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    assert [(g["arm"], g["recordings"], g["onsets_missing"]) for g in groups] == [
+        ("R", 15, [0, 0, 0, 2]),
+        ("L", 15, [0, 0, 0, 2]),
+    ]
+    assert main.main(["info", out]) == 0
+    assert "30 recordings at 200 Hz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "sentence"),
+    [
+        (KeyboardInterrupt(), 130, "Interrupted"),
+        (OSError(errno.ENOSPC, "No space left on device"), 1, "disk is full"),
+        (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
+    ],
+)
+def test_interruptions_end_in_a_sentence(
+    error: BaseException,
+    status: int,
+    sentence: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Failing(Command):
+        def run(self) -> dict[str, object]:
+            raise error
+
+        def text(self, result: dict[str, object]) -> str:
+            return ""
+
+    monkeypatch.setattr(main, "_parse", lambda name, words: Failing())
+    assert main.main(["info"]) == status
+    assert sentence in capsys.readouterr().err
+
+
+def test_closed_output_is_no_traceback(hiro_store: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    code = "import sys; from rcbht_jax.cli.main import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "info", str(hiro_store)],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writer)
+    assert done.returncode == 1
+    assert done.stderr == b""
+
+
+# No slash: nothing outside the test's own folder may be read or written.
+WORDS = st.one_of(
+    st.sampled_from(["import", "hiro", "info", "--json", "--help", "--overwrite", "-h", "--", ".", "x.zarr"]),
+    st.text(st.characters(exclude_characters="/~", exclude_categories=("Cs",)), max_size=8),
+)
+
+
+@given(words=st.lists(WORDS, max_size=5))
+def test_any_words_end_in_status_zero_or_two(words: list[str], tmp_path_factory: pytest.TempPathFactory) -> None:
+    before = Path.cwd()
+    os.chdir(tmp_path_factory.getbasetemp())
+    try:
+        assert main.main(words) in (0, 2)
+    finally:
+        os.chdir(before)

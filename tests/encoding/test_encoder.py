@@ -1,0 +1,212 @@
+"""The encoder against the plain-Python oracle, and streaming against batch."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
+
+from rcbht_jax.encoding import encoder
+from rcbht_jax.encoding.batch import encode_recordings, plan
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.stream import Stream
+from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import LabelTrack, LabelTracks
+from tests.support import oracle
+
+FIELDS = ("label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
+SAMPLES = 231
+CONFIGS = {
+    "default": (EncoderConfig(), {}),
+    "window 2": (EncoderConfig(window=2), {}),
+    "window 20, 1 kHz": (EncoderConfig(window=20, dt=0.001), {}),
+    "ungated": (EncoderConfig(gate=False), {"gate": False}),
+    "adjustments merge": (EncoderConfig(adj_exempt=False), {"adj_exempt": False}),
+    "contact first": (EncoderConfig(contact_first=True), {"contact_first": True}),
+    "one slot": (EncoderConfig(pipe="one-slot"), {"slots": 1}),
+    "similar amplitudes": (EncoderConfig(rule="similar"), {"rule": "similar"}),
+    "capped": (EncoderConfig(latency_cap=0.1), {"cap": 20}),
+    "window 100": (EncoderConfig(window=100), {}),
+}
+signals = st.tuples(st.integers(0, 2**32 - 1), st.sampled_from(["noise", "steps", "ramps"]), st.integers(0, SAMPLES))
+encode = jax.jit(encoder.encode, static_argnums=0)
+
+
+def wrench_of(seed: int, style: str, samples: int = SAMPLES, axes: int = 6) -> np.ndarray:
+    """Random signals; steps and ramps are quantised, so that equal labels, ties and impulses are common."""
+    rng = np.random.default_rng(seed)
+    if style == "noise":
+        return np.cumsum(rng.normal(size=(samples, axes)) * rng.choice([0.01, 0.1, 1.0], (1, axes)), 0)
+    knots = rng.integers(-8, 9, (samples // 10 + 2, axes)) * 0.25
+    if style == "steps":
+        return np.repeat(knots, 10, 0)[:samples]
+    times = np.arange(samples) / 10
+    return np.stack([np.interp(times, np.arange(len(knots)), knot) for knot in knots.T], 1)
+
+
+def published(track: LabelTrack, lane: tuple[int, ...]) -> list[tuple[float, ...]]:
+    used = np.asarray(track.label)[lane] > 0
+    return list(zip(*(np.asarray(getattr(track, name))[lane][used].tolist() for name in FIELDS), strict=True))
+
+
+def layers(tracks: LabelTracks) -> tuple[LabelTrack, ...]:
+    return tracks.primitive, tracks.mc, tracks.llb
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@settings(max_examples=25)
+@given(signal=signals)
+def test_labels_equal_the_oracle(name: str, signal: tuple[int, str, int]) -> None:
+    config, options = CONFIGS[name]
+    seed, style, length = signal
+    wrench, limits = wrench_of(seed, style), preset().limits
+    with jax.enable_x64(True):
+        ours = encode(config, jnp.asarray(limits), jnp.asarray(wrench[None]), jnp.asarray([length], jnp.int32))
+        ours = jax.tree.map(np.asarray, ours)
+    for axis in range(6):
+        expected = oracle.encode(
+            wrench[:length, axis].tolist(), config.dt, limits[axis].tolist(), config.window, **options
+        )
+        for track, rows in zip(layers(ours), expected.out, strict=True):
+            got = published(track, (0, axis))
+            assert [row[:4] for row in got] == [(i.label, i.t0, i.t1, now) for i, now, _ in rows]
+            values = [(i.vmax, i.vmin, i.avg, i.grad) for i, _, _ in rows]
+            np.testing.assert_allclose([row[4:] for row in got], values, rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=30)
+@given(signal=signals, cuts=st.lists(st.integers(0, 40), max_size=30), peeks=st.sets(st.integers(0, 30)))
+def test_any_chunking_equals_the_batch_bit_for_bit(
+    signal: tuple[int, str, int], cuts: list[int], peeks: set[int]
+) -> None:
+    seed, style, length = signal
+    config, thresholds = EncoderConfig(), preset()
+    wrench = wrench_of(seed, style).astype(np.float32)
+    batch = encode(config, jnp.asarray(thresholds.limits, jnp.float32), wrench[None], np.array([length], np.int32))
+    stream, parts, start = Stream(config, thresholds), [], 0
+    for index, cut in enumerate([*cuts, length]):
+        parts += stream.push(wrench[start : min(start + cut, length)])
+        start = min(start + cut, length)
+        if index in peeks:
+            stream.peek()
+    assert stream.received == length
+    last = stream.peek()
+    parts.append(stream.flush())
+    jax.tree.map(np.testing.assert_array_equal, last, parts[-1])
+    streamed = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+    for axis in range(6):
+        for whole, track in zip(layers(batch), layers(streamed), strict=True):
+            assert published(track, (axis,)) == published(whole, (0, axis))
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 1000), lengths=st.lists(st.integers(0, 700), min_size=1, max_size=12))
+def test_data_set_equals_its_recordings_one_by_one(seed: int, lengths: list[int]) -> None:
+    config, length = EncoderConfig(), np.array(lengths, np.int32)
+    rng = np.random.default_rng(seed)
+    wrench = np.cumsum(rng.normal(size=(len(lengths), 700, 6)) * 0.2, 1).astype(np.float32)
+    limits = preset().limits * rng.uniform(0.5, 2, (len(lengths), 6, 1))
+    together = encode_recordings(config, Thresholds(limits), wrench, length)
+    for index in range(len(lengths)):
+        alone = encode(
+            config, jnp.asarray(limits[index], jnp.float32), wrench[index : index + 1], length[index : index + 1]
+        )
+        for axis in range(6):
+            for ours, track in zip(layers(together), layers(alone), strict=True):
+                assert published(ours, (index, axis)) == published(track, (0, axis))
+                count = np.count_nonzero(ours.label[index, axis])
+                assert not ours.label[index, axis, count:].any()
+
+
+@given(
+    lengths=st.lists(st.integers(0, 20_000), min_size=1, max_size=200), samples=st.integers(2, 2000),
+    slots=st.integers(1, 128),
+)  # fmt: skip
+def test_every_sample_is_scheduled_once_in_order(lengths: list[int], samples: int, slots: int) -> None:
+    length = np.array(lengths, np.int32)
+    schedule = plan(length, samples, slots)
+    assert schedule.recording.shape[1] <= slots
+    for index, size in enumerate(lengths):
+        piece, slot = np.nonzero(schedule.recording == index)
+        assert len(set(slot)) == 1
+        assert (np.diff(piece) == 1).all()
+        assert schedule.offset[piece, slot].tolist() == list(range(0, max(size, 1), samples))
+    assert 0 <= schedule.padding(length) <= 1
+
+
+def test_padding_of_the_recorded_data_costs_less_than_a_quarter(hiro_recordings) -> None:
+    length = hiro_recordings.length
+    assert plan(length, 64 * 5).padding(length) < 0.25
+    real = np.char.startswith(hiro_recordings.source, "REAL")
+    assert plan(length[real], 64 * 5).padding(length[real]) < 0.25
+
+
+def test_recordings_before_and_after_each_other_do_not_mix() -> None:
+    # more recordings than slots, so that slots are reused
+    length = np.full(300, 50, np.int32)
+    wrench = np.random.default_rng(0).normal(size=(300, 50, 6)).astype(np.float32)
+    tracks = encode_recordings(EncoderConfig(), preset(), wrench, length)
+    single = encode_recordings(EncoderConfig(), preset(), wrench[299:], length[299:])
+    for axis in range(6):
+        assert published(tracks.primitive, (299, axis)) == published(single.primitive, (0, axis))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"window": 1}, {"dt": 0.0}, {"dt": float("nan")}, {"pipe": "three"}, {"rule": "old"}, {"latency_cap": 0.0}],
+)
+def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
+    with pytest.raises((InputError, TypeCheckError)):
+        EncoderConfig(**options)
+
+
+def test_bad_samples_are_refused_and_nothing_is_consumed() -> None:
+    stream = Stream(EncoderConfig(), preset())
+    stream.push(np.ones((3, 6)))
+    for bad in (np.ones((4, 5)), np.ones(6), np.full((4, 6), np.nan)):
+        with pytest.raises(InputError):
+            stream.push(bad)
+    assert stream.received == 3
+
+
+@pytest.mark.parametrize(
+    ("wrench", "length"),
+    [
+        (np.zeros((2, 10, 5), np.float32), np.array([1, 2], np.int32)),
+        (np.zeros((2, 10, 6), np.float32), np.array([1], np.int32)),
+        (np.zeros((2, 10, 6), np.float32), np.array([1, 11], np.int32)),
+        (np.full((1, 10, 6), np.inf, np.float32), np.array([10], np.int32)),
+    ],
+)
+def test_bad_data_sets_are_refused(wrench: np.ndarray, length: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        encode_recordings(EncoderConfig(), preset(), wrench, length)
+
+
+def test_what_lies_beyond_the_length_does_not_matter() -> None:
+    wrench = wrench_of(1, "noise").astype(np.float32)
+    padded = wrench.copy()
+    padded[100:] = 1e6
+    length, limits = np.array([100], np.int32), jnp.asarray(preset().limits, jnp.float32)
+    a, b = (encode(EncoderConfig(), limits, w[None], length) for w in (wrench, padded))
+    jax.tree.map(np.testing.assert_array_equal, a, b)
+
+
+def test_labels_take_less_than_32_bytes_a_window() -> None:
+    wrench = np.zeros((4, 2000, 6), np.float32)
+    tracks = encode(EncoderConfig(), jnp.asarray(preset().limits, jnp.float32), wrench, np.full(4, 2000, np.int32))
+    for track in layers(tracks):
+        windows = track.label[..., :400].size
+        assert sum(leaf[..., :400].nbytes for leaf in jax.tree.leaves(track)) <= 32 * windows
+
+
+def test_working_memory_is_at_most_six_times_the_wrench() -> None:
+    shape, length = jax.ShapeDtypeStruct((100, 2000, 6), jnp.float32), jax.ShapeDtypeStruct((100,), jnp.int32)
+    limits = jax.ShapeDtypeStruct((6, 4), jnp.float32)
+    memory = encode.lower(EncoderConfig(), limits, shape, length).compile().memory_analysis()
+    assert memory.temp_size_in_bytes <= 6 * 100 * 2000 * 6 * 4

@@ -1,0 +1,69 @@
+"""The alphabets and the thresholds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rcbht_jax import labels
+from rcbht_jax.encoding import thresholds
+from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.errors import InputError
+from tests.support import oracle
+
+
+def test_every_label_has_a_name_a_meaning_and_a_colour() -> None:
+    for layer, alphabet, size in zip(labels.LAYERS, labels.ALPHABETS, labels.LAYER_SIZES, strict=True):
+        assert sorted(alphabet) == list(range(1, size + 1))
+        assert len(labels.MEANING[layer]) == size
+        assert len(set(labels.COLORS[layer])) == size
+        assert len({labels.name(layer, code) for code in range(size + 1)}) == size + 1
+
+
+@pytest.mark.parametrize(("layer", "code"), [("primitive", 10), ("llb", -1), ("word", 1)])
+def test_unknown_labels_have_no_name(layer: str, code: int) -> None:
+    with pytest.raises(ValueError):
+        labels.name(layer, code)
+
+
+def test_pair_table_is_the_specified_one() -> None:
+    for row, first in enumerate("PNKpn"):
+        for column, second in enumerate("PNKpn"):
+            assert labels.name("mc", int(labels.MC_PAIR[row, column])) == oracle.PAIR[first + second]
+
+
+@pytest.mark.parametrize("robot", thresholds.ROBOTS)
+def test_presets_are_ordered_and_moments_a_tenth(robot: str) -> None:
+    limits = thresholds.preset(robot).limits
+    assert limits.shape == (6, 4)
+    np.testing.assert_allclose(limits[3:] * 10, limits[:3])
+
+
+@given(free=arrays(np.float32, (6, 4), elements=st.floats(-8, 8, width=32)))
+def test_free_parameters_always_give_ordered_thresholds(free: np.ndarray) -> None:
+    limits = np.asarray(thresholds.from_free(free).limits)
+    assert (limits > 0).all()
+    assert (np.diff(limits, axis=-1) <= 0).all()
+
+
+def test_free_parameters_round_trip() -> None:
+    limits = thresholds.preset().limits.astype(np.float32)
+    back = thresholds.from_free(thresholds.to_free(Thresholds(limits))).limits
+    np.testing.assert_allclose(back, limits, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [np.ones(4), np.ones((6, 3)), -np.ones((6, 4)), np.full((6, 4), np.nan), np.tile([1.0, 2.0, 3.0, 4.0], (6, 1))],
+)
+def test_bad_thresholds_are_refused(limits: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        Thresholds(limits)
+
+
+def test_unknown_robot_is_refused() -> None:
+    with pytest.raises(InputError, match="hiro"):
+        thresholds.preset("r2d2")

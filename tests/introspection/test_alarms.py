@@ -1,0 +1,106 @@
+"""Alarm levels: the promise about false alarms holds, and nothing of a streamed trial trains its own machine."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import AnomalyRaised
+from rcbht_jax.introspection.alarms import conformal_level, held_out, held_peak, peaks
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.levels import Alarm
+from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.introspection.training import HeadSpec, train_head
+from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.svm import SvmSpec, fit
+from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.types import Recordings
+from tests.support.introspection_models import CONFIG, trial
+
+
+@given(st.lists(st.floats(0, 1), max_size=30), st.integers(1, 5))
+def test_a_peak_is_where_an_alarm_stops(values, looks):
+    """An alarm just below the peak is raised, one at the peak is not."""
+    said = np.array(values)
+    peak = held_peak(said, looks)
+    runs = [min(values[k : k + looks]) for k in range(len(values) - looks + 1)]
+    assert peak == max(runs, default=0.0)
+
+    def raised(level: float) -> bool:
+        alarm = Alarm(level, 0.1 * (looks - 1))
+        return any(alarm.update(p, 0.1 * t) for t, p in enumerate(values))
+
+    assert not raised(peak)
+    if peak > 1e-6:
+        assert raised(peak - 1e-9)
+
+
+def test_the_promise_holds():
+    rng = np.random.default_rng(0)
+    for share, count in itertools.product((0.02, 0.1, 0.25), (49, 60, 199)):
+        false = [np.mean(rng.beta(2, 5, 400) > conformal_level(rng.beta(2, 5, count), share)) for _ in range(300)]
+        # The mean over training sets is between share - 1 / (n + 1) and share; here with its sampling error.
+        assert share - 1 / (count + 1) - 0.004 < np.mean(false) < share + 0.004
+
+
+def test_too_few_trials_promise_nothing():
+    with pytest.raises(InputError, match="it takes 49"):
+        conformal_level(np.zeros(48), 0.02)
+    assert conformal_level(np.linspace(0, 1, 49), 0.02) == 1.0
+    with pytest.raises(InputError, match="between 0 and 1"):
+        conformal_level(np.zeros(9), 0.0)
+
+
+def test_peaks_are_held_out():
+    """Each trial has a column of its own that gives it away: a machine that saw the trial would know it."""
+    rng = np.random.default_rng(1)
+    groups = np.repeat([f"t{k:02d}" for k in range(40)], 6)
+    y = np.repeat(np.arange(40) % 2, 6)
+    x = np.concatenate([rng.normal(size=(240, 1)), 5.0 * (groups[:, None] == np.unique(groups))], 1)
+    svm = fit(x, y, ("failure", "success"), SvmSpec("linear", 1.0))
+    machine = ProbabilisticSvm(svm, np.array([[-2.0, 0.0]]))
+    calm = y == 1
+    said = held_out(machine, x, y, groups, x[calm], groups[calm], 0)[:, 0]
+    highest = peaks(said, groups[calm], 2)
+    seen = peaks(machine.probability(x[calm])[:, 0], groups[calm], 2)
+    assert len(highest) == 20
+    assert max(seen) < 0.3  # the whole machine has learnt them by heart
+    assert np.mean(highest) > 0.45  # those that did not see them are in doubt
+    with pytest.raises(InputError, match="held out"):
+        held_out(machine, x, y, groups, x[:1], np.array(["other"]), 0)
+
+
+def made_up(kinds: list[int]) -> Recordings:
+    """Calm trials succeed, pushed ones fail; half a second each."""
+    count = len(kinds)
+    text = {name: np.full(count, "") for name in ("failure_type", "note")}
+    return Recordings(
+        wrench=np.stack([trial(kind, 500 + k, 100) for k, kind in enumerate(kinds)]),
+        length=np.full(count, 100, np.int32), dt=CONFIG.dt, onset=np.zeros((count, 4)),
+        onset_harmonised=np.zeros((count, 4)), trial=np.array([f"t{k}" for k in range(count)]),
+        arm=np.full(count, "R"), source=np.full(count, "made"), session=np.full(count, "up"),
+        outcome=np.where(np.array(kinds) == 0, "success", "failure"), deviation=np.zeros((count, 3)), **text,
+    )  # fmt: skip
+
+
+def test_a_head_learns_its_level():
+    data = made_up([0] * 20 + [1] * 8)
+    spec = HeadSpec(TaskSpec("outcome"), ("histogram", "attributes"), rate=20.0, false_alarms=0.05)
+    learnt = train_head(data, spec, CONFIG, preset())
+    assert 0 < learnt.alarm_level < 1
+    model = IntrospectionModel(CONFIG, np.asarray(preset().limits), (learnt,), "")
+    introspector, raised = Introspector(model, rate=20.0), []
+    for kind in (0, 1):
+        for seed in range(12):
+            introspector.reset()
+            raised.append(any(isinstance(e, AnomalyRaised) for e in introspector.push(trial(kind, 900 + seed, 100))))
+    assert sum(raised[:12]) <= 2
+    assert sum(raised[12:]) >= 10
+    with pytest.raises(InputError, match="it takes 99"):
+        train_head(data, HeadSpec(TaskSpec("outcome"), ("histogram",), false_alarms=0.01), CONFIG, preset())

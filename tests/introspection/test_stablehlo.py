@@ -1,0 +1,54 @@
+"""The exported chain says what the introspector says, in a process that cannot import this package."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Belief
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.stablehlo import write_chain
+from tests.support.introspection_models import model, trial
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples/run_chain.py"
+
+
+def test_runs_without_this_package(tmp_path):
+    meta = write_chain(tmp_path / "c", model())
+    assert [head["name"] for head in meta["heads"]] == ["states", "outcome", "failure-type"]
+    wrench = np.concatenate([trial(0, 70, 102), trial(1, 71, 98)])
+    lines = [json.dumps({"wrench": row}) for row in wrench.astype(float).tolist()]
+    lines.insert(102, '{"begin": true}')
+    blocked = "import sys; sys.modules['rcbht_jax'] = None; import runpy; sys.argv = sys.argv[1:]; "
+    done = subprocess.run(
+        [sys.executable, "-c", blocked + "runpy.run_path(sys.argv[0], run_name='__main__')", str(EXAMPLE), "c"],
+        input="\n".join(lines), capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
+    )  # fmt: skip
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    introspector = Introspector(model(), rate=None)
+    events = introspector.push(wrench[:102]) + introspector.begin() + introspector.push(wrench[102:])
+    beliefs = [e for e in events if isinstance(e, Belief)]
+    assert len(said) == 40
+    for belief in beliefs:
+        row = said[belief.sample // 5 - 1]
+        assert row["sample"] == belief.sample
+        np.testing.assert_allclose(list(row[belief.head].values()), belief.probabilities, atol=2e-4)
+
+
+def test_artefact_is_whole_or_absent(tmp_path):
+    with pytest.raises(InputError):
+        write_chain(tmp_path / "none" / "c", model())
+    with pytest.raises(InputError, match="abacus"):
+        write_chain(tmp_path / "c", model(), ("abacus",))
+    assert not list(tmp_path.iterdir())
+    write_chain(tmp_path / "c", model(), ("cpu",))
+    with zipfile.ZipFile(tmp_path / "c") as archive:
+        assert archive.testzip() is None
+        assert b"rcbht-chain-1" in archive.read("chain.json")

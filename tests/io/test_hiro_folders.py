@@ -1,0 +1,223 @@
+"""The importer on made-up folders: broken trials, copies, contradictions, odd layouts, state-time rules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.hiro import importer
+from rcbht_jax.io.hiro.names import parse_trial
+from rcbht_jax.io.hiro.onsets import fallback, harmonised, needs_harmonising, onsets_from_marks
+from rcbht_jax.types import Recordings
+
+TIME = np.arange(400) * 0.005
+
+
+def write_table(path: Path, seed: int, samples: int = 400, dt: float = 0.005) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = np.random.default_rng(seed).normal(size=(samples, 6))
+    np.savetxt(path, np.column_stack([np.arange(samples) * dt, values]), fmt="%.6g", delimiter="\t")
+
+
+def trial(folder: Path, seed: int, marks: str | None = "0\n0.5\n1.0\n1.5\n", arm: str = "R") -> Path:
+    write_table(folder / f"{arm}_Torques.dat", seed)
+    if marks is not None:
+        (folder / f"{arm}_State.dat").write_text(marks)
+    return folder
+
+
+def notes(recordings: Recordings) -> dict[str, str]:
+    return dict(zip(recordings.trial.tolist(), recordings.note.tolist(), strict=True))
+
+
+def test_a_broken_trial_does_not_stop_the_others(tmp_path: Path) -> None:
+    trial(tmp_path / "good", 1)
+    (trial(tmp_path / "cut", 2) / "R_Torques.dat").write_text("0 1 2 3 4 5 6\n0.005 1 2")
+    (trial(tmp_path / "empty", 3) / "R_Torques.dat").write_text("")
+    (tmp_path / "nothing").mkdir()
+    (trial(tmp_path / "states", 4) / "R_State.dat").write_text("0\n2\n1\n")
+    (trial(tmp_path / "six", 5) / "R_State.dat").write_text("0\n.1\n.2\n.3\n.4\n.5\n")
+    (trial(tmp_path / "angles", 6) / "R_Angles.dat").write_text("garbage")
+    recordings, report = importer.read_hiro(tmp_path)
+    assert recordings.trial.tolist() == ["angles", "good", "six", "states"]
+    assert [path for path, _ in report.skipped] == ["cut/R_Torques.dat", "empty/R_Torques.dat", "nothing"]
+    assert "line 2: 3 columns" in report.skipped[0][1]
+    assert str(tmp_path) not in str(report.to_dict())
+    assert {path for path, _ in report.warnings} == {
+        "angles/R_Angles.dat",
+        "six/R_State.dat",
+        "states/R_State.dat",
+    }
+    assert notes(recordings) == {
+        "angles": "",
+        "good": "",
+        "six": "state-file-unusable",
+        "states": "state-file-unusable",
+    }
+    assert np.isnan(recordings.onset[2:]).all()
+    np.testing.assert_array_equal(recordings.onset[1], [0, 0.5, 1, 1.5])
+
+
+def test_exact_copies_are_imported_once(tmp_path: Path) -> None:
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "a", 1)
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "a", 2, None, "L")
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "b", 1)
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "b", 2, None, "L")
+    # Same right arm, other left arm: another trial.
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "c", 1)
+    trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "c", 3, None, "L")
+    recordings, report = importer.read_hiro(tmp_path)
+    assert list(zip(recordings.trial, recordings.arm, strict=True)) == [
+        ("a", "R"),
+        ("a", "L"),
+        ("c", "R"),
+        ("c", "L"),
+    ]
+    assert [path for path, _ in report.duplicates] == ["SIM_HIRO_TWO_SA_SUCCESS/b"]
+    assert "SIM_HIRO_TWO_SA_SUCCESS/a" in report.duplicates[0][1]
+
+
+def test_contradictory_copies_are_kept_and_flagged(tmp_path: Path) -> None:
+    folder = tmp_path / "SIM_HIRO_ONE_SA_ERROR_CHARAC"
+    trial(folder / "XX+y0.0094+r0.1901", 1)
+    trial(folder / "XX-y0.0094+r0.1901", 1)
+    trial(folder / "XX+x0.0085", 2)
+    recordings, report = importer.read_hiro(folder)
+    assert report.duplicates == []
+    assert notes(recordings) == {
+        "XX+x0.0085": "",
+        "XX+y0.0094+r0.1901": "contradictory-duplicate:XX-y0.0094+r0.1901",
+        "XX-y0.0094+r0.1901": "contradictory-duplicate:XX+y0.0094+r0.1901",
+    }
+    assert recordings.failure_type.tolist() == ["+x", "", ""]
+    assert np.isnan(recordings.deviation[1:]).all()
+    assert len(report.warnings) == 2
+
+
+def test_success_and_failure_copies_contradict_each_other(tmp_path: Path) -> None:
+    trial(tmp_path / "SIM_HIRO_ONE_SA_SUCCESS" / "s", 1)
+    trial(tmp_path / "REAL_HIRO_ONE_SA_ERROR_CHARAC" / "f", 1)
+    recordings, _ = importer.read_hiro(tmp_path)
+    assert notes(recordings) == {"f": "contradictory-duplicate:s", "s": "contradictory-duplicate:f"}
+
+
+def test_other_time_steps_are_left_out(tmp_path: Path) -> None:
+    for seed in range(3):
+        trial(tmp_path / f"t{seed}", seed)
+    write_table(tmp_path / "fast" / "R_Torques.dat", 9, dt=0.001)
+    recordings, report = importer.read_hiro(tmp_path)
+    assert recordings.dt == 0.005
+    assert [path for path, _ in report.skipped] == ["fast/R"]
+    assert "0.001 s" in report.skipped[0][1]
+
+
+def test_layouts(tmp_path: Path) -> None:
+    write_table(tmp_path / "set" / "only-left" / "L_Torques.dat", 1)
+    folder = trial(tmp_path / "set" / "plain-state", 2, None)
+    (folder / "State.dat").write_text("0.0\n0.5")
+    recordings, _ = importer.read_hiro(tmp_path)
+    assert recordings.arm.tolist() == ["L", "R"]
+    assert notes(recordings) == {"only-left": "state-file-missing", "plain-state": ""}
+    np.testing.assert_array_equal(recordings.onset[1], [0, 0.5, np.nan, np.nan])
+    assert recordings.outcome.tolist() == ["unknown", "unknown"]
+    assert recordings.session.tolist() == ["set", "set"]
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda p: p / "missing", "is not a folder"),
+        (lambda p: trial(p / "t", 1), "is a single trial"),
+        (lambda p: p, "holds no trial"),
+        (lambda p: _broken(p), "no usable trial.*line 1"),
+    ],
+)
+def test_nothing_to_import(tmp_path: Path, make: object, sentence: str) -> None:
+    assert callable(make)
+    with pytest.raises(InputError, match=sentence):
+        importer.read_hiro(make(tmp_path))
+
+
+def _broken(folder: Path) -> Path:
+    (trial(folder / "t", 1) / "R_Torques.dat").write_text("x")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "deviation"),
+    [
+        ("XX", "", (0, 0, 0)),
+        ("XX+x0.0075-y0.0078+r0.0342", "+x-y+r", (0.0075, -0.0078, 0.0342)),
+        ("XX-r0.5235", "-r", (0, 0, -0.5235)),
+        ("XX+r.1+x1e3", "", None),
+        ("XX+x0.01+x0.02", "", None),
+        ("backup", "", None),
+    ],
+)
+def test_names_of_simulated_failures(name: str, kind: str, deviation: tuple[float, ...] | None) -> None:
+    parsed = parse_trial("SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob", name)
+    assert (parsed.failure_type, parsed.deviation) == (kind, deviation)
+    assert ("deviation-unreadable" in parsed.notes) == (deviation is None)
+
+
+def test_unknown_numbers_get_no_session() -> None:
+    assert parse_trial("REAL_HIRO_ONE_SA_SUCCESS", "20121127-HIROSA-S-47").notes == ("session-unknown",)
+    assert parse_trial("MY_ERROR_SET", "t").outcome == "failure"
+    assert parse_trial("SIM_HIRO_ONE_SA_ERROR_CHARAC", "XX+x0.100").notes == ("deviation-suspect",)
+
+
+@pytest.mark.parametrize(
+    ("marks", "expected", "note"),
+    [
+        ([], [np.nan] * 4, "state-times-empty"),
+        ([0.0], [0, np.nan, np.nan, np.nan], ""),
+        ([0.0, 0.5, 1.0, 1.5, 1.8], [0, 0.5, 1.0, 1.5], ""),
+        ([0.0, 52.61], [0, np.nan, np.nan, np.nan], "onset-beyond-end:S1=52.61"),
+        ([0.0, 1.995], [0, 1.995, np.nan, np.nan], "onset-at-end:S1"),
+        ([0.0, 2.0], [0, np.nan, np.nan, np.nan], "onset-beyond-end:S1=2"),
+        ([-1.0, 0.5], [np.nan, 0.5, np.nan, np.nan], "onset-before-start:S0=-1"),
+    ],
+)
+def test_marks_become_onsets(marks: list[float], expected: list[float], note: str) -> None:
+    onset, got = onsets_from_marks(np.array(marks), TIME, 0.005)
+    np.testing.assert_array_equal(onset, expected)
+    assert got == ([note] if note else [])
+
+
+def test_onsets_count_from_the_first_sample() -> None:
+    onset, _ = onsets_from_marks(np.array([3.0, 3.5]), TIME + 3.0, 0.005)
+    np.testing.assert_array_equal(onset, [0, 0.5, np.nan, np.nan])
+
+
+def test_harmonised_boundary_rules() -> None:
+    onset = np.array([0.0, 0.5, 0.505, 1.5])
+    assert needs_harmonising(onset, 0.005)
+    assert not needs_harmonising(np.array([0.0, 0.5, 0.6, 1.5]), 0.005)
+    assert not needs_harmonising(np.array([0.0, 0.5, np.nan, np.nan]), 0.005)
+    # Upright before contact does not count; the first time after it does.
+    tilt = np.where(TIME < 0.2, 0.0, np.where(TIME < 1.2, 16.0, 1.9))
+    moved, note = harmonised(onset, TIME, tilt)
+    assert (moved[2], note) == (pytest.approx(1.2), "harmonised")
+    # Upright only after mating has begun, or never: 0.9 of the way.
+    for late in (np.where(TIME < 1.6, 16.0, 1.0), np.full(400, 1.96)):
+        moved, note = harmonised(onset, TIME, late)
+        assert (moved[2], note) == (pytest.approx(1.4), "harmonised-fallback")
+    assert np.isnan(fallback(np.array([0.0, 0.5, 0.505, np.nan]))[0][2])
+
+
+def test_without_angles_the_boundary_comes_from_the_pose_or_the_share(tmp_path: Path) -> None:
+    marks = "0\n0.5\n0.505\n1.5\n"
+    pitch = np.where(TIME < 1.2, -1.3, -np.pi / 2)
+    pose = np.column_stack([TIME, np.zeros((400, 4)), pitch, np.zeros(400)])
+    np.savetxt(trial(tmp_path / "pose", 1, marks) / "R_CartPos.dat", pose)
+    trial(tmp_path / "share", 2, marks)
+    recordings, _ = importer.read_hiro(tmp_path)
+    assert notes(recordings) == {
+        "pose": "angles-missing;harmonised-from-pose",
+        "share": "angles-missing;harmonised-fallback",
+    }
+    np.testing.assert_allclose(recordings.onset_harmonised[:, 2], [1.2, 1.4])
+    np.testing.assert_allclose(recordings.onset[:, 2], 0.505)

@@ -1,0 +1,125 @@
+"""Label tracks beside the recordings of a store: what goes in comes out, damage is found, nothing is half written."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import label_store, store, zarr
+from rcbht_jax.types import LabelTrack, LabelTracks
+from tests.support.store_cases import files, folder_is_clean, same, simple
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "trials.zarr"
+    store.write_recordings(path, simple(), {})
+    return path
+
+
+def label_tracks(seed: int = 0, count: int = 3, slots: int = 4) -> LabelTracks:
+    rng = np.random.default_rng(seed)
+
+    def layer(slots: int) -> LabelTrack:
+        shape = (count, 6, slots)
+        whole = {name: rng.integers(-1, 9, shape).astype(np.int32) for name in ("t0", "t1", "emit")}
+        real = {name: rng.normal(size=shape).astype(np.float32) for name in ("vmax", "vmin", "avg", "grad")}
+        return LabelTrack(label=rng.integers(0, 9, shape).astype(np.int8), **whole, **real)
+
+    return LabelTracks(primitive=layer(slots), mc=layer(max(1, slots - 1)), llb=layer(1))
+
+
+def same_tracks(one: LabelTracks, two: LabelTracks) -> None:
+    for layer in ("primitive", "mc", "llb"):
+        for field in dataclasses.fields(LabelTrack):
+            left = getattr(getattr(one, layer), field.name)
+            right = getattr(getattr(two, layer), field.name)
+            np.testing.assert_array_equal(left, right, strict=True)
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 99), slots=st.integers(1, 9))
+def test_tracks_round_trip(seed: int, slots: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.zarr"
+        store.write_recordings(path, simple(), {})
+        label_store.write_tracks(path, "online-W5", label_tracks(seed, slots=slots), {"window": 5})
+        got, attrs = label_store.read_tracks(path, "online-W5")
+        same_tracks(got, label_tracks(seed, slots=slots))
+        assert attrs["window"] == 5
+        folder_is_clean(Path(folder), "x.zarr")
+
+
+def test_tracks_join_the_store(path: Path) -> None:
+    assert label_store.list_tracks(path) == []
+    label_store.write_tracks(path, "online-W5", label_tracks(1), {})
+    label_store.write_tracks(path, "offline-master", label_tracks(2), {})
+    assert label_store.list_tracks(path) == ["offline-master", "online-W5"]
+    same_tracks(label_store.read_tracks(path, "online-W5")[0], label_tracks(1))
+    same(store.read_recordings(path), simple())
+    assert xr.open_zarr(path)["wrench"].shape == (3, 50, 6)
+    layer = xr.open_zarr(path, group="labels/online-W5/mc")
+    assert layer["label"].dims == ("trial", "axis", "slot")
+    np.testing.assert_array_equal(layer["label"].values, label_tracks(1).mc.label)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "sentence"),
+    [
+        ("../escape", 3, "not a name"),
+        ("", 3, "not a name"),
+        (".hidden", 3, "not a name"),
+        ("taken", 3, "has label tracks taken already"),
+        ("other", 2, "expected \\[3 recordings"),
+    ],
+)
+def test_wrong_tracks_are_refused(path: Path, name: str, count: int, sentence: str) -> None:
+    label_store.write_tracks(path, "taken", label_tracks(), {})
+    with pytest.raises(InputError, match=sentence):
+        label_store.write_tracks(path, name, label_tracks(count=count), {})
+    assert label_store.list_tracks(path) == ["taken"]
+
+
+def test_track_dtypes_are_checked(path: Path) -> None:
+    good = label_tracks()
+    wrong = dataclasses.replace(good, mc=dataclasses.replace(good.mc, label=good.mc.label.astype(np.int64)))
+    with pytest.raises(InputError, match="mc label is int64"):
+        label_store.write_tracks(path, "x", wrong, {})
+
+
+def test_missing_and_damaged_tracks(path: Path) -> None:
+    with pytest.raises(InputError, match="no label tracks x; it has: none"):
+        label_store.read_tracks(path, "x")
+    label_store.write_tracks(path, "x", label_tracks(), {})
+    for entry in list(files(path / "labels" / "x")):
+        whole = entry.read_bytes()
+        entry.unlink()
+        with pytest.raises(InputError, match=r"damaged|incomplete|not a Zarr group"):
+            label_store.read_tracks(path, "x")
+        entry.write_bytes(whole)
+    same_tracks(label_store.read_tracks(path, "x")[0], label_tracks())
+
+
+def test_interrupted_tracks_leave_the_store_as_it_was(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = zarr.write_array
+
+    def failing(group: Any, name: str, *rest: Any) -> None:
+        if name == "grad":
+            raise OSError("stopped")
+        real(group, name, *rest)
+
+    monkeypatch.setattr(zarr, "write_array", failing)
+    with pytest.raises(OSError, match="stopped"):
+        label_store.write_tracks(path, "x", label_tracks(), {})
+    assert label_store.list_tracks(path) == []
+    folder_is_clean(path.parent, "trials.zarr")
+    same(store.read_recordings(path), simple())

@@ -1,0 +1,278 @@
+"""The store: what goes in comes out, damage is found, an interrupted write leaves nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import hypothesis.extra.numpy as hnp
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from hypothesis import given
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.labels import AXES
+from rcbht_jax.types import Recordings
+from tests.support.store_cases import files, folder_is_clean, same, simple
+
+WORDS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\x00"), max_size=6)
+
+
+@st.composite
+def some_recordings(draw: st.DrawFn) -> Recordings:
+    count, samples = draw(st.integers(1, 4)), draw(st.integers(1, 30))
+    length = draw(hnp.arrays(np.int32, count, elements=st.integers(1, samples)))
+    finite = st.floats(-1e5, 1e5, width=32)
+    wrench = draw(hnp.arrays(np.float32, (count, samples, 6), elements=finite))
+    for row, end in zip(wrench, length, strict=True):
+        row[end:] = 0
+    numbers = st.one_of(st.floats(-1e3, 1e3), st.just(np.nan))
+
+    def words(elements: st.SearchStrategy[str]) -> np.ndarray:
+        return np.array(draw(st.lists(elements, min_size=count, max_size=count)), np.str_)
+
+    onset, better, deviation = (draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3))
+    return Recordings(
+        wrench=wrench,
+        length=length,
+        dt=draw(st.floats(1e-4, 1.0)),
+        onset=onset,
+        onset_harmonised=better,
+        trial=words(WORDS),
+        arm=words(st.sampled_from(["R", "L"])),
+        source=words(WORDS),
+        session=words(WORDS),
+        outcome=words(st.sampled_from(store.OUTCOMES)),
+        failure_type=words(WORDS),
+        deviation=deviation,
+        note=words(WORDS),
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "trials.zarr"
+    store.write_recordings(path, simple(), {})
+    return path
+
+
+def test_every_field_has_a_variable() -> None:
+    fields = {field.name for field in dataclasses.fields(Recordings)}
+    assert fields == {spec[0] for spec in store.VARIABLES.values()} | {"dt"}
+
+
+@given(some_recordings())
+def test_round_trip(recordings: Recordings) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.zarr"
+        store.write_recordings(path, recordings, {"engine": "none"})
+        same(store.read_recordings(path), recordings)
+        attrs = store.read_attrs(path)
+        assert attrs["engine"] == "none"
+        assert attrs["dt"] == recordings.dt
+        folder_is_clean(Path(folder), "x.zarr")
+
+
+def test_the_sign_of_zero_survives(tmp_path: Path) -> None:
+    zeros = dataclasses.replace(simple(), wrench=np.full((3, 50, 6), -0.0, np.float32))
+    store.write_recordings(tmp_path / "x.zarr", zeros, {})
+    same(store.read_recordings(tmp_path / "x.zarr"), zeros)
+
+
+def test_xarray_reads_it_without_a_warning(path: Path) -> None:
+    data = xr.open_zarr(path)
+    assert data["wrench"].dims == ("trial", "time", "axis")
+    assert data["wrench"].dtype == np.float32
+    assert data["axis"].values.tolist() == list(AXES)
+    np.testing.assert_array_equal(data["wrench"].values, simple().wrench)
+    np.testing.assert_array_equal(data["onset"].values, simple().onset)
+    assert data["trial_name"].values.tolist() == ["t0", "t1", "t2"]
+    assert float(data["dt"]) == data.attrs["dt"] == 0.005
+
+
+def test_chunks_are_sharded_compressed_and_checksummed(tmp_path: Path) -> None:
+    store.write_recordings(tmp_path / "big.zarr", simple(300, 2000), {})
+    array = store.open_store(tmp_path / "big.zarr")["wrench"]
+    assert array.chunks[1:] == (2000, 6)
+    assert array.chunks[0] < 300
+    assert array.shards[0] % array.chunks[0] == 0
+    codecs = str(array.metadata.codecs)
+    assert "Zstd" in codecs
+    assert codecs.count("Crc32c") == 2
+
+
+def test_nothing_is_replaced_unasked(path: Path) -> None:
+    before = (path / "zarr.json").read_bytes()
+    with pytest.raises(InputError, match="exists already"):
+        store.write_recordings(path, simple(), {})
+    assert (path / "zarr.json").read_bytes() == before
+
+
+def test_overwriting_replaces_the_whole_store(path: Path) -> None:
+    store.write_recordings(path, simple(5), {}, overwrite=True)
+    assert len(store.read_recordings(path)) == 5
+    folder_is_clean(path.parent, "trials.zarr")
+
+
+def test_only_a_store_is_ever_deleted(tmp_path: Path, path: Path) -> None:
+    precious = tmp_path / "thesis"
+    precious.mkdir()
+    (precious / "chapter1.tex").write_text("...")
+    (tmp_path / "file").write_text("...")
+    (tmp_path / "link").symlink_to(path)
+    for name in ("thesis", "file", "link"):
+        with pytest.raises(InputError, match="not a store made by rcbht"):
+            store.write_recordings(tmp_path / name, simple(), {}, overwrite=True)
+    assert (precious / "chapter1.tex").exists()
+    same(store.read_recordings(path), simple())
+
+
+@pytest.mark.parametrize("path", [Path(""), Path("/"), Path("no/such/folder/x.zarr")])
+def test_impossible_places(path: Path) -> None:
+    with pytest.raises(InputError, match=r"not a name|not a folder"):
+        store.check_target(path, False)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt])
+def test_an_interrupted_write_leaves_no_half_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool, kind: type[BaseException]
+) -> None:
+    path = tmp_path / "trials.zarr"
+    if overwrite:
+        store.write_recordings(path, simple(), {})
+    real = zarrio.write_array
+    calls: list[str] = []
+
+    def failing(group: Any, name: str, *rest: Any) -> None:
+        calls.append(name)
+        if len(calls) == 5:
+            raise kind("stopped")
+        real(group, name, *rest)
+
+    monkeypatch.setattr(zarrio, "write_array", failing)
+    with pytest.raises(kind):
+        store.write_recordings(path, simple(7), {}, overwrite=overwrite)
+    folder_is_clean(tmp_path, *(["trials.zarr"] if overwrite else []))
+    if overwrite:
+        same(store.read_recordings(path), simple())
+
+
+def test_a_killed_write_leaves_no_half_store(tmp_path: Path) -> None:
+    code = """
+import os, sys
+sys.path.insert(0, sys.argv[2])
+from pathlib import Path
+from io.test_store import simple
+from rcbht_jax.io import store, zarrio
+real, count = zarrio.write_array, []
+def dying(*args):
+    count.append(1)
+    if len(count) == 5:
+        os.kill(os.getpid(), 9)
+    real(*args)
+zarrio.write_array = dying
+store.write_recordings(Path(sys.argv[1]), simple(), {})
+"""
+    path = tmp_path / "trials.zarr"
+    done = subprocess.run([sys.executable, "-c", code, str(path), str(Path(__file__).parent)], check=False)
+    assert done.returncode == -9
+    assert not path.exists()
+    store.write_recordings(path, simple(), {})
+    same(store.read_recordings(path), simple())
+
+
+def test_ctrl_c_waits_for_the_array_being_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    real = zarr.Group.create_array
+
+    def pressing(self: zarr.Group, name: str, **options: Any) -> Any:
+        if name == "onset":
+            os.kill(os.getpid(), signal.SIGINT)
+        array = real(self, name, **options)
+        done.append(name)
+        return array
+
+    monkeypatch.setattr(zarr.Group, "create_array", pressing)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        store.write_recordings(tmp_path / "x.zarr", simple(), {})
+    assert done == ["wrench", "length", "onset"]
+    assert signal.getsignal(signal.SIGINT) is handler
+    folder_is_clean(tmp_path)
+
+
+def test_every_lost_cut_or_changed_file_is_found(path: Path) -> None:
+    silent, sentences = set(), []
+    for entry in list(files(path)):
+        whole = entry.read_bytes()
+        third = len(whole) // 3
+        flipped = whole[:third] + bytes([whole[third] ^ 1]) + whole[third + 1 :]
+        for change in (None, whole[: len(whole) // 2], *([] if entry.name == "zarr.json" else [flipped])):
+            entry.unlink() if change is None else entry.write_bytes(change)
+            try:
+                same(store.read_recordings(path), simple())
+                silent.add(str(entry.relative_to(path)))
+            except InputError as error:
+                sentences.append(str(error))
+            entry.write_bytes(whole)
+    assert all(re.search("damaged|incomplete|not a Zarr group", sentence) for sentence in sentences)
+    # The axes are fixed and never read; a lost chunk of empty strings reads as empty strings.
+    assert silent <= {"axis/zarr.json", "axis/c/0", "failure_type/c/0", "note/c/0"}
+
+
+def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        store.read_recordings(tmp_path / "missing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="not a Zarr group"):
+        store.read_recordings(tmp_path / "empty")
+    zarrio.create_group(tmp_path / "other.zarr", {"title": "someone else's"})
+    with pytest.raises(InputError, match="not a store of recordings"):
+        store.read_recordings(tmp_path / "other.zarr")
+    shutil.copytree(path, tmp_path / "future.zarr")
+    text = (path / "zarr.json").read_text().replace('"format_version": 1', '"format_version": 9')
+    (tmp_path / "future.zarr" / "zarr.json").write_text(text)
+    with pytest.raises(InputError, match="format version 9; expected 1"):
+        store.read_recordings(tmp_path / "future.zarr")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"wrench": np.zeros((0, 5, 6), np.float32)}, "none of them 0"),
+        ({"wrench": np.zeros((3, 50, 5), np.float32)}, "none of them 0"),
+        ({"length": np.array([50, 0, 50], np.int32)}, r"recording 1 \(t1\): length is 0"),
+        ({"length": np.array([50, 50, 51], np.int32)}, r"recording 2 \(t2\): length is 51"),
+        ({"length": np.array([50, 50, 49], np.int32)}, "not zero; expected zero padding"),
+        ({"length": np.full(2, 50, np.int32)}, "length is int32 of shape"),
+        ({"wrench": np.full((3, 50, 6), np.nan, np.float32)}, "not finite"),
+        ({"onset": np.zeros((3, 5))}, "onset is float64 of shape"),
+        ({"dt": 0.0}, "dt is 0.0"),
+        ({"arm": np.full(3, "X")}, "arm is 'X'"),
+        ({"outcome": np.full(3, "meh")}, "outcome is 'meh'"),
+    ],
+)
+def test_contradictory_recordings_are_refused(tmp_path: Path, change: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        store.write_recordings(tmp_path / "x.zarr", dataclasses.replace(simple(), **change), {})
+    folder_is_clean(tmp_path)
+
+
+def test_attributes_must_be_json(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be stored as JSON"):
+        store.write_recordings(tmp_path / "x.zarr", simple(), {"a": np.nan})
+    folder_is_clean(tmp_path)

@@ -1,0 +1,358 @@
+"""Sources of wrenches: JSON lines, recordings, bags; the regulator that puts them on a grid."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Belief, Notice, SubtaskStarted
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.resampling import Regulator
+from rcbht_jax.introspection.session import Session, paced
+from rcbht_jax.io.live import read_live
+from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines
+from rcbht_jax.io.playback import read_folder, read_store
+from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
+from tests.support.introspection_models import model, trial
+
+DT = 0.005
+ZERO = (0.0,) * 6
+
+
+# --- JSON lines ------------------------------------------------------------------------------------------------------
+
+
+def test_every_way_to_say_a_sample():
+    six = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    force, torque = {"x": 1, "y": 2, "z": 3}, {"x": 4, "y": 5, "z": 6}
+    assert parse('{"wrench": [1, 2, 3, 4, 5, 6]}') == Sample(six)
+    assert parse(b'{"wrench": [1, 2, 3, 4, 5, 6.0], "time": 7}') == Sample(six, 7.0)
+    assert parse(json.dumps({"force": force, "torque": torque, "time": 1.5})) == Sample(six, 1.5)
+    ros2 = {"header": {"stamp": {"sec": 12, "nanosec": 500_000_000}}, "wrench": {"force": force, "torque": torque}}
+    assert parse(json.dumps(ros2)) == Sample(six, 12.5)
+    ros1 = {"header": {"stamp": {"secs": 12, "nsecs": 0}}, "wrench": {"force": force, "torque": torque}}
+    assert parse(json.dumps(ros1)) == Sample(six, 12.0)
+    assert parse('{"begin": true}') == Begin()
+    assert parse('{"reset": true}') == Reset()
+    missing = parse('{"wrench": [null, 2, 3, 4, 5, 6]}')
+    assert isinstance(missing, Sample)
+    assert math.isnan(missing.wrench[0])
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "", "nonsense", "[1,2,3,4,5,6]", '{"wrench": [1,2,3]}', '{"wrench": "123456"}', '{"wrench": [true,1,1,1,1,1]}',
+        '{"begin": 1}', '{"wrench": [1,2,3,4,5,6], "time": "now"}', '{"wrench": {"force": 3}}', "[" * 60_000,
+        '{"wrench": [1,2,3,4,5,1' + "0" * 5000 + ']}', "\xff\xfe", '{"a": {"a": {"a": 1}}}', "null", "NaN",
+    ],
+)  # fmt: skip
+def test_what_is_no_message(line):
+    assert isinstance(parse(line), Malformed)
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_give_messages(data):
+    for message in read_lines(io.BytesIO(data)):
+        assert isinstance(message, Sample | Begin | Reset | Malformed)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=10),
+    lambda inner: st.lists(inner, max_size=7) | st.dictionaries(
+        st.sampled_from(["wrench", "time", "header", "stamp", "sec", "force", "torque", "x", "y", "z", "begin"]), inner
+    ),
+)  # fmt: skip
+
+
+@given(json_values)
+def test_any_json_gives_a_message(value):
+    assert isinstance(parse(json.dumps(value)), Sample | Begin | Reset | Malformed)
+
+
+def test_a_line_without_end_is_one_malformed_message():
+    endless = b"x" * 1_000_000 + b'\n{"begin": true}\n' + b"y" * 70_000
+    assert [type(m) for m in read_lines(io.BytesIO(endless))] == [Malformed, Begin, Malformed]
+
+
+# --- regulator -------------------------------------------------------------------------------------------------------
+
+
+def fed(readings: list[tuple[float | None, float]], **options: float) -> tuple[np.ndarray, list[str], int]:
+    """First axis of the grid samples, kinds of reports, and how often everything started anew."""
+    regulator, out, kinds, anew = Regulator(DT, **options), [], [], 0
+    for stamp, value in readings:
+        regular = regulator.feed(Sample((value,) * 6, stamp))
+        out.append(regular.samples[:, 0])
+        kinds += [report.kind for report in regular.reports]
+        anew += regular.anew
+    return np.concatenate(out), kinds, anew
+
+
+@given(st.floats(-1e9, 2e9), st.lists(st.floats(-1e3, 1e3, width=32), min_size=1, max_size=50))
+def test_regular_readings_pass_unchanged(start, values):
+    samples, kinds, _ = fed([(start + k * DT, v) for k, v in enumerate(values)])
+    assert samples.tolist() == values
+    assert not kinds
+    untimed, kinds, _ = fed([(None, v) for v in values])
+    assert untimed.tolist() == values
+    assert not kinds
+
+
+@given(st.lists(st.floats(-0.45, 0.45), min_size=10, max_size=60), st.floats(0.5, 4))
+def test_a_straight_line_stays_straight_whatever_the_clock(off, pace):
+    """Jitter and another sampling rate do not bend a ramp, and every grid time has one sample."""
+    stamps = (np.arange(len(off)) + np.array(off)) * DT * pace
+    stamps[0] = 0.0
+    samples, _, anew = fed([(float(t), 100 * float(t)) for t in stamps])
+    assert anew == 0
+    count = round(stamps[-1] / DT)
+    assert abs(len(samples) - 1 - count) <= 1
+    np.testing.assert_allclose(samples, np.arange(len(samples)) * DT * 100, atol=100 * DT * 0.011)
+
+
+def test_missing_repeated_late_and_bad_readings():
+    samples, kinds, anew = fed([(0.0, 0.0), (DT, 1.0), (3 * DT, 3.0), (3 * DT, 9.0), (2 * DT, 9.0), (4 * DT, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert kinds == ["gap", "repeated", "late"]
+    samples, kinds, anew = fed([(0.0, 0.0), (DT, math.nan), (2 * DT, 2.0), (3 * DT, math.inf), (4 * DT, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert kinds == ["not-finite", "gap", "not-finite", "gap"]
+    samples, kinds, anew = fed([(None, 0.0), (None, math.nan), (None, 1e30), (None, 3.0), (None, 4.0)])
+    assert samples.tolist() == [0, 1, 2, 3, 4]
+    assert anew == 0
+
+
+def test_long_gaps_and_jumps_start_anew():
+    samples, kinds, anew = fed([(0.0, 0.0), (0.06, 1.0), (-5.0, 2.0), (-5.0 + DT, 3.0)])
+    assert samples.tolist() == [0, 1, 2, 3]
+    assert kinds == ["gap", "gap"]
+    assert anew == 2
+    with pytest.raises(InputError):
+        Regulator(DT, bridge=DT)
+
+
+def test_jitter_is_reported_once_per_second():
+    rng = np.random.default_rng(0)
+    readings = [((k + rng.uniform(-0.4, 0.4)) * DT, 0.0) for k in range(1000)]
+    kinds = fed(readings)[1]
+    assert kinds.count("jitter") == 4
+    assert not fed([((k + 0.001) * DT, 0.0) for k in range(1000)])[1]
+
+
+anything = st.floats() | st.sampled_from([0.0, DT, 2 * DT, 3 * DT, 1.0, -1e308, 1e308])
+
+
+@given(st.lists(st.tuples(st.none() | anything, anything), max_size=60))
+def test_any_readings_give_few_finite_samples(readings):
+    regulator = Regulator(DT)
+    for stamp, value in readings:
+        regular = regulator.feed(Sample((value,) * 6, stamp))
+        assert len(regular.samples) <= 12
+        assert np.isfinite(regular.samples).all()
+        assert regular.samples.dtype == np.float32
+
+
+# --- session ---------------------------------------------------------------------------------------------------------
+
+
+def samples_of(wrench: np.ndarray, begins: tuple[int, ...] = ()) -> list[object]:
+    out: list[object] = []
+    for k, row in enumerate(wrench.astype(float).tolist()):
+        out += [Begin()] * (k in begins) + [Sample(tuple(row), k * DT)]
+    return out
+
+
+def test_a_session_says_what_the_introspector_says():
+    wrench = np.concatenate([trial(0, 50, 203), trial(1, 51, 300)])
+    plain = Introspector(model())
+    expected = [(type(e), e.sample) for e in plain.push(wrench[:203]) + plain.begin() + plain.push(wrench[203:])]
+    events = list(Session(Introspector(model())).run(samples_of(wrench, (203,))))
+    assert [(type(e), e.sample) for e in events] == expected
+    a, b = ([e.probabilities for e in x if isinstance(e, Belief)] for x in (events, plain.latest.values()))
+    assert a[-3:] == b
+    assert SubtaskStarted(203, 202 * DT, 203, False) in events
+
+
+def test_nothing_is_dropped_in_silence():
+    """Whatever happens to a stream shows in its events, and the beliefs that follow are sound."""
+    messages = samples_of(trial(0, 52, 400))
+    messages[100:103] = [Malformed("x"), Sample((math.nan,) * 6, 101 * DT), messages[60]]
+    del messages[200:300]
+    messages[250:250] = [Silence(1.0), Silence(1.0)]
+    session = Session(Introspector(model()))
+    events = list(session.run(messages))
+    kinds = [e.kind for e in events if isinstance(e, Notice)]
+    assert kinds == ["malformed", "not-finite", "late", "gap", "gap", "silent", "resumed"]
+    assert session.introspector.received == 100  # everything after the long gap
+    assert all(np.isfinite(e.probabilities).all() for e in events if isinstance(e, Belief))
+
+
+def test_pace():
+    now, slept = [0.0], []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        now[0] += seconds
+
+    messages = [Sample(ZERO, 10 + 0.1 * k) for k in range(5)]
+    assert list(paced(messages, 2.0, lambda: now[0], sleep)) == messages
+    assert sum(slept) == pytest.approx(0.2)
+    assert list(paced(messages, 0.0, lambda: now[0], sleep)) == messages
+    assert sum(slept) == pytest.approx(0.2)
+
+
+class Slow:
+    """A source that falls silent before its last line."""
+
+    def __init__(self) -> None:
+        self.lines = [b'{"begin": true}\n', b'{"reset": true}\n']
+
+    def readline(self, size: int, /) -> bytes:
+        if len(self.lines) == 1:
+            time.sleep(0.25)
+        return self.lines.pop(0) if self.lines else b""
+
+
+def test_silence_of_a_live_source():
+    said = list(read_live(Slow(), 0.1))
+    assert [type(m) for m in said if not isinstance(m, Silence)] == [Begin, Reset]
+    assert 1 <= said.count(Silence(0.1)) <= 2
+    with pytest.raises(InputError):
+        list(read_live(Slow(), 0.0))
+
+
+# --- recordings ------------------------------------------------------------------------------------------------------
+
+
+def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
+    name = "20121127-HIROSA-S-13"
+    row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
+    from_store = list(read_store(hiro_store, (name,)))
+    from_folder = list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name))
+    assert isinstance(from_store.pop(0), Reset)
+    assert [type(m) for m in from_store] == [type(m) for m in from_folder]
+    wrench = np.array([m.wrench for m in from_folder if isinstance(m, Sample)], np.float32)
+    np.testing.assert_array_equal(wrench, hiro_recordings.wrench[row, : hiro_recordings.length[row]])
+    begins = [k for k, m in enumerate(from_store) if isinstance(m, Begin)]
+    onsets = np.rint(hiro_recordings.onset_harmonised[row, 1:] / DT).astype(int)
+    assert begins == (onsets + np.arange(3)).tolist()
+    assert not [m for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none") if m == Begin()]
+    for wrong in (lambda: read_store(hiro_store, ("x",)), lambda: read_folder(hiro_dir), lambda: read_store(hiro_dir)):
+        with pytest.raises(InputError):
+            list(wrong())
+
+
+# --- bags ------------------------------------------------------------------------------------------------------------
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+def write_bag(path: Path, kind: str, wrench: np.ndarray, topics: tuple[str, ...] = ("/wrench",)) -> Path:
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    vector, types = store.types["geometry_msgs/msg/Vector3"], store.types
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    writer = Writer1(path) if kind == "ros1" else Writer(path, version=9, storage_plugin=plugin)
+    with writer:
+        connections = [writer.add_connection(topic, WRENCH, typestore=store) for topic in topics]
+        for k, row in enumerate(wrench.tolist()):
+            stamp = types["builtin_interfaces/msg/Time"](sec=100 + k // 200, nanosec=(k % 200) * 5_000_000)
+            extra = {"seq": k} if kind == "ros1" else {}
+            message = types[WRENCH](
+                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **extra),
+                wrench=types["geometry_msgs/msg/Wrench"](force=vector(*row[:3]), torque=vector(*row[3:])),
+            )
+            raw = store.serialize_ros1(message, WRENCH) if kind == "ros1" else store.serialize_cdr(message, WRENCH)
+            for connection in connections:
+                writer.write(connection, k * 5_000_000 + 7, raw)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap", "file"])
+def test_bags(tmp_path, kind):
+    wrench = trial(1, 60, 250).astype(np.float64)
+    path = write_bag(tmp_path / ("b.bag" if kind == "ros1" else "b"), kind.replace("file", "mcap"), wrench)
+    if kind == "file":
+        [path] = path.glob("*.mcap")
+    assert is_bag(path)
+    samples = list(read_bag(path))
+    np.testing.assert_array_equal([s.wrench for s in samples], wrench)
+    np.testing.assert_allclose([s.time for s in samples], 100 + np.arange(250) * DT, atol=1e-9)
+    events = list(Session(Introspector(model())).run(samples))
+    assert not [e for e in events if isinstance(e, Notice)]
+    assert max(e.sample for e in events) == 240
+
+
+def test_bags_that_are_none(tmp_path):
+    wrench = trial(1, 60, 50)
+    two = write_bag(tmp_path / "two", "mcap", wrench, ("/left", "/right"))
+    with pytest.raises(InputError, match="2 topics"):
+        list(read_bag(two))
+    assert len(list(read_bag(two, "/left"))) == 50
+    with pytest.raises(InputError, match="no wrenches on /up"):
+        list(read_bag(two, "/up"))
+    [file] = two.glob("*.mcap")
+    whole = file.read_bytes()
+    for cut in (0, 5, len(whole) // 2, len(whole) - 9):
+        (tmp_path / "cut.mcap").write_bytes(whole[:cut])
+        with pytest.raises(InputError, match=r"cut.mcap is not a readable bag"):
+            list(read_bag(tmp_path / "cut.mcap", "/left"))
+    with pytest.raises(InputError, match="does not exist"):
+        list(read_bag(tmp_path / "none.bag"))
+
+
+def test_mcap_out_can_be_read_back(tmp_path):
+    path = tmp_path / "out.mcap"
+    session = Session(Introspector(model()))
+    with McapWriter(path) as out:
+        for message in samples_of(trial(2, 61, 300), (100,)):
+            for event in session.feed(message):
+                out.event(event)
+            if isinstance(message, Sample):
+                out.wrench(session.time, message.wrench)
+        out.labels(session.time, session.introspector.labels[:, 0])
+    with AnyReader([path]) as reader:
+        found: dict[str, list[object]] = {}
+        for connection, _, raw in reader.messages():
+            found.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
+    assert {k: len(v) for k, v in found.items()} == {
+        "/wrench": 300, "/labels": 1, "/events": 1, "/belief/states": 15, "/belief/outcome": 15,
+        "/belief/failure_type": 15,
+    }  # fmt: skip
+    last = found["/belief/states"][-1]
+    belief = session.introspector.latest["states"]
+    assert (last.label, last.level, last.probabilities.tolist()) == (
+        belief.label, belief.level, list(belief.probabilities),
+    )  # fmt: skip
+    [labels] = found["/labels"]
+    assert labels.primitive.tolist() == session.introspector.labels[0, 0].tolist()
+    assert all(name == "-" or name.isalpha() for name in labels.llb_name)
+    assert len(list(read_bag(path))) == 300
+
+
+def test_mcap_out_is_whole_or_absent(tmp_path):
+    path = tmp_path / "out.mcap"
+
+    def broken() -> None:
+        with McapWriter(path) as out:
+            out.wrench(0.0, ZERO)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        broken()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match="not a folder"):
+        McapWriter(tmp_path / "none" / "x.mcap")

@@ -1,0 +1,97 @@
+"""Model files: what is written is what is read, and nothing else gets in."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning.model_io import TrainedModel, load, save
+from rcbht_jax.learning.svm import SvmSpec, fit
+
+
+@pytest.fixture
+def model() -> TrainedModel:
+    rng = np.random.default_rng(0)
+    y = np.arange(30) % 3
+    x = rng.normal(size=(30, 4)) + y[:, None]
+    svm = fit(x, y, ("up", "down", "Größe"), SvmSpec("rbf", 10.0, True))
+    return TrainedModel(
+        svm=svm,
+        feature_spec=FeatureSpec(families=("histogram", "ngram"), slots=(3, 2, 1)),
+        feature_names=("a", "b", "c", "d"),
+        task={"task": "states", "sources": ["x"]},
+        encoder={"window": 5, "thresholds": [[1.0, 2.0]]},
+        data_hash="abc",
+        extra={"items": 30},
+    )
+
+
+def test_round_trip_keeps_everything(model, tmp_path):
+    path = tmp_path / "states.model"
+    save(path, model)
+    back = load(path)
+    x = np.random.default_rng(1).normal(size=(50, 4))
+    np.testing.assert_array_equal(back.svm.decision(x), model.svm.decision(x))
+    np.testing.assert_array_equal(back.svm.predict(x), model.svm.predict(x))
+    assert back.svm.spec == model.svm.spec
+    for name in ("feature_spec", "feature_names", "task", "encoder", "data_hash", "version", "extra"):
+        assert getattr(back, name) == getattr(model, name)
+
+
+def rewritten(path, **changes):
+    """The same file with some members replaced."""
+    with np.load(path) as archive:
+        members = {k: archive[k] for k in archive.files}
+    with path.open("wb") as out:
+        np.savez(out, **{**members, **changes})
+
+
+def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
+    path = tmp_path / "m"
+    save(path, model)
+    rewritten(path, intercept=np.zeros(1))
+    with pytest.raises(InputError, match=r"intercept has the shape \(1,\)"):
+        load(path)
+
+
+def test_code_in_a_file_is_refused(model, tmp_path):
+    path = tmp_path / "m"
+    save(path, model)
+    rewritten(path, dual=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match="not a readable model"):
+        load(path)
+
+
+def test_other_formats_and_damage_are_refused(model, tmp_path):
+    path = tmp_path / "m"
+    save(path, model)
+    whole = path.read_bytes()
+    for content in (b"", b"hello", whole[: len(whole) // 2], whole[:200] + b"\0" * 60 + whole[260:]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="not a readable model"):
+            load(path)
+    with path.open("wb") as out:
+        np.save(out, np.zeros(3))
+    with pytest.raises(InputError, match="not a readable model"):
+        load(path)
+    with pytest.raises(InputError, match="not a readable model"):
+        load(tmp_path / "missing")
+    save(path, model)
+    rewritten(path, meta=np.array(json.dumps({"format": "rcbht-model-99"})))
+    with pytest.raises(InputError, match="rcbht-model-99"):
+        load(path)
+
+
+def test_what_cannot_be_written_is_refused(model, tmp_path):
+    with pytest.raises(InputError, match="cannot be written"):
+        save(tmp_path / "m", replace(model, encoder={"limits": np.zeros(3)}))
+    with pytest.raises(InputError, match="cannot be written"):
+        save(tmp_path / "m", replace(model, encoder={"limit": float("nan")}))
+    assert not (tmp_path / "m").exists()
+    with pytest.raises(InputError, match="cannot be written"):
+        save(tmp_path / "none" / "m", model)

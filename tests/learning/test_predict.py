@@ -1,0 +1,154 @@
+"""``rcbht classify``: a trained model says of new trials what its machine says, and refuses what does not fit."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.test_commands import synthetic
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.learning.evaluation import candidates
+from rcbht_jax.learning.model_io import load, save
+from rcbht_jax.learning.predict import classify, task_of
+from rcbht_jax.learning.tasks import TaskSpec, sentences, spans
+
+RICH = ("--features", "histogram", "parts", "levels", "--ranks", "--balance", "--kernels", "linear", "--costs", "1")
+STATES = ["approach", "rotation", "insertion", "mating"]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sessions in one store, half of the trials of unknown outcome, and models of the states of session A."""
+    folder = tmp_path_factory.mktemp("predict")
+    store = folder / "set.zarr"
+    outcome = np.where(np.arange(12) % 4 < 2, "success", "unknown")
+    write_recordings(store, replace(synthetic(), outcome=outcome), {})
+    assert main(["encode", str(store)]) == 0
+    assert main(["encode", str(store), "--name", "mine"]) == 0
+    assert main(["encode", str(store), "--window", "20", "--scale", "0.0625", "--name", "fine"]) == 0
+    for name, tracks in (("one", "online-W5"), ("two", "online-W5+fine")):
+        words = ["train", str(store), "--session", "A", "--tracks", tracks, *RICH, "-o", str(folder / f"{name}.model")]
+        assert main(words) == 0
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
+    capsys.readouterr()
+    assert main(["classify", *map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_it_says_what_the_machine_says(
+    name: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "classes.csv"
+    result = run(capsys, place / "set.zarr", "--session", "B", "--model", place / f"{name}.model", "-o", out)
+    model, recordings = load(place / f"{name}.model"), read_recordings(place / "set.zarr")
+    items = sentences(recordings, TaskSpec(sessions=("B",), outcomes=()))
+    grammar = {track: read_tracks(place / "set.zarr", track)[0] for track in model.svm.spec.features.split("+")}
+    features = FeatureSpec(families=("histogram", "parts", "levels"), balance=True)
+    ((made, _),) = candidates({"": grammar}, items, features).values()
+    with out.open(newline="") as stream:
+        table = list(csv.DictReader(stream))
+    assert [row["class"] for row in table] == model.svm.predict(made.values).tolist()
+    assert [row["truth"] for row in table] == [items.classes[k] for k in items.y]
+    assert [row["trial"] for row in table] == items.trial.tolist()
+    assert [float(row["end"]) - float(row["start"]) for row in table] == pytest.approx(items.seconds[:, 0].tolist())
+    decision = np.array([[float(row[pair]) for pair in ("approach/rotation", "insertion/mating")] for row in table])
+    np.testing.assert_array_equal(decision, model.svm.decision(made.values)[:, [0, 5]])
+    assert result["accuracy"] == np.mean([row["class"] == row["truth"] for row in table]) > 0.8
+    assert result["sentences"] == result["known"] == len(table) == 24
+    assert result["trained_on"] == 0
+
+
+def test_trials_trained_on_are_told_apart(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = (place / "set.zarr", "--model", place / "one.model", "-o", tmp_path / "classes.jsonl")
+    result = run(capsys, *words)
+    lines = [json.loads(line) for line in (tmp_path / "classes.jsonl").read_text().splitlines()]
+    right = {s: [line["class"] == line["truth"] for line in lines if line["session"] == s] for s in "AB"}
+    assert result["trained_on"] == len(right["A"]) == 24
+    assert result["accuracy_of_those"] == np.mean(right["A"])
+    assert result["accuracy"] == np.mean(right["B"])
+    assert list(lines[0]["decision"])[:2] == ["approach/rotation", "approach/insertion"]
+    assert main(["classify", *map(str, words)]) == 0
+    assert "says nothing about new ones" in capsys.readouterr().out
+
+
+def test_other_names_of_the_same_labels(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = (place / "set.zarr", "--model", place / "one.model")
+    plain = run(capsys, *words, "-o", tmp_path / "a.csv")
+    named = run(capsys, *words, "--tracks", "mine", "-o", tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert plain | {"out": ""} == named | {"out": ""}
+
+
+def test_spans_are_the_sentences_where_all_is_known() -> None:
+    recordings = synthetic()
+    items, found = sentences(recordings, TaskSpec()), spans(recordings, TaskSpec())
+    assert found.name.tolist() == [items.classes[k] for k in items.y]
+    np.testing.assert_array_equal(found.intervals[0].start, items.intervals[0].start)
+    np.testing.assert_array_equal(recordings.trial[found.row], items.trial)
+
+
+def test_whole_trials_need_no_class() -> None:
+    outcome = np.array(["success", "failure", "unknown"] * 4)
+    kind = np.array(["", "+x", "elsewhere"] * 4)
+    note = np.where(np.arange(12) == 1, "contradictory-duplicate", "")
+    recordings = replace(synthetic(), outcome=outcome, failure_type=kind, note=note)
+    found = spans(recordings, TaskSpec("outcome"))
+    assert found.name.tolist() == ["success", "failure", ""] * 4
+    assert (found.intervals[0].end == recordings.length).all()
+    found = spans(recordings, TaskSpec("failure-type"))
+    assert found.row.tolist() == [1, 2, 4, 5, 7, 8, 10, 11]  # failures, and what nobody judged
+    assert found.name.tolist() == ["", "", "+x", "", "+x", "", "+x", ""]
+
+
+def test_without_any_sentence(place: Path) -> None:
+    missing = np.full((12, 4), np.nan)
+    unmarked = replace(synthetic(), onset=missing, onset_harmonised=missing)
+    model = load(place / "one.model")
+    with pytest.raises(InputError, match="12 trials: a state is missing"):
+        classify(model, unmarked, {}, task_of(model))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("set.zarr", "--model", "none.model"), "not a readable model file"),
+        (("none.zarr", "--model", "one.model"), "none.zarr"),
+        (("set.zarr", "--model", "one.model", "-o", "classes.txt"), ".csv or .jsonl"),
+        (("set.zarr", "--model", "one.model", "--tracks", "none"), "no label tracks none"),
+        (("set.zarr", "--model", "one.model", "--tracks", "fine"), "window 5, here 20"),
+        (("set.zarr", "--model", "two.model", "--tracks", "fine"), "2 label tracks"),
+        (("set.zarr", "--model", "one.model", "--session", "C"), "no recording has the session C"),
+        (("set.zarr", "--model", "one.model", "--outcome", "failure"), "no recording has the outcome failure"),
+        (("set.zarr", "--model", "old.model"), "train it anew"),
+        (("set.zarr", "--model", "other.model"), "outcomes"),
+        (("bare.zarr", "--model", "one.model"), "rcbht encode"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(
+    words: tuple[str, ...], why: str, place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = load(place / "one.model")
+    save(tmp_path / "old.model", replace(model, feature_names=model.feature_names[::-1]))
+    save(tmp_path / "other.model", replace(model, task={"task": "states"}))
+    write_recordings(tmp_path / "bare.zarr", synthetic(), {})
+    paths = {name: str(folder / name) for folder in (place, tmp_path) for name in words if (folder / name).exists()}
+    inside = [paths.get(word, str(tmp_path / word) if "." in word else word) for word in words]
+    capsys.readouterr()
+    assert main(["classify", *inside, *(() if "-o" in words else ("-o", str(tmp_path / "classes.csv")))]) == 2
+    said = capsys.readouterr().err.strip()
+    assert why in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "classes.csv").exists()

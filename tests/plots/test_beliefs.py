@@ -1,0 +1,60 @@
+"""The heat map of beliefs shows the numbers that the stream gave, where and when it gave them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.collections import QuadMesh
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Belief, SubtaskStarted
+from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.plots.beliefs import belief_map
+from rcbht_jax.types import Recordings
+from tests.support.introspection_models import model, trial
+
+
+def test_the_numbers_are_those_of_the_stream():
+    introspector = Introspector(model())
+    events = introspector.push(trial(0, 50, 200)) + introspector.begin() + introspector.push(trial(1, 51, 200))
+    figure = belief_map(events, "a trial", ("push",))
+    panels = figure.axes[:3]
+    assert [panel.get_title(loc="left") for panel in panels] == ["states", "outcome", "failure-type"]
+    for panel, head in zip(panels, model().heads, strict=True):
+        [mesh] = [c for c in panel.collections if isinstance(c, QuadMesh)]
+        mine = [e for e in events if isinstance(e, Belief) and e.head == head.name]
+        np.testing.assert_allclose(mesh.get_array(), np.array([b.probabilities for b in mine]).T)
+        assert [label.get_text() for label in panel.get_yticklabels()] == list(head.classes)
+        ends = mesh.get_coordinates()[0, 1:, 0]
+        np.testing.assert_allclose(ends, [b.time for b in mine])
+    [start] = [e for e in events if isinstance(e, SubtaskStarted)]
+    lines = {float(np.asarray(line.get_xdata())[0]) for line in panels[0].lines}
+    assert lines == {start.time}
+    assert "push" in [text.get_text() for text in panels[0].texts]
+    with pytest.raises(InputError, match="No belief"):
+        belief_map([start])
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    wrench = np.concatenate([trial(0, 52, 150), trial(2, 53, 150)])[None]
+    onset = np.array([[0.0, 0.75, np.nan, np.nan]])
+    text = {name: np.array([name]) for name in ("source", "session", "failure_type", "note")}
+    one = Recordings(
+        wrench=wrench, length=np.array([300], np.int32), dt=0.005, onset=onset, onset_harmonised=onset,
+        trial=np.array(["t"]), arm=np.array(["R"]), outcome=np.array(["success"]), deviation=np.full((1, 3), np.nan),
+        **text,
+    )  # fmt: skip
+    write_recordings(tmp_path / "s.zarr", one, {})
+    model_files.save(tmp_path / "m", model())
+    words = ["plot", "beliefs", str(tmp_path / "s.zarr"), "t", "-m", str(tmp_path / "m"), "-o"]
+    assert main([*words, str(tmp_path / "b.png")]) == 0
+    assert "45 beliefs about t" in capsys.readouterr().out
+    assert (tmp_path / "b.png").stat().st_size > 5000
+    assert main([*words, str(tmp_path / "b.gif")]) == 2
+    assert main([*words, str(tmp_path / "b.png"), "--starts", "detected"]) == 2
+    assert "train-online --detect" in capsys.readouterr().err

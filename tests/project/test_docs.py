@@ -1,0 +1,96 @@
+"""The documentation does what it says: its code runs, its commands parse, the tutorial works as it stands."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli.main import COMMANDS, _parse, main
+from rcbht_jax.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.S | re.M)
+
+
+def commands(page: Path) -> list[str]:
+    """Lines that call rcbht, without comments, pipes and redirections."""
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    found = [re.search(r"\brcbht [^|#<>]*", line) for line in lines]
+    return [match[0].strip() for match in found if match]
+
+
+CODE = [(page, number) for page in PAGES[1:] for number in range(len(blocks(page, "python")))]
+CALLS = [(page, line) for page in PAGES for line in commands(page)]
+
+
+def test_something_is_tested() -> None:
+    assert len(CODE) >= 5
+    assert len(CALLS) >= 30
+
+
+@pytest.mark.parametrize(("page", "number"), CODE, ids=lambda value: getattr(value, "stem", value))
+def test_python_runs(page: Path, number: int) -> None:
+    exec(compile(blocks(page, "python")[number], str(page), "exec"), {"__name__": "docs"})
+
+
+@pytest.mark.parametrize(("page", "line"), CALLS, ids=lambda value: getattr(value, "stem", value))
+def test_commands_have_these_options(page: Path, line: str) -> None:
+    words = shlex.split(line)[1:]
+    count = next(n for n in range(len(words), -1, -1) if " ".join(words[:n]) in COMMANDS)
+    rest = [word for word in words[count:] if word != "--json"]
+    try:
+        _parse(" ".join(words[:count]), rest)
+    except InputError as error:
+        pytest.fail(f"{page.name}: {line}: {error}")
+
+
+def test_the_tutorial_works_as_it_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in commands(ROOT / "docs" / "tutorial.md"):
+        assert main(shlex.split(line)[1:]) == 0, f"{line}\n{capsys.readouterr().err}"
+    said = capsys.readouterr().out
+    assert "duration alone" in said
+    beliefs = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert any(event["event"] == "Belief" and event["head"] == "states" for event in beliefs)
+    assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")
+    assert (tmp_path / "trials-csv" / "trials.csv").exists()
+    assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_site_builds_and_fetches_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    pages = sorted((tmp_path / "site").rglob("*.html"))
+    assert len(pages) > 15
+    for page in pages:
+        for kind, address in re.findall(r'<(script|link|img)\b[^>]*?(?:src|href)="([^"]*)"', page.read_text()):
+            assert not address.startswith(("http", "//")), f"{page.name}: {kind} {address}"
+    for result in (ROOT / "experiments" / "results").glob("*.json"):
+        assert (tmp_path / "site" / "results" / result.name).read_bytes() == result.read_bytes()
+
+
+def test_images_of_the_pages_are_there() -> None:
+    for page in PAGES:
+        for target in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", page.read_text()):
+            assert (page.parent / target).is_file(), f"{page.name}: {target}"
+
+
+def test_citation_has_this_version() -> None:
+    text = (ROOT / "CITATION.cff").read_text()
+    version = re.search(r'^version = "([^"]+)"', (ROOT / "pyproject.toml").read_text(), re.M)
+    assert version is not None
+    assert f"\nversion: {version[1]}\n" in text

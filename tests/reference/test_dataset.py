@@ -1,0 +1,38 @@
+"""Offline labels from a store are those of the authors' program on the original text."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.reference.dataset import as_written, encode_dataset
+from rcbht_jax.types import Recordings
+
+ROWS = 3
+
+
+@given(st.lists(st.floats(1e-9, 1e4) | st.floats(-1e4, -1e-9) | st.just(0.0), min_size=1, max_size=20))
+def test_numbers_come_back_as_they_were_written(values: list[float]) -> None:
+    written = np.array([float(f"{value:.6g}") for value in values])
+    np.testing.assert_array_equal(as_written(written.astype(np.float32)), written)
+
+
+def test_store_labels_equal_the_golden_tables(hiro_recordings: Recordings, golden_dir: Path) -> None:
+    source = "REAL_HIRO_ONE_SA_SUCCESS"
+    golden = dict(np.load(golden_dir / f"offline/{source}.npz"))
+    rows = np.flatnonzero(hiro_recordings.source == source)[:ROWS]
+    part = {name: getattr(hiro_recordings, name)[rows] for name in Recordings.__dataclass_fields__ if name != "dt"}
+    tracks = encode_dataset(replace(hiro_recordings, **part))
+    for layer, column in (("primitive", 6), ("mc", 0), ("llb", 0)):
+        key = "prim" if layer == "primitive" else layer
+        for row, index in enumerate(rows):
+            trial = golden["trial"].tolist().index(str(hiro_recordings.trial[index]))
+            for axis in range(6):
+                table = trial * 6 + axis
+                span = slice(golden[f"{key}_off"][table], golden[f"{key}_off"][table + 1])
+                label = getattr(tracks, layer).label[row, axis]
+                np.testing.assert_array_equal(label[label > 0], golden[key][span, column])

@@ -1,0 +1,179 @@
+"""Controllers, state machine and sensor chain of the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly import kinematics, sensor, task
+from sim_mjx.assembly.controllers import force_law, goals_in_world
+from sim_mjx.assembly.rollout import as_float32
+from sim_mjx.presets.sessions import CONTROL_PERIOD, PRESETS, preset, stack
+
+NAMES = tuple(PRESETS)
+advance = jax.jit(task.advance)
+
+
+def single(name: str) -> object:
+    return as_float32(preset(name))
+
+
+def run(params: object, wrench_of: object, joints_of: object, ticks: int) -> task.TaskState:
+    state = task.start(params)
+    for tick in range(ticks):
+        joints = jnp.asarray(joints_of(tick, state), jnp.float32)
+        state = advance(params, state, joints, jnp.asarray(wrench_of(tick, state), jnp.float32))
+    return state
+
+
+def test_unknown_presets_are_refused() -> None:
+    with pytest.raises(InputError, match="openhrp"):
+        preset("D")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_force_law_is_the_transposed_jacobian(name: str) -> None:
+    params, rng = preset(name), np.random.default_rng(0)
+    q, wrench, force, moment = params.home, rng.normal(size=6), rng.normal(size=3), rng.normal(size=3)
+    new = np.asarray(force_law(jnp.asarray(q), jnp.asarray(wrench), force, moment, 5e-5, 3.5e-6))
+    velocity, angular = kinematics.jacobian(q)
+    expected = q.copy()
+    for j in range(3):
+        expected[j] += 5e-5 * velocity[:, j] @ (wrench[:3] - force)
+        expected[j + 3] += 3.5e-6 * angular[:, j + 3] @ (wrench[3:] - moment)
+    np.testing.assert_allclose(new, expected, atol=1e-7)
+
+
+def test_set_points_turn_with_the_wrist_unless_given_in_the_world() -> None:
+    turn = kinematics.rotation_from_rpy(np.array([0.0, -np.pi / 2, 0.0]))
+    goal = jnp.array([10.0, 0.0, -5.0])
+    np.testing.assert_allclose(goals_in_world(goal, turn, jnp.bool_(True)), goal)
+    # hand straight down: the wrist's x is the world's z, its z the world's -x
+    np.testing.assert_allclose(goals_in_world(goal, turn, jnp.bool_(False)), [5.0, 0.0, 10.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_contact_the_approach_ends_by_timeout(name: str) -> None:
+    params = replace(single(name), timeout=jnp.float32(0.1))
+    state = run(params, lambda tick, s: np.zeros(6), lambda tick, s: s.command, 30)
+    assert int(state.phase) == task.ENDED
+    assert np.asarray(state.entered).tolist() == [0, -1, -1, -1, -1, 20]
+
+
+def test_session_a_passes_its_states_by_force_and_wrist_angle() -> None:
+    params = replace(single("A"), mating_time=jnp.float32(0.05))
+    pushed = np.array([0.0, 0.0, 12.0, 0.0, 0.0, 0.0])
+
+    def wrench(tick: int, state: task.TaskState) -> np.ndarray:
+        return pushed if tick >= 10 else np.zeros(6)
+
+    def joints(tick: int, state: task.TaskState) -> np.ndarray:
+        angle = 0.5 if tick < 20 else 0.18 if tick < 30 else 0.1
+        return np.array([*np.asarray(params.home[:4]), angle, 0.0])
+
+    state = run(params, wrench, joints, 60)
+    entered = np.asarray(state.entered)
+    assert entered[:3].tolist() == [0, 10, 20]
+    assert entered[task.MATING] == 30
+    assert entered[task.PRE_MATING] == -1  # session A has none
+    assert entered[task.ENDED] == 40
+    onsets = task.onsets(entered)
+    np.testing.assert_allclose(onsets, np.array([0, 10, 20, 30]) * CONTROL_PERIOD, atol=1e-6)
+
+
+def test_a_stopped_robot_keeps_still_and_its_record_goes_on() -> None:
+    params = replace(single("A"), stop=jnp.float32(0.05), timeout=jnp.float32(0.2))
+    pushed = lambda tick, s: np.array([0.0, 0.0, 12.0 * (tick > 5), 0.0, 0.0, 0.0])  # noqa: E731
+    home = lambda tick, s: params.home  # noqa: E731
+    before, later = run(params, pushed, home, 10), run(params, pushed, home, 39)
+    assert int(before.phase) == int(later.phase) == task.ROTATION
+    np.testing.assert_array_equal(before.command, later.command)
+    assert not np.array_equal(run(replace(params, stop=jnp.float32(9)), pushed, home, 39).command, later.command)
+    assert np.asarray(run(params, pushed, home, 41).entered).tolist() == [0, 6, -1, -1, -1, 40]
+
+
+def test_after_mating_the_robot_rests_for_as_long_as_it_is_told() -> None:
+    params = replace(single("A"), mating_time=jnp.float32(0.05), rest=jnp.float32(0.1))
+    down = params.home.at[4].set(0.1)  # the wrist is bent farther than it waits for
+    wrench = lambda tick, s: np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])  # noqa: E731
+    entered = run(params, wrench, lambda tick, s: down, 60).entered
+    begun = int(entered[task.MATING])
+    assert int(entered[task.ENDED]) == begun + 30
+    still = [run(params, wrench, lambda tick, s: down, begun + ticks).command for ticks in (5, 11, 12, 29)]
+    assert not np.array_equal(still[0], still[1])
+    np.testing.assert_array_equal(still[1], still[2])
+    np.testing.assert_array_equal(still[2], still[3])
+
+
+def test_sessions_b_and_c_rotate_for_one_period() -> None:
+    up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
+    for name in ("B", "C"):
+        params = single(name)
+        state = run(params, lambda tick, s: up, lambda tick, s: s.command, 4)
+        assert np.asarray(state.entered)[:3].tolist() == [0, 1, 2]
+
+
+def test_openhrp_waits_for_its_time_before_it_believes_a_contact() -> None:
+    params = single("openhrp")
+    up = np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0])
+    state = run(params, lambda tick, s: up, lambda tick, s: s.command, 50)
+    assert int(state.phase) == task.APPROACH
+
+
+def test_a_state_never_reached_has_no_onset() -> None:
+    onsets = task.onsets(np.array([0, 12, -1, -1, -1, 30]))
+    assert onsets[1] == pytest.approx(0.06)
+    assert np.isnan(onsets[2:]).all()
+
+
+def test_batches_of_presets_keep_every_field() -> None:
+    batch = stack([preset("A"), preset("C")])
+    for name in type(batch).__dataclass_fields__:
+        rows = getattr(batch, name)
+        np.testing.assert_array_equal(rows[0], getattr(preset("A"), name))
+        np.testing.assert_array_equal(rows[1], getattr(preset("C"), name))
+
+
+def settle(params: sensor.SensorParams, raw: np.ndarray, first: np.ndarray, ticks: int = 400) -> np.ndarray:
+    params = as_float32(params)
+    read = jax.jit(sensor.read)
+    state = sensor.begin(params, jnp.asarray(first, jnp.float32))
+    for _ in range(ticks):
+        state, logged = read(params, state, jnp.asarray(raw, jnp.float32), jnp.zeros(6), jnp.eye(3))
+    return np.asarray(logged)
+
+
+def test_recorded_filter_has_its_gain_error_and_the_right_one_none() -> None:
+    raw = np.array([3.0, -2.0, 10.0, 0.0, 0.0, 0.0])
+    params = replace(sensor.real_sensor(), reference=np.zeros(3), bias=np.zeros(6))
+    logged = settle(params, raw, np.zeros(6))
+    np.testing.assert_allclose(logged[:3], 1.1338 * raw[:3], atol=0.03)
+    exact = settle(replace(params, d=np.array(0.0730)), raw, np.zeros(6))
+    np.testing.assert_allclose(exact[:3], raw[:3], atol=0.03)
+
+
+def test_tare_removes_what_was_there_at_first_and_moments_refer_to_the_sensor() -> None:
+    weight = np.array([-4.0, 0.0, 0.0, 0.0, 0.1, 0.0])
+    params = replace(sensor.real_sensor(), bias=np.zeros(6))
+    np.testing.assert_allclose(settle(params, weight, weight), 0.0, atol=1e-6)
+    push = np.array([0.0, 0.0, 5.0])
+    about_wrist = np.cross(params.reference, push)  # a force through the reference point has no moment there
+    logged = settle(params, np.concatenate([push, about_wrist]), np.zeros(6))
+    np.testing.assert_allclose(logged[3:], 0.0, atol=2e-3)
+
+
+def test_readings_come_late_by_the_delay() -> None:
+    params = as_float32(
+        replace(sensor.simulated_sensor(), d=np.array(1.0), c=np.array(0.0), delay=np.array(3, np.int32))
+    )
+    state, seen = sensor.begin(params, jnp.zeros(6)), []
+    for tick in range(6):
+        raw = jnp.full(6, float(tick + 1), jnp.float32)
+        state, logged = sensor.read(params, state, raw, jnp.zeros(6), jnp.eye(3))
+        seen.append(float(logged[0]))
+    np.testing.assert_allclose(seen, [0, 0, 0, 1, 2, 3], atol=1e-4)

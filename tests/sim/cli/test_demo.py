@@ -1,0 +1,44 @@
+"""``rcbht demo`` without data: the whole chain from simulated trials to a summary."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.store import read_simulation
+from sim_mjx.cli import demo
+
+
+def test_the_chain_runs_without_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "KERNELS", ("linear",))
+    monkeypatch.setattr(demo, "COSTS", (1.0,))
+    monkeypatch.setattr(demo, "REPEATS", 1)
+    out = tmp_path / "out"
+    assert main.main(["demo", "--out", str(out), "--trials", "40", "--json"]) == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out)
+    assert [line[:5] for line in captured.err.splitlines() if line.startswith("[")] == [f"[{i}/5]" for i in range(1, 6)]
+    faults = read_simulation(out / "trials.zarr")["fault"]
+    assert result["simulated"]["faults"]["none"]["trials"] == (faults == "none").sum()
+    assert 8 <= (faults == "none").sum() <= 32  # about half
+    assert set(result["labels"]) == {"primitive", "mc", "llb"}
+    for task in ("states", "outcome"):
+        score = result["evaluation"][task]
+        assert score["score"]["balanced_accuracy"]["mean"] > score["majority_baseline"]["balanced_accuracy"]["mean"]
+        assert (out / f"{task}.model").exists()
+    for picture in result["pictures"]:
+        assert Path(picture).stat().st_size > 10_000
+    summary = (out / "summary.txt").read_text()
+    assert f"{result['simulated']['seated']} of 40" in summary
+    assert "duration alone" in summary
+
+
+def test_too_few_trials_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["demo", "--out", str(tmp_path / "out"), "--trials", "3"]) == 2
+    assert "3 trials are too few" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,80 @@
+"""``rcbht simulate``: a store from the real engine, resumed when called again, one sentence for every mistake."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.store import read_recordings
+from sim_mjx.synthesis import shards
+from tests.support.fake_simulation import tree
+
+SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--longest", "0.1"]
+
+
+def test_interrupted_and_called_again_it_gives_the_same_store(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = tmp_path / "one.zarr", tmp_path / "two.zarr"
+    assert main.main(["simulate", str(one), *SHORT, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["stored"], result["resumed"], result["diverged"]) == (6, 0, [])
+    assert sum(count["trials"] for count in result["faults"].values()) == 6
+    real = shards.save
+
+    def stop_at_third(folder: Path, shard: int, arrays: shards.Arrays) -> None:
+        if shard == 2:
+            raise KeyboardInterrupt
+        real(folder, shard, arrays)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shards, "save", stop_at_third)
+        assert main.main(["simulate", str(two), *SHORT]) == 130
+    assert not two.exists()
+    assert main.main(["simulate", str(two), *SHORT]) == 0
+    assert "4 of them had been simulated before" in capsys.readouterr().out
+    assert tree(one) == tree(two)
+    recordings = read_recordings(two)
+    assert recordings.session.tolist() == ["sim-C"] * 6
+    assert recordings.length.tolist() == [21] * 6  # 0.1 s and the sample at time zero
+    assert main.main(["info", str(two)]) == 0
+    assert "SIM_MJX_C" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--trials", "0"], "number of trials is 0"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--nominal-share", "1.5"], "nominal share is 1.5"),
+        (["--longest", "-2"], "longest trial is -2.0 s"),
+        (["--shard", "0"], "shard's number of trials is 0"),
+        (["--preset", "D"], "options are wrong"),
+        (["--engine", "abacus"], "options are wrong"),
+    ],
+)
+def test_mistakes_are_one_sentence(
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["simulate", str(tmp_path / "t.zarr"), *words]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("rcbht: ")
+    assert sentence in last
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_is_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(shards, "save", full)
+    assert main.main(["simulate", str(tmp_path / "t.zarr"), *SHORT]) == 1
+    assert "disk is full" in capsys.readouterr().err
+    assert not (tmp_path / "t.zarr").exists()

@@ -1,0 +1,217 @@
+"""Synthesis: the same bytes whatever the shards, in the store what was simulated; what cannot be is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import xarray
+
+from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation, write_recordings
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.robots import hiro_kinematics
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
+from sim_mjx.randomization.trials import Randomisation, draw, draw_batch
+from sim_mjx.synthesis import pipeline
+from sim_mjx.synthesis.pipeline import Progress, synthesise
+from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The uninterrupted result of JOB."""
+    target = tmp_path_factory.mktemp("whole") / "trials.zarr"
+    synthesise(target, JOB, simulate=fake_engine)
+    return target
+
+
+def changed(change: Callable[[Rollouts], None]) -> Callable[[TrialParams], Rollouts]:
+    def engine(params: TrialParams) -> Rollouts:
+        out = fake_engine(params)
+        change(out)
+        return out
+
+    return engine
+
+
+@pytest.mark.parametrize("shard", [1, 7, 60, 1000])
+def test_size_of_shards_does_not_matter(shard: int, whole: Path, tmp_path: Path) -> None:
+    target = tmp_path / "trials.zarr"
+    report = synthesise(target, replace(JOB, shard=shard), simulate=fake_engine)
+    assert tree(target) == tree(whole)
+    assert (report.stored, report.resumed, report.diverged) == (60, 0, [])
+    assert os.listdir(tmp_path) == ["trials.zarr"]
+
+
+def test_store_holds_what_was_simulated(whole: Path) -> None:
+    recordings, simulation = read_recordings(whole), read_simulation(whole)
+    params, faults = draw_batch("B", 5, range(60), JOB.spec)
+    out = fake_engine(params)
+    assert np.array_equal(recordings.wrench, out.wrench)
+    assert np.array_equal(recordings.length, out.length)
+    assert np.array_equal(recordings.outcome == "success", out.seated.all(1))
+    assert set(recordings.outcome) == {"success", "failure"}
+    assert simulation["fault"].tolist() == [fault.kind for fault in faults]
+    assert recordings.failure_type.tolist() == [fault.failure_type for fault in faults]
+    assert np.array_equal(recordings.deviation, [fault.deviation for fault in faults])
+    assert np.array_equal(simulation["hook_overlap"], params.parts.hook_overlap)
+    assert np.array_equal(simulation["seated"], out.seated)
+    assert set(recordings.source) == {"SIM_MJX_B"}
+    assert set(recordings.session) == {"sim-B"}
+    assert recordings.trial[3] == "sim-B-000003"
+    # a fault that seats all the same is a success with its fault
+    assert ((simulation["fault"] != "none") & (recordings.outcome == "success")).any()
+    assert set(simulation["failed_in"][recordings.outcome == "success"]) == {""}
+    assert read_attrs(whole)["simulated"]["job"]["seed"] == 5
+
+
+def test_store_opens_in_xarray(whole: Path) -> None:
+    with xarray.open_zarr(whole) as data:
+        assert data["wrench"].dims == ("trial", "time", "axis")
+    with xarray.open_zarr(whole, group="simulation") as data:
+        assert data["seated"].shape == (60, 4)
+
+
+def test_states_after_an_early_stop_were_never_entered(tmp_path: Path) -> None:
+    def stop(out: Rollouts) -> None:
+        out.onset[:, 2:] = (out.length[:, None] - 1) * 0.005
+        out.seated[:] = False
+
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(stop))
+    onset = read_recordings(tmp_path / "t.zarr").onset
+    assert np.isfinite(onset[:, :2]).all()
+    assert np.isnan(onset[:, 2:]).all()
+    assert set(read_simulation(tmp_path / "t.zarr")["failed_in"]) == {"rotation"}
+
+
+def test_one_sample_of_rotation_is_harmonised_by_the_tilt(tmp_path: Path) -> None:
+    # session B's last waypoint with an upright hand
+    upright = np.array([-0.0180, -0.0016, -1.7158, 0.2649, 0.1478, 0.0557])
+    tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(upright + np.eye(6)[4:5] * [[0.0], [0.09]])[1])
+    assert tilt[0] < 1.0
+    assert tilt[1] > 3.0
+
+    def turn(out: Rollouts) -> None:
+        out.joints[:] = upright + np.array([0, 0, 0, 0, 0.09, 0])
+        out.joints[:, 5:] = upright
+
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(turn))
+    recordings = read_recordings(tmp_path / "t.zarr")
+    assert set(recordings.note) == {"harmonised"}
+    np.testing.assert_allclose(recordings.onset[:, 2], 0.015)
+    np.testing.assert_allclose(recordings.onset_harmonised[:, 2], 0.025)
+
+
+def wild(out: Rollouts, how: str) -> None:
+    rows = slice(1, None, 5)
+    if how == "marked":
+        out.diverged[rows] = True
+    elif how == "nan":
+        out.wrench[rows, 4, 2] = np.nan
+    elif how == "huge":
+        out.wrench[rows, 4, 2] = -1e7
+    else:
+        out.joints[rows, 6:8] = 2.0
+
+
+@pytest.mark.parametrize("how", ["marked", "nan", "huge", "jump"])
+def test_diverged_trials_are_listed_and_never_stored(how: str, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    job = replace(SMALL, shard=16)
+    report = synthesise(target, job, simulate=changed(lambda out: wild(out, how)))
+    assert report.diverged == [1, 6, 11] == read_attrs(target)["diverged"]
+    assert read_simulation(target)["index"].tolist() == [0, 2, 3, 4, 5, 7, 8, 9, 10]
+    recordings = read_recordings(target)
+    assert recordings.trial[1] == "sim-B-000002"
+    params, _ = draw("B", 5, 2, job.spec)
+    alone = fake_engine(jax.tree.map(lambda leaf: np.asarray(leaf)[None], params))
+    assert np.array_equal(recordings.wrench[1, : recordings.length[1]], alone.wrench[0])
+
+
+def test_nothing_is_stored_when_all_diverged(tmp_path: Path) -> None:
+    def all_of_them(out: Rollouts) -> None:
+        out.diverged[:] = True
+
+    with pytest.raises(InputError, match="diverged in all 12"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(all_of_them))
+    assert not (tmp_path / "t.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"preset": "D"}, "openhrp"),
+        ({"trials": 0}, "number of trials"),
+        ({"shard": 0}, "shard"),
+        ({"seed": -1}, "seed"),
+        ({"engine": "abacus"}, "native"),
+        ({"spec": Randomisation(nominal_share=2.0)}, "nominal share"),
+    ],
+)
+def test_impossible_jobs_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        synthesise(tmp_path / "t.zarr", replace(SMALL, **change), simulate=fake_engine)
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_existing_store_is_only_replaced_when_asked(whole: Path, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    write_recordings(target, read_recordings(whole), {})
+    with pytest.raises(InputError, match="--overwrite"):
+        synthesise(target, SMALL, simulate=fake_engine)
+    assert len(read_recordings(target)) == 60
+    synthesise(target, SMALL, simulate=fake_engine, overwrite=True)
+    assert len(read_recordings(target)) == 12
+    assert os.listdir(tmp_path) == ["t.zarr"]
+
+
+def test_progress_counts_trials(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine, progress=seen.append)
+    assert [now.done for now in seen] == [0, 5, 10, 12]
+    assert seen[0].seconds_left is None
+    assert seen[-1].seconds_left == 0.0
+    assert all(now.per_minute > 0 and now.total == 12 for now in seen[1:])
+
+
+def test_labels_are_those_of_the_stored_wrench_whatever_the_shards(tmp_path: Path) -> None:
+    job = replace(SMALL, window=5)
+    for name, shard in (("a", 5), ("b", 12)):
+        synthesise(tmp_path / name, replace(job, shard=shard), simulate=fake_engine)
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    found, how = read_tracks(tmp_path / "a", "online-W5")
+    recordings = read_recordings(tmp_path / "a")
+    expected = encode_recordings(EncoderConfig(window=5), preset("hiro"), recordings.wrench, recordings.length)
+    assert how["thresholds"] == preset("hiro").limits.tolist()
+    for layer in LAYERS:
+        theirs = getattr(expected, layer).label
+        assert np.array_equal(getattr(found, layer).label[:, :, : theirs.shape[2]], theirs)
+        assert not getattr(found, layer).label[:, :, theirs.shape[2] :].any()
+
+
+def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
+    engine = pipeline.engine("native", "A")
+    whole_batch, _ = draw_batch("A", 4, range(32), short(longest=0.8))
+    reference = engine(whole_batch)
+    assert np.abs(reference.wrench).max() > 0.1
+    for rows in ([30], [5, 17, 2], list(range(1, 20))):
+        params = jax.tree.map(lambda leaf, rows=rows: leaf[np.array(rows)], whole_batch)
+        out = engine(params)
+        for place, row in enumerate(rows):
+            samples = reference.length[row]
+            assert out.length[place] == samples
+            assert np.array_equal(out.wrench[place, :samples], reference.wrench[row, :samples])
+            assert np.array_equal(out.joints[place, :samples], reference.joints[row, :samples])
+            assert np.array_equal(out.onset[place], reference.onset[row], equal_nan=True)
+            assert np.array_equal(out.seated[place], reference.seated[row])

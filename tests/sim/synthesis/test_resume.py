@@ -1,0 +1,221 @@
+"""A synthesis that was killed, interrupted or short of disk goes on to the same bytes; foreign folders stay."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly.rollout import TrialParams
+from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.synthesis import pipeline, shards
+from sim_mjx.synthesis.pipeline import Progress, Synthesis, synthesise
+from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
+
+
+def test_killed_at_random_moments_gives_the_same_bytes(tmp_path: Path) -> None:
+    synthesise(tmp_path / "whole.zarr", JOB, simulate=fake_engine)
+    target, rng, kills = tmp_path / "trials.zarr", random.Random(3), 0
+    root = Path(__file__).resolve().parents[3]
+    for attempt in range(8):
+        with subprocess.Popen(
+            [sys.executable, str(root / "tests/support/fake_simulation.py"), str(target)],
+            cwd=root,
+            stdout=subprocess.PIPE,
+        ) as child:
+            assert child.stdout is not None
+            assert child.stdout.readline() == b"working\n"
+            if attempt < 4:
+                time.sleep(rng.uniform(0.05, 0.6))
+                child.send_signal(signal.SIGKILL)
+        kills += child.returncode == -signal.SIGKILL
+        if child.returncode == 0:
+            break
+    assert kills >= 3
+    assert tree(target) == tree(tmp_path / "whole.zarr")
+    assert sorted(os.listdir(tmp_path)) == ["trials.zarr", "whole.zarr"]
+
+
+@pytest.mark.parametrize("moment", range(1, 13))
+def test_interrupted_at_any_rename_gives_the_same_bytes(
+    moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Manifest, three shards, the draft of the store, its place: before each and after each."""
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    target, calls = tmp_path / "trials.zarr", [0]
+
+    def stopping(real: Callable[[Path, Any], Path]) -> Callable[[Path, Any], Path]:
+        def rename(self: Path, place: Any) -> Path:
+            if threading.current_thread() is not threading.main_thread():
+                return real(self, place)  # the storage library's own, in its own thread
+            calls[0] += 1
+            if 2 * calls[0] - 1 == moment:
+                raise KeyboardInterrupt
+            out = real(self, place)
+            if 2 * calls[0] == moment:
+                raise KeyboardInterrupt
+            return out
+
+        return rename
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", stopping(Path.rename))
+        patch.setattr(Path, "replace", stopping(Path.replace))
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(target, SMALL, simulate=fake_engine)
+    report = synthesise(target, SMALL, simulate=fake_engine)
+    assert tree(target) == tree(tmp_path / "whole.zarr")
+    assert report.resumed >= 5 * max(0, min(2, moment // 2 - 1))
+    assert sorted(os.listdir(tmp_path)) == ["trials.zarr", "whole.zarr"]
+
+
+def test_killed_while_tidying_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "trials.zarr"
+    real = Path.unlink
+
+    def unlink(self: Path, missing_ok: bool = False) -> None:
+        if self.name == shards.MANIFEST:
+            raise KeyboardInterrupt
+        real(self, missing_ok)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", unlink)
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(target, SMALL, simulate=fake_engine)
+    before = tree(target)
+    report = synthesise(target, SMALL, simulate=lambda _: pytest.fail("simulated again"))
+    assert (report.stored, report.resumed) == (12, 12)
+    assert tree(target) == before
+    assert os.listdir(tmp_path) == ["trials.zarr"]
+
+
+def interrupted(target: Path, job: Synthesis, after: int = 1) -> None:
+    """Leave a work folder with so many shards."""
+    seen = [0]
+
+    def stop(_: Progress) -> None:
+        seen[0] += 1
+        if seen[0] == after + 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(target, job, simulate=fake_engine, progress=stop)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"seed": 6}, "job.seed 5, not 6"),
+        ({"trials": 13}, "job.trials 12, not 13"),
+        ({"preset": "A"}, 'job.preset "B", not "A"'),
+        ({"shard": 6}, "job.shard 5, not 6"),
+        ({"spec": Randomisation(friction=(0.5, 1.0))}, "job.spec.friction"),
+    ],
+)
+def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL)
+    before = tree(tmp_path)
+    with pytest.raises(InputError, match=words):
+        synthesise(target, replace(SMALL, **change), simulate=fake_engine)
+    assert tree(tmp_path) == before
+
+
+def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    interrupted(tmp_path / "t.zarr", SMALL)
+    monkeypatch.setattr(pipeline, "code_hash", lambda: "other")
+    with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    folder = shards.folder_of(tmp_path / "t.zarr")
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"thesis\.txt"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+    assert (folder / "thesis.txt").read_text() == "mine"
+
+
+def test_only_one_works_in_a_folder(tmp_path: Path) -> None:
+    target = tmp_path / "t.zarr"
+
+    def second(_: TrialParams) -> Any:
+        synthesise(target, SMALL, simulate=fake_engine)
+        raise AssertionError("two at once")
+
+    with pytest.raises(InputError, match="another rcbht simulate"):
+        synthesise(target, SMALL, simulate=second)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
+def test_a_damaged_shard_is_made_again(damage: str, tmp_path: Path) -> None:
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL, after=2)
+    shard = shards.folder_of(target) / "shard-000001.npz"
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}[damage])
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
+    assert tree(target) == tree(tmp_path / "whole.zarr")
+
+
+@pytest.mark.parametrize("moment", [1, 2, 4])
+def test_a_full_disk_costs_one_shard(moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, real = [0], os.fsync
+
+    def full(handle: int) -> None:
+        calls[0] += 1
+        if calls[0] == 2 * moment - 1:  # each file is followed by its folder
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    target = tmp_path / "t.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert not target.exists()
+    assert not list(tmp_path.rglob(f"*{shards.PARTIAL}"))
+    # the first file is the manifest
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5 * max(0, moment - 2)
+
+
+def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = tmp_path / "t.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr("rcbht_jax.io.zarr.consolidate", full)
+        with pytest.raises(OSError, match="No space"):
+            synthesise(target, SMALL, simulate=fake_engine)
+    assert not target.exists()
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 12
+
+
+def test_no_trial_is_drawn_twice_unless_another_run_drew_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+    drawn: list[int] = []
+    real = pipeline._draw
+    monkeypatch.setattr(pipeline, "_draw", lambda job, indices: drawn.extend(indices) or real(job, indices))
+    synthesise(tmp_path / "again.zarr", SMALL, simulate=fake_engine)
+    assert drawn == list(range(12))
+    interrupted(tmp_path / "t.zarr", SMALL)
+    drawn.clear()
+    synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+    assert drawn == [*range(5, 12), *range(5)]
+    assert tree(tmp_path / "t.zarr") == tree(tmp_path / "whole.zarr")

@@ -1,0 +1,244 @@
+"""Fidelity: its measures obey their definitions, its report is whole, resumed and honest."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Recordings
+from sim_mjx import engines
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.cli.fidelity import table
+from sim_mjx.engines import native
+from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.validation import fidelity, sessions, signature, snaps
+
+SAMPLES = 400
+SOLVER = {
+    "step": {"force": 3.0, "moment": 0.1}, "limits": {"force": 0.05, "moment": 0.005}, "trials": 4, "holds": False,
+}  # fmt: skip
+
+
+def run_of(seed: int, trials: int = 3) -> Rollouts:
+    """Numbers in place of physics."""
+    rng = np.random.default_rng(seed)
+    wrench = np.cumsum(rng.normal(0, 0.3, (trials, SAMPLES, 6)), axis=1).astype(np.float32)
+    length = np.array([SAMPLES, SAMPLES - 40, SAMPLES - 7][:trials], np.int32)
+    for row, samples in enumerate(length):
+        wrench[row, samples:] = 0
+    onset = np.array([0.0, 0.2, 0.4, 0.7]) + np.zeros((trials, 1))
+    joints = np.zeros_like(wrench)
+    return Rollouts(wrench, joints, length, onset, np.ones((trials, 4), bool), np.zeros(trials, bool))
+
+
+def test_rings_are_found() -> None:
+    times = np.arange(2000) * CONTROL_PERIOD
+    after = np.maximum(times - 3.0, 0.0)
+    push = np.where(times < 3.0, 12.0, 30.0)
+    force = push + 12.0 * np.exp(-after) * np.sin(2 * np.pi * 2.34 * after) + 0.05 * times
+    found = sessions.rings(np.stack([force, force]), np.array([2000, 1300]), np.array([3.0, 3.0]))
+    assert found is not None
+    assert found["hertz"] == pytest.approx(2.34, abs=0.03)
+    assert found["peak"] == pytest.approx(force.max())
+    assert sessions.rings(force[None], np.array([1300]), np.array([3.0])) is None
+    assert sessions.rings(force[None], np.array([2000]), np.array([np.nan])) is None
+
+
+def test_profiles_leave_out_what_never_mated() -> None:
+    run = run_of(0)
+    run = replace(run, onset=np.array([[0.0, 0.2, 0.5, 0.9], [0.0, 0.2, np.nan, np.nan], [0.0, 0.2, 0.5, 1.5]]))
+    found = sessions.profiles(run)
+    assert found.shape == (1, 4, 100, 6)
+    edges = [0.0, 0.2, 0.5, 0.9, 1.9]
+    for state, (low, high) in enumerate(pairwise(edges)):
+        times = np.arange(SAMPLES) * CONTROL_PERIOD
+        expected = np.interp(np.linspace(low, high, 100), times, run.wrench[0, :, 3])
+        np.testing.assert_allclose(found[0, state, :, 3], expected, atol=1e-5)
+    assert sessions.profiles(run, [1, 2]).shape == (0, 4, 100, 6)
+
+
+def test_the_loss_is_least_for_the_session_itself() -> None:
+    run = run_of(0)
+    own = sessions.Target("B", sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None, None)
+    itself = sessions.loss(own, run, outcomes=False)
+    assert itself == pytest.approx(0.0, abs=0.15)
+    assert sessions.loss(own, run_of(1), outcomes=False) > itself + 0.2
+    later = replace(run, onset=run.onset + np.array([0.0, 0.0, 0.0, 0.06]))
+    assert sessions.loss(own, later, outcomes=False) > itself
+    lost = replace(run, onset=np.full((3, 4), np.nan))
+    assert sessions.loss(own, lost, outcomes=False) == pytest.approx(sessions.LOST + 1 + sessions.WORST_CELL)
+    # three seated trials against the first three cells: only the third, (0, -2), was recorded off-seat
+    assert sessions.agreement(run) == 2
+    assert sessions.loss(own, run, outcomes=True) == pytest.approx(itself + 1 / 3)
+
+
+def test_missing_snaps_are_a_loss() -> None:
+    snap = snaps.Snap(8.0, 17.0, 11.0)
+    target = sessions.Target(
+        "B", np.zeros((1, 4, 100, 6)), np.zeros(3), None, snaps.summary([[snap], [snap], [snap], []])
+    )
+    assert sessions.missing_snaps(target, snaps.summary([[], []])) == 0.75
+    assert sessions.missing_snaps(target, snaps.summary([[snap], []])) == 0.25
+    assert sessions.missing_snaps(target, snaps.summary([[snap]])) == 0.0
+    assert sessions.missing_snaps(replace(target, snaps=None), snaps.summary([[]])) == 0.0
+
+
+def test_session_b_is_a_grid_and_a_repeats_one_pose() -> None:
+    grid = sessions.trials_of("B")
+    moved = grid.task.way_position[:, 0, :2] - grid.task.way_position[0, 0, :2]
+    assert sorted(map(tuple, np.round(moved * 1e3).astype(int).tolist())) == sorted(sessions.GRID)
+    repeats = sessions.trials_of("A", 5, physical=(("parts.friction", 0.4),))
+    assert np.ptp(repeats.parts.tab_stiffness, axis=0).max() == 0
+    assert repeats.parts.friction.tolist() == [0.4] * 5
+    short = sessions.trials_of("B", 2, whole=False)
+    assert short.task.mating_time.tolist() == [pytest.approx(signature.MATING + 0.1)] * 2
+    with pytest.raises(InputError, match="25 cells; 26"):
+        sessions.trials_of("B", 26)
+
+
+def test_the_model_stands_where_the_recorded_arm_stood(hiro_dir: Path, tmp_path: Path) -> None:
+    found = fidelity.kinematics(hiro_dir)
+    assert set(found) == {"A", "B", "C", "openhrp"}
+    for session, row in found.items():
+        assert row["holds"], session
+        assert row["trials"] >= 5
+    for session in ("B", "C", "openhrp"):
+        assert found[session]["rms_mm"] <= 0.01
+        assert found[session]["rms_degrees"] <= 0.002
+    assert found["A"]["rms_mm"] <= 0.3
+    with pytest.raises(InputError, match="holds no trial"):
+        fidelity.kinematics(tmp_path)
+
+
+def test_another_engine_is_held_against_the_native_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def off(scene: Any, params: Any, _: str) -> Rollouts:
+        out = native.simulate(scene, params)
+        return replace(out, wrench=out.wrench + np.float32(0.3), seated=out.seated)
+
+    monkeypatch.setattr(engines, "simulate", off)
+    said = fidelity.parity("mjx", trials=4, longest=1.0)
+    assert said["force_until_contact"] == pytest.approx(0.3, abs=1e-4)
+    assert said["same_outcome"] == 1.0
+    assert not said["holds"]
+    line = table({"solver": SOLVER, "engine mjx": json.loads(json.dumps(said)), "left_out": []}).splitlines()[1]
+    assert line.startswith("engine mjx")
+    assert line.endswith("MISSED")
+
+
+def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
+    hiro_store: Path,
+    hiro_recordings: Recordings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, calls = tmp_path / "out", list[str]()
+    real = fidelity.convergence
+
+    def counted(*args: Any) -> dict[str, Any]:
+        calls.append("solver")
+        return real(*args)
+
+    def few(target: sessions.Target, count: int | None, seed: int) -> Any:
+        calls.append(target.session)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return fidelity_session(target, 2, seed)
+
+    fidelity_session = fidelity.session
+    monkeypatch.setattr(fidelity, "convergence", counted)
+    monkeypatch.setattr(fidelity, "session", few)
+    words = [
+        "fidelity",
+        str(out),
+        "--recorded",
+        str(hiro_store),
+        "--sessions",
+        "C",
+        "--trials",
+        "4",
+        "--longest",
+        "0.3",
+    ]
+    assert main.main(words) == 130
+    assert not (out / "report.json").exists()
+    assert main.main(words) == 0
+    assert calls == ["solver", "C", "C"]  # the solver's part was kept
+    text = capsys.readouterr().out
+    assert "left out without recordings: kinematics" in text
+    assert "session C" in text
+    report = json.loads((out / "report.json").read_text())
+    assert (
+        report["session C"]["recorded_trials"]
+        == (np.isfinite(hiro_recordings.onset).all(1) & (hiro_recordings.session == "C")).sum()
+    )
+    assert (out / "session-C.png").stat().st_size > 10_000
+    assert (out / "report.txt").read_text().rstrip() in text
+    assert main.main([*words, "--seed", "1"]) == 0
+    assert calls[3:] == ["solver", "C"]  # other options: measured again
+
+
+def test_misses_are_said() -> None:
+    said = {
+        "solver": SOLVER,
+        "session A": {
+            "mated": 0, "trials": 4, "holds": False, "onsets": None, "ring": None, "recorded_ring": None, "seated": 0.0,
+            "snaps": None, "recorded_snaps": None,
+        },
+        "left_out": [],
+    }  # fmt: skip
+    lines = table(said).splitlines()
+    assert lines[0].endswith("MISSED")
+    assert lines[1].endswith("MISSED")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--trials", "2"], "2 trials of 13.0 s"),
+        (["--data", "nowhere"], "nowhere is not a folder"),
+        (["--recorded", "nowhere.zarr"], "nowhere.zarr"),
+    ],
+)
+def test_mistakes_are_one_sentence(
+    words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["fidelity", "out", *words]) == 2
+    assert sentence in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_fit_lowers_the_loss_and_writes_parameters(
+    hiro_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "c.json"
+    words = ["fidelity", "fit", str(hiro_store), "--session", "C", "-o", str(out), "--trials", "1"]
+    words += ["--parameters", "parts.friction", "--population", "4"]
+    assert main.main([*words, "--generations", "1", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert 0.05 <= first["values"]["parts.friction"] <= 0.6
+    assert json.loads(out.read_text())["values"] == first["values"]
+    assert main.main([*words, "--generations", "2", "--json"]) == 0
+    second = json.loads(capsys.readouterr().out)
+    assert (second["generations"], second["loss"] <= first["loss"]) == (2, True)
+    assert main.main([*words, "--seed", "5"]) == 2
+    assert "other settings" in capsys.readouterr().err
+    assert main.main([*words, "-o", str(tmp_path / "s.json"), "--snaps", "--generations", "1"]) == 0
+    for wrong, sentence in (
+        (["--parameters", "parts.colour"], "no physical parameter"),
+        (["--parameters", "parts.position[0]"], "has no usual range"),
+        (["--bound", "parts.roll=0:1"], "not searched"),
+        (["--bound", "parts.friction"], "not NAME=VALUE"),
+        (["--fixed", "parts.friction=much"], "not a number"),
+    ):
+        assert main.main([*words, *wrong]) == 2
+        assert sentence in capsys.readouterr().err

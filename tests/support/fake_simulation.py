@@ -1,0 +1,54 @@
+"""An engine without physics for the tests of synthesis, and a process that can be killed while it works."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
+from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.synthesis.pipeline import Synthesis, synthesise
+
+JOB = Synthesis("B", 60, seed=5, shard=5)
+SMALL = replace(JOB, trials=12, shard=5)
+
+
+def fake_engine(params: TrialParams) -> Rollouts:
+    """Numbers that depend on the trial alone: on its key, its part and its time limit."""
+    count = len(params.seed)
+    length = (10 + np.asarray(params.seed)[:, 0] % 30).astype(np.int32)
+    wrench = np.zeros((count, int(length.max()), 6), np.float32)
+    joints = np.zeros_like(wrench)
+    for row, samples in enumerate(length):
+        rng = np.random.default_rng(np.asarray(params.seed)[row])
+        wrench[row, :samples] = rng.normal(0, 5, (samples, 6))
+        joints[row, :samples] = rng.normal(0, 0.001, (samples, 6))
+    onset = np.array([0.0, 0.01, 0.015, 0.03]) + np.zeros((count, 1))
+    missing = np.asarray(params.parts.hook_overlap) < 0
+    jammed = np.asarray(params.parts.friction)[:, None] > 1.0
+    return Rollouts(wrench, joints, length, onset, ~(missing | jammed), np.zeros(count, np.bool_))
+
+
+def slow_engine(params: TrialParams) -> Rollouts:
+    """As the fake one, with time to be killed in."""
+    time.sleep(0.04)
+    return fake_engine(params)
+
+
+def tree(path: Path) -> dict[str, bytes]:
+    """Content of all files below a folder."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
+
+
+def short(**changes: object) -> Randomisation:
+    """Trials of a tenth of a second for the real engine."""
+    return Randomisation(**{"longest": 0.1, "speed": (10.0, 10.0), **changes})
+
+
+if __name__ == "__main__":
+    print("working", flush=True)
+    synthesise(Path(sys.argv[1]), JOB, simulate=slow_engine)

@@ -1,0 +1,48 @@
+"""Small models for the tests of introspection, trained on made-up signals."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.online import weights
+from rcbht_jax.introspection.chain import Sight, observe
+from rcbht_jax.introspection.model import Head, IntrospectionModel
+from rcbht_jax.learning.probability import fit_probabilistic
+from rcbht_jax.learning.svm import SvmSpec
+
+CONFIG = EncoderConfig()
+SIGHT = Sight(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
+
+
+def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
+    """Calm, pushed or shaken: float32 ``[time, 6]``."""
+    rng = np.random.default_rng([kind, seed])
+    time = np.arange(samples)[:, None] * CONFIG.dt
+    slope = (0.0, 5.0, 0.0)[kind] * time
+    shake = (0.0, 0.0, 3.0)[kind] * np.sin(25 * time + rng.uniform(0, 6))
+    return (rng.normal(size=(samples, 6)) * 0.02 + slope + shake).astype(np.float32)
+
+
+def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "") -> Head:
+    now = np.arange(20, 401, 40)
+    kinds = np.repeat(np.arange(len(classes)), 6)
+    x = [observe(CONFIG, preset(), SIGHT, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
+    y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
+    spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
+    machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(SIGHT.spec))
+    return Head(name, scope, SIGHT, machine, alarm)
+
+
+@cache
+def model() -> IntrospectionModel:
+    heads = (
+        head("states", "subtask", ("calm", "push", "shake"), "linear"),
+        head("outcome", "trial", ("success", "failure"), "rbf", "failure"),
+        head("failure-type", "trial", ("none", "pushed", "shaken"), "poly"),
+    )
+    return IntrospectionModel(CONFIG, np.asarray(preset().limits), heads, "abc", extra={"made": "up"})

@@ -1,0 +1,49 @@
+"""Recordings to store, and what tests of the store and of its label tracks look for."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from rcbht_jax.io import zarr
+from rcbht_jax.types import Recordings
+
+
+def simple(count: int = 3, samples: int = 50) -> Recordings:
+    """Recordings with random wrenches, all of full length."""
+    name = np.array([f"t{k}" for k in range(count)])
+    return Recordings(
+        wrench=np.random.default_rng(0).normal(size=(count, samples, 6)).astype(np.float32),
+        length=np.full(count, samples, np.int32),
+        dt=0.005,
+        onset=np.tile([0.0, 0.1, 0.15, np.nan], (count, 1)),
+        onset_harmonised=np.tile([0.0, 0.1, 0.15, np.nan], (count, 1)),
+        trial=name,
+        arm=np.full(count, "R"),
+        source=np.full(count, "set"),
+        session=np.full(count, "A"),
+        outcome=np.full(count, "success"),
+        failure_type=np.full(count, ""),
+        deviation=np.full((count, 3), np.nan),
+        note=np.full(count, ""),
+    )
+
+
+def same(one: Recordings, two: Recordings) -> None:
+    for field in dataclasses.fields(Recordings):
+        left, right = np.asarray(getattr(one, field.name)), np.asarray(getattr(two, field.name))
+        assert left.dtype.kind == right.dtype.kind
+        assert left.shape == right.shape
+        # Bit for bit: the sign of zero counts, the width of a string's dtype does not.
+        assert zarr.content_hash([left]) == zarr.content_hash([right]), field.name
+
+
+def folder_is_clean(folder: Path, *expected: str) -> None:
+    assert sorted(entry.name for entry in folder.iterdir()) == sorted(expected)
+
+
+def files(path: Path) -> Iterator[Path]:
+    return (entry for entry in sorted(path.rglob("*")) if entry.is_file())

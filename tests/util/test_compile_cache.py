@@ -1,0 +1,74 @@
+"""Compiled programs outlive the process that compiled them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax._util import compile_cache
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection import model as model_files
+from tests.support.introspection_models import model
+
+PROGRAM = """
+import sys
+from pathlib import Path
+import jax
+from rcbht_jax import compile_cache
+compile_cache.SLOW = 0.0
+compile_cache.use(Path(sys.argv[1]))
+seen = []
+jax.monitoring.register_event_listener(lambda name, **_: seen.append(name))
+jax.jit(lambda x: jax.numpy.sin(x) + 1.0)(jax.numpy.ones(3)).block_until_ready()
+print("/jax/compilation_cache/cache_hits" in seen)
+"""
+
+
+def test_the_second_process_finds_the_programs_of_the_first(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "cache"
+    hits = [
+        subprocess.run([sys.executable, "-c", PROGRAM, str(folder)], check=True, capture_output=True, text=True).stdout
+        for _ in range(2)
+    ]
+    assert [hit.strip() for hit in hits] == ["False", "True"]
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        compile_cache.use(tmp_path / "file" / "cache")
+
+
+def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert compile_cache.default_folder() == tmp_path / "rcbht-jax"
+
+
+LIGHT = """
+import sys
+import rcbht_jax.cli.serve
+print(sorted({"sklearn", "pandas", "matplotlib", "scipy.stats"} & set(sys.modules)))
+"""
+
+
+def test_a_stream_starts_without_what_only_training_needs() -> None:
+    said = subprocess.run([sys.executable, "-c", LIGHT], check=True, capture_output=True, text=True).stdout
+    assert said.strip() == "[]"
+
+
+def test_a_stream_keeps_its_chain(tmp_path: Path) -> None:
+    """The command finds the chain that an earlier start compiled."""
+    model_files.save(tmp_path / "m", model())
+    (tmp_path / "in.jsonl").write_text(('{"wrench": [0, 0, 0, 0, 0, 0]}\n') * 20)
+    command = [sys.executable, "-m", "rcbht_jax.cli.main", "stream", "-", "-m", str(tmp_path / "m")]
+    command += ["--compile-cache", str(tmp_path / "cache"), "--json"]
+    times = []
+    for _ in range(2):
+        with (tmp_path / "in.jsonl").open("rb") as lines:
+            subprocess.run(command, check=True, capture_output=True, stdin=lines)
+        times.append([path.stat().st_mtime_ns for path in sorted((tmp_path / "cache").glob("jit_believe*-cache"))])
+    assert len(times[0]) == 1
+    assert times[0] == times[1]
