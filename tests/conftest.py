@@ -7,6 +7,8 @@ from pathlib import Path
 
 from jaxtyping import install_import_hook
 
+import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
+
 # Shapes and types are checked at run time under pytest only; must come before any import of the package.
 install_import_hook("rcbht_jax", "tests.support.typechecking.check")
 

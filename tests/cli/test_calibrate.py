@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration.test_contextual import recordings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from rcbht_jax.encoding.thresholds import Thresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import write_recordings
+from tests.calibration.test_contextual import recordings
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
+from rcbht_jax.cli import main
 from rcbht_jax.cli.command import Command
-from rcbht_jax.cli.main import main
 
 
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["import", "--help"], ["--version"]])

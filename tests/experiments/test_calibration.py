@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration.test_contextual import recordings
 
 from experiments.calibration.bank import BANK, METHODS, Bank, filled_in
 from rcbht_jax.learning.tasks import TaskSpec, sentences
+from tests.calibration.test_contextual import recordings
 
 Y = np.repeat(np.arange(3), 10)
 GROUPS = np.tile(np.arange(10), 3).astype(str)

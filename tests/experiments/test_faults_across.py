@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments.test_faults import made_up, seen
 
 from experiments.online import faults as online
 from experiments.online import faults_across as across
 from experiments.online.fault_trials import GRADES
 from experiments.online.fault_watch import Watched
+from tests.experiments.test_faults import made_up, seen
 
 KINDS = {kind: GRADES[kind][:1] for kind in ("jamming", "early-stop")}
 

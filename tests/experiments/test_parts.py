@@ -7,7 +7,6 @@ import json
 
 import numpy as np
 import pytest
-from experiments.test_raw_learners import items
 
 from experiments._lib.benchmarks import BENCHMARKS
 from experiments._lib.results_io import COMMITTED
@@ -15,6 +14,7 @@ from experiments.classification import peers, probes, table1_ours
 from experiments.figures import all as figures
 from experiments.online import confidence, table2
 from rcbht_jax.introspection.training import Looks
+from tests.experiments.test_raw_learners import items
 
 
 def test_a_held_out_session_is_on_one_side_and_failures_on_both() -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from features.test_features import column, intervals, make_tracks, one_lane, spans
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import ABSOLUTE, WHOLE, Features, FeatureSpec, features, side_by_side, signal_families
 from rcbht_jax.labels import AXES, PRIMITIVE_GROUP
 from rcbht_jax.types import LabelTrack, LabelTracks
+from tests.features.test_features import column, intervals, make_tracks, one_lane, spans
 
 FAMILIES = tuple(signal_families.FAMILIES)
 SPEC = FeatureSpec(families=FAMILIES)

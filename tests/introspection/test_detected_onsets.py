@@ -118,7 +118,7 @@ def test_a_phase_is_seen_from_the_beginning_of_its_trial():
     spec = HeadSpec(TaskSpec(), phase=True)
     assert (spec.name, spec.scope) == (PHASE, "trial")
     assert (HeadSpec(TaskSpec()).name, HeadSpec(TaskSpec()).scope) == ("states", "subtask")
-    from introspection.test_training import sentences_of
+    from tests.introspection.test_training import sentences_of
 
     looks = streamed(sentences_of([200, 300, 100, 400]), 20)
     whole = from_the_beginning(looks)

@@ -9,7 +9,6 @@ import gc
 import json
 import resource
 import tempfile
-from io.test_store import folder_is_clean, simple, some_recordings
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES, LAYERS, name
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import Recordings
+from tests.io.test_store import folder_is_clean, simple, some_recordings
 
 pd = pytest.importorskip("pandas")
 pq = pytest.importorskip("pyarrow.parquet")

@@ -176,7 +176,7 @@ def test_a_killed_write_leaves_no_half_store(tmp_path: Path) -> None:
 import os, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from io.test_store import simple
+from tests.io.test_store import simple
 from rcbht_jax.io import store, zarrio
 real, count = zarrio.write_array, []
 def dying(*args):

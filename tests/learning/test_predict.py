@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli.test_commands import synthetic
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
@@ -20,6 +19,7 @@ from rcbht_jax.learning.evaluation import candidates
 from rcbht_jax.learning.model_io import load, save
 from rcbht_jax.learning.predict import classify, task_of
 from rcbht_jax.learning.tasks import TaskSpec, sentences, spans
+from tests.cli.test_commands import synthetic
 
 RICH = ("--features", "histogram", "parts", "levels", "--ranks", "--balance", "--kernels", "linear", "--costs", "1")
 STATES = ["approach", "rotation", "insertion", "mating"]

@@ -7,7 +7,6 @@ import json
 import socket
 import threading
 from html.parser import HTMLParser
-from io.test_stream_sources import samples_of
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.report import live_page
 from rcbht_jax.report.live_page import Broadcast, Frames, PageServer
+from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import model, trial
 
 

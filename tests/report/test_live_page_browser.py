@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from io.test_stream_sources import samples_of
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.report.live_page import Frames, PageServer
+from tests.io.test_stream_sources import samples_of
 from tests.support.browser import browser
 from tests.support.introspection_models import model, trial
 

@@ -9,7 +9,6 @@ import json
 import re
 import zlib
 from html.parser import HTMLParser
-from io.test_store import folder_is_clean, simple
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ from rcbht_jax.report.pack import LEVELS, believe, pack, quantised, rounded
 from rcbht_jax.report.page import chosen, results_html
 from rcbht_jax.report.results import cells, read_results
 from rcbht_jax.types import Recordings
+from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
 from tests.support.introspection_models import CONFIG, head
 
