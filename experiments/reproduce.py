@@ -31,7 +31,7 @@ import rcbht_jax
 from experiments._lib import agreement
 from experiments._lib.catalogue import DATA, EXPERIMENTS, GOLDEN, MODEL, SHARED, STORE, Experiment
 from experiments._lib.results_io import COMMITTED, RESULTS, machine
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 
 RCBHT = ("-c", "import sys; from rcbht_jax.cli.main import main; sys.exit(main(sys.argv[1:]))")
 _writing = Lock()
@@ -163,7 +163,7 @@ def note(form: Form, spent: Spent) -> None:
         known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"experiments": {}}
         known |= {"rcbht_jax_version": rcbht_jax.__version__, "machine": machine()}
         known["experiments"][form.experiment.name] = entry
-        with whole_file(path) as draft:
+        with atomic_write(path) as draft:
             draft.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 

@@ -21,7 +21,7 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Item:
+class Segment:
     """A labelled span inside the encoder; every field has the same batch shape ``[...]``, its lanes.
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no

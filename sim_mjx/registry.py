@@ -14,7 +14,7 @@ from sim_mjx.presets import sessions
 from sim_mjx.presets import two_arm as two_presets
 from sim_mjx.randomization import trials
 from sim_mjx.randomization import two_arm as two_randomize
-from sim_mjx.randomization.trials import Fault, Randomisation
+from sim_mjx.randomization.trials import DomainRandomization, Fault
 
 # Group of a trial's parameters, "" = none, and its field.
 PARAMETERS = (
@@ -32,27 +32,27 @@ NAMES = (*sessions.PRESETS, *two_presets.PRESETS)
 
 
 @dataclass(frozen=True)
-class Kind:
+class Scenario:
     """A scene, what is logged of it and how its trials are drawn."""
 
     arms: tuple[str, ...]  # whose wrenches are logged, in this order
     scene: Callable[..., Scene]  # takes substeps, iterations, ls_iterations
-    draw: Callable[[str, int, int, Randomisation], tuple[Any, Fault]]  # preset, seed, index, distributions
+    draw: Callable[[str, int, int, DomainRandomization], tuple[Any, Fault]]  # preset, seed, index, distributions
     parameters: tuple[tuple[str, str], ...]  # what is stored of a trial: group and field
 
     def draw_batch(
-        self, preset: str, seed: int, indices: Sequence[int], spec: Randomisation
+        self, preset: str, seed: int, indices: Sequence[int], spec: DomainRandomization
     ) -> tuple[Any, list[Fault]]:
         """Several trials as one batch, equal to ``draw`` trial by trial."""
         drawn = [self.draw(preset, seed, index, spec) for index in indices]
         return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
-ONE_ARM = Kind(("R",), one_arm, trials.draw, PARAMETERS)
-TWO_ARM = Kind(ARMS, two_arm, two_randomize.draw, TWO_ARM_PARAMETERS)
+ONE_ARM = Scenario(("R",), one_arm, trials.sample, PARAMETERS)
+TWO_ARM = Scenario(ARMS, two_arm, two_randomize.draw, TWO_ARM_PARAMETERS)
 
 
-def kind(preset: str) -> Kind:
+def get_scenario(preset: str) -> Scenario:
     """What a preset simulates.
 
     Raises:

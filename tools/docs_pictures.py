@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.export.dataset import words
@@ -84,7 +84,7 @@ def main() -> None:
     wrench = signals()
     limits = preset("hiro")
     limits = type(limits)(np.repeat(limits.limits[:1], 6, 0))  # all channels are forces
-    tracks = encode_recordings(CONFIG, limits, wrench, np.full(len(wrench), wrench.shape[1], np.int32))
+    tracks = encode_batch(CONFIG, limits, wrench, np.full(len(wrench), wrench.shape[1], np.int32))
     for layer in LAYERS:
         found = examples(tracks, layer)
         rows = -(-len(found) // 3)

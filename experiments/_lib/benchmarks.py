@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Split
-from rcbht_jax.learning.tasks import CONFOUNDS, Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import CONFOUNDS, LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 FOLDS = 5
@@ -32,24 +32,24 @@ class Benchmark:
     train_on: tuple[str, ...] = ()  # sessions; empty = repeated grouped folds
     test_on: tuple[str, ...] = ()
 
-    def splits(self, items: Sentences, repeats: int, seed: int) -> list[list[Split]]:
+    def splits(self, items: LabelledIntervals, repeats: int, seed: int) -> list[list[Split]]:
         """``[repeat][fold]``; one split where sessions decide."""
         if not self.train_on:
             return validation.repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
         train, test = (np.flatnonzero(np.isin(items.session, side)) for side in (self.train_on, self.test_on))
         return [[(train, test)]]
 
-    def score(self, learner: validation.Learner, items: Sentences, repeats: int, seed: int) -> dict[str, Any]:
+    def score(self, learner: validation.Estimator, items: LabelledIntervals, repeats: int, seed: int) -> dict[str, Any]:
         """Accuracy and balanced accuracy with their 95% intervals, and the seconds it took."""
         began = time.perf_counter()
         splits = self.splits(items, repeats, seed)
         if self.train_on:
-            found = validation.transfer(learner, items.y, items.trial, splits[0][0], seed).summary()
+            found = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed).summary()
         else:
             found = validation.cross_validate(learner, items.y, splits, seed).summary()
         return rounded(found) | {"seconds": round(time.perf_counter() - began, 1)}
 
-    def about(self, items: Sentences) -> dict[str, Any]:
+    def about(self, items: LabelledIntervals) -> dict[str, Any]:
         """What must be known to read a score."""
         across = f"{' '.join(self.train_on)} to {' '.join(self.test_on)}"
         return {
@@ -84,7 +84,7 @@ def recorded() -> Recordings:
     return read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))[0]
 
 
-def segments(recordings: Recordings, items: Sentences) -> list[Floats]:
+def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:
     """The wrench of every item ``[time, 6 x arms]``, N and Nm."""
     arms = [
         [recordings.wrench[row, start:end] for row, start, end in zip(i.recording, i.start, i.end, strict=True)]
@@ -93,8 +93,8 @@ def segments(recordings: Recordings, items: Sentences) -> list[Floats]:
     return [np.concatenate(parts, 1).astype(np.float64) for parts in zip(*arms, strict=True)]
 
 
-def items_of(recordings: Recordings, benchmark: Benchmark) -> Sentences:
-    return sentences(recordings, benchmark.task)
+def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:
+    return labelled_intervals(recordings, benchmark.task)
 
 
 def rounded(value: Any) -> Any:

@@ -21,8 +21,8 @@ from sklearn.ensemble import RandomForestClassifier
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences
-from rcbht_jax.learning.validation import Answer, Learner, nested_svm
+from rcbht_jax.learning.tasks import LabelledIntervals
+from rcbht_jax.learning.validation import Estimator, Prediction, nested_svm
 
 LENGTH = 512
 TREES = 200
@@ -82,38 +82,38 @@ def sax_bag(segments: Segments) -> Floats:
     return (counts / counts.sum(-1, keepdims=True)).reshape(len(words), -1)
 
 
-def estimator(x: NDArray[Any], y: NDArray[np.int64], make: Callable[[int], Any]) -> Learner:
-    """Learner from a classifier with ``fit`` and ``predict``, made anew for every seed."""
+def estimator(x: NDArray[Any], y: NDArray[np.int64], make: Callable[[int], Any]) -> Estimator:
+    """Estimator from a classifier with ``fit`` and ``predict``, made anew for every seed."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         return make(seed).fit(x[train], y[train]).predict(x[test]).astype(np.int64), {}
 
     return learn
 
 
-def forest(x: Floats, y: NDArray[np.int64]) -> Learner:
+def forest(x: Floats, y: NDArray[np.int64]) -> Estimator:
     """Random forest of 200 trees on ``[item, feature]``."""
     return estimator(x, y, lambda seed: RandomForestClassifier(TREES, random_state=seed))
 
 
-def first_sample(segments: Segments, items: Sentences) -> Learner:
+def first_sample(segments: Segments, items: LabelledIntervals) -> Estimator:
     """Forest on the first sample alone."""
     return forest(np.array([segment[0] for segment in segments]), items.y)
 
 
-def first_second(segments: Segments, items: Sentences) -> Learner:
+def first_second(segments: Segments, items: LabelledIntervals) -> Estimator:
     """Forest on the statistics of the first second alone."""
     samples = round(1 / items.intervals[0].dt)
     return forest(statistics([segment[:samples] for segment in segments]), items.y)
 
 
-def mini_rocket(segments: Segments, items: Sentences) -> Learner:
+def mini_rocket(segments: Segments, items: LabelledIntervals) -> Estimator:
     """MiniRocket with a ridge classifier."""
     aeon = _aeon()
     return estimator(resampled(segments), items.y, lambda seed: aeon.MiniRocketClassifier(random_state=seed))
 
 
-def multi_rocket_hydra(segments: Segments, items: Sentences) -> Learner:
+def multi_rocket_hydra(segments: Segments, items: LabelledIntervals) -> Estimator:
     """MultiRocket and Hydra together with a ridge classifier."""
     aeon = _aeon()
     return estimator(resampled(segments), items.y, lambda seed: aeon.MultiRocketHydraClassifier(random_state=seed))
@@ -127,13 +127,13 @@ def _aeon() -> Any:
     return convolution_based
 
 
-def one_d_sax(segments: Segments, items: Sentences) -> Learner:
+def one_d_sax(segments: Segments, items: LabelledIntervals) -> Estimator:
     """Letters for the mean and slope of equal parts, normalised by the training rows, with an SVM."""
     from tslearn.piecewise import OneD_SymbolicAggregateApproximation
 
     x = resampled(segments).transpose(0, 2, 1)
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         mean, width = x[train].mean((0, 1)), np.maximum(x[train].std((0, 1)), FLAT)
         sax = OneD_SymbolicAggregateApproximation(PIECES, LEVELS, LEVELS)
         letters = sax.fit_transform((x - mean) / width).reshape(len(x), -1).astype(np.float64)
@@ -142,6 +142,6 @@ def one_d_sax(segments: Segments, items: Sentences) -> Learner:
     return learn
 
 
-def sax_words(segments: Segments, items: Sentences) -> Learner:
+def sax_words(segments: Segments, items: LabelledIntervals) -> Estimator:
     """Bag of SAX words with an SVM."""
     return nested_svm({"": sax_bag(segments)}, items.y, items.trial, SVM)

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 
 import rcbht_jax
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 
 COMMITTED = Path(__file__).resolve().parents[1] / "results"
 RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
@@ -44,7 +44,7 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None, 
     }
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.json"
-    with whole_file(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_text(json.dumps(record, indent=1) + "\n")
     if show:
         print(path.read_text())

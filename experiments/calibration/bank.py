@@ -27,13 +27,13 @@ from experiments._lib.checkpointed_rows import Rows
 from experiments.calibration.methods import REAL, SIM1, part_of, rounded
 from experiments.calibration.near_preset import Near
 from experiments.classification.grammar import ALL, PLAIN, RICHER
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 WINDOWS = (5, 10, 20)  # samples
@@ -56,7 +56,9 @@ SEED = 0
 class Bank(Near):
     """Learners on the kernels of the bank."""
 
-    def _learn(self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+    def _learn(
+        self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int
+    ) -> validation.Prediction:
         uniform = np.array([w == WINDOWS[0] for w, _, _ in BANK], float)
         weights = {"weighted by alignment": self.alignment, "average, window 5 only": lambda _: uniform / uniform.sum()}
         if method not in weights:
@@ -82,18 +84,18 @@ def labelled(recordings: Recordings) -> list[LabelTracks]:
     for window, forces, moments in BANK:
         limits = np.asarray(preset().limits) * np.repeat([forces, moments], 3)[:, None]
         config = EncoderConfig(window, recordings.dt)
-        tracks.append(encode_recordings(config, Thresholds(limits), recordings.wrench, recordings.length))
+        tracks.append(encode_batch(config, GradientThresholds(limits), recordings.wrench, recordings.length))
     return tracks
 
 
-def bank(recordings: Recordings, items: Sentences, tracks: list[LabelTracks], spec: FeatureSpec) -> Bank:
-    made: list[Features] = [describe(track, items, spec) for track in tracks]
+def bank(recordings: Recordings, items: LabelledIntervals, tracks: list[LabelTracks], spec: FeatureSpec) -> Bank:
+    made: list[Features] = [extract_features(track, items, spec) for track in tracks]
     distance = np.array([abs(np.log2([s, t, w / WINDOWS[0]])).max() for w, s, t in BANK])
     x = np.stack([one.values.astype(np.float32) for one in made])
     return Bank(x, items.y, items.trial, distance, weight=made[0].weights(spec))
 
 
-def filled_in(recordings: Recordings, items: Sentences) -> NDArray[np.bool_]:
+def filled_in(recordings: Recordings, items: LabelledIntervals) -> NDArray[np.bool_]:
     """Sentences ``[item]`` of trials whose last mark stands one second after the one before, or before the end."""
     (spans,) = items.intervals
     last, before = recordings.onset[spans.recording, 3], recordings.onset[spans.recording, 2]
@@ -110,9 +112,9 @@ def main() -> None:
     store = read_recordings(given.store)
 
     @cache
-    def of(source: str) -> tuple[Recordings, Sentences, list[LabelTracks]]:
+    def of(source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
         recordings = part_of(store, (source,))
-        return recordings, sentences(recordings, TaskSpec()), labelled(recordings)
+        return recordings, labelled_intervals(recordings, TaskSpec()), labelled(recordings)
 
     @cache
     def learners(source: str, spec: str) -> Bank:
@@ -123,7 +125,7 @@ def main() -> None:
         items, made, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
         splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
 
-        def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+        def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
             said, chosen = made.learner(method)(train, test, seed)
             wrong.update(test[said != items.y[test]].tolist())
             return said, chosen
@@ -152,7 +154,7 @@ def main() -> None:
         _, items, _ = of(REAL)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
         learner = learners(REAL, spec).learner(method)
-        found = validation.transfer(learner, items.y, items.trial, (train, test), SEED)
+        found = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
         return {
             "accuracy": rounded(found.summary()["accuracy"]),
             "chosen": about["bank"][found.chosen["candidates"][0]],

@@ -31,17 +31,17 @@ from experiments._lib.checkpointed_rows import Rows
 from experiments.calibration.methods import SIM1, part_of
 from experiments.calibration.speed import numpy_rate
 from rcbht_jax.calibration import gradient
-from rcbht_jax.calibration.dataset import Corpus, corpus
-from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
+from rcbht_jax.calibration.label_durations import label_durations
 from rcbht_jax.calibration.objective import Objective, shares
-from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
-from rcbht_jax.learning.tasks import TaskSpec, sentences
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
 SPREAD = 0.3  # standard deviation of the logarithm of the preset's steps, from which training starts
-SPACE = Space()  # all 24 numbers
+SPACE = SearchSpace()  # all 24 numbers
 WEIGHTS = Objective().weights()
 
 
@@ -49,13 +49,13 @@ WEIGHTS = Objective().weights()
 class Side:
     """The trials of one seed."""
 
-    inside: Corpus
-    outside: Corpus
+    inside: CalibrationData
+    outside: CalibrationData
     config: EncoderConfig
 
     def values(self, limits: np.ndarray) -> np.ndarray:
         """Objective ``[candidate]`` on the training trials."""
-        return evaluate(self.inside, self.config, limits).astype(np.float64) @ WEIGHTS
+        return score_candidates(self.inside, self.config, limits).astype(np.float64) @ WEIGHTS
 
     def held_out(self, limits: np.ndarray) -> tuple[float, float]:
         """Accuracy and log-loss on the held-out trials of a classifier trained on the others."""
@@ -64,24 +64,24 @@ class Side:
         truth, said = self.outside.y.ravel(), model.predict_proba(test)
         return float((said.argmax(1) == truth).mean()), float(log_loss(truth, said, labels=model.classes_))
 
-    def _shares(self, data: Corpus, limits: np.ndarray) -> np.ndarray:
+    def _shares(self, data: CalibrationData, limits: np.ndarray) -> np.ndarray:
         one = jnp.asarray(limits[None], data.windows.slope.dtype)
-        times = label_times(self.config, one, data.windows, jnp.asarray(data.edges), group=1)
+        times = label_durations(self.config, one, data.windows, jnp.asarray(data.edges), group=1)
         return np.sqrt(np.asarray(shares(times[0]))).reshape(data.y.size, -1)
 
 
-def side_of(data: Corpus, config: EncoderConfig, seed: int) -> Side:
+def side_of(data: CalibrationData, config: EncoderConfig, seed: int) -> Side:
     order = np.random.default_rng([seed, 1]).permutation(len(data))
     quarter = len(data) // 4
     return Side(data.take(np.sort(order[quarter:])), data.take(np.sort(order[:quarter])), config)
 
 
-def start_of(seed: int) -> Thresholds:
+def start_of(seed: int) -> GradientThresholds:
     """The preset with every step between limits changed at random."""
     rng = np.random.default_rng(seed)
     ascending = np.asarray(preset().limits)[:, ::-1]
     steps = np.diff(ascending, axis=1, prepend=0) * np.exp(SPREAD * rng.normal(size=(6, 4)))
-    return Thresholds(np.cumsum(steps, axis=1)[:, ::-1])
+    return GradientThresholds(np.cumsum(steps, axis=1)[:, ::-1])
 
 
 def row(side: Side, seconds: np.ndarray, values: np.ndarray, limits: np.ndarray) -> dict[str, Any]:
@@ -191,7 +191,7 @@ def main() -> None:
     given = parser.parse_args()
     recordings = part_of(read_recordings(given.store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
-    data = corpus(recordings, sentences(recordings, TaskSpec()), config)
+    data = calibration_data(recordings, labelled_intervals(recordings, TaskSpec()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
         "gradient": (10, partial(by_gradient, steps=given.steps, loss="logistic")),
         "gradient of the fit": (10, partial(by_gradient, steps=given.steps, loss="fit")),

@@ -17,17 +17,17 @@ import numpy as np
 
 from experiments._lib.results_io import RESULTS, write_result
 from rcbht_jax.calibration import contextual, gradient
-from rcbht_jax.calibration.dataset import Corpus, corpus
-from rcbht_jax.calibration.nested import CalibratedSvm, Choose, Library, fixed
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
+from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, Choose, fixed
 from rcbht_jax.calibration.objective import Objective
-from rcbht_jax.calibration.search import SearchOptions, Space
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 SIM1, REAL = "SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS"
@@ -42,7 +42,7 @@ SEED = 0
 
 def library_limits(count: int) -> np.ndarray:
     """The preset, then Sobol points: half with one set for forces and one for moments, half per axis."""
-    spaces = (Space(groups=(0, 0, 0, 1, 1, 1)), Space())
+    spaces = (SearchSpace(groups=(0, 0, 0, 1, 1, 1)), SearchSpace())
     parts = [s.limits(SearchOptions(space=s, candidates=count // 2, seed=SEED).points()) for s in spaces]
     return np.concatenate(parts)
 
@@ -51,10 +51,10 @@ def part_of(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
     return recordings.take(np.isin(recordings.source, sources))
 
 
-def methods(recordings: Recordings, items: Sentences, config: EncoderConfig, count: int) -> dict[str, Choose]:
-    data = corpus(recordings, items, config)
+def methods(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig, count: int) -> dict[str, Choose]:
+    data = calibration_data(recordings, items, config)
     start = time.perf_counter()
-    library = Library.make(data, config, library_limits(count))
+    library = CandidateBank.make(data, config, library_limits(count))
     print(f"{count} candidates on {len(data)} trials: {time.perf_counter() - start:.0f} s", flush=True)
     (spans,) = items.intervals
     rows_of = np.array(list(dict.fromkeys(spans.recording.tolist())))
@@ -96,7 +96,7 @@ def remembered(choose: Choose) -> Choose:
     return once
 
 
-def trained_limits(data: Corpus, config: EncoderConfig) -> np.ndarray:
+def trained_limits(data: CalibrationData, config: EncoderConfig) -> np.ndarray:
     options = gradient.GradientOptions(steps=60, rate=0.1, temperature=(0.7, 0.1))
     return np.asarray(gradient.calibrate(data, config, preset(), options).thresholds.limits)
 
@@ -104,11 +104,11 @@ def trained_limits(data: Corpus, config: EncoderConfig) -> np.ndarray:
 def compare(
     recordings: Recordings,
     spec: TaskSpec,
-    measure: Callable[[validation.Learner, Sentences], dict[str, Any]],
+    measure: Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]],
     count: int,
     only: tuple[str, ...] = (),
 ) -> dict[str, Any]:
-    items = sentences(recordings, spec)
+    items = labelled_intervals(recordings, spec)
     config = EncoderConfig(5, recordings.dt)
     result: dict[str, Any] = {
         "classes": list(items.classes),
@@ -127,8 +127,8 @@ def compare(
     return result
 
 
-def folds(repeats: int) -> Callable[[validation.Learner, Sentences], dict[str, Any]]:
-    def measure(learner: validation.Learner, items: Sentences) -> dict[str, Any]:
+def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]]:
+    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
         made = validation.cross_validate(learner, items.y, splits, SEED)
         return {key: rounded(made.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
@@ -137,9 +137,9 @@ def folds(repeats: int) -> Callable[[validation.Learner, Sentences], dict[str, A
 
 
 def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[..., dict[str, Any]]:
-    def measure(learner: validation.Learner, items: Sentences) -> dict[str, Any]:
+    def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         split = tuple(np.flatnonzero(np.isin(items.session, side)) for side in (train_on, test_on))
-        made = validation.transfer(learner, items.y, items.trial, (split[0], split[1]), SEED)
+        made = validation.holdout_score(learner, items.y, items.trial, (split[0], split[1]), SEED)
         return {key: rounded(value) for key, value in made.summary().items()}
 
     return measure

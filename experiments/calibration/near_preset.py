@@ -1,4 +1,4 @@
-"""Thresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
+"""GradientThresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
 
 A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, each by a factor of at most eight: the
 small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no
@@ -29,14 +29,14 @@ from sklearn.svm import SVC
 from experiments._lib.checkpointed_rows import Rows
 from experiments.calibration.methods import REAL, SIM1, WORDS, part_of, rounded
 from experiments.classification.sim_to_real_sets import make, store_of
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.scaling import fit_scale
 from rcbht_jax.learning.svm import grouped_folds
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 
 OCTAVES = 3.0  # the three numbers vary by a factor of 2 ** -OCTAVES ... 2 ** OCTAVES
@@ -53,7 +53,7 @@ Kernel = NDArray[np.floating[Any]]
 
 
 def candidates(count: int) -> tuple[Floats, Floats]:
-    """Thresholds ``[candidate, 6, 4]``, the preset first, and their distance from it in octaves."""
+    """GradientThresholds ``[candidate, 6, 4]``, the preset first, and their distance from it in octaves."""
     points = (2 * qmc.Sobol(3, rng=SEED).random(count) - 1) * OCTAVES
     points[0] = 0
     limits = np.repeat(np.asarray(preset().limits)[None], count, axis=0)
@@ -64,11 +64,11 @@ def candidates(count: int) -> tuple[Floats, Floats]:
     return np.maximum.accumulate(limits[..., ::-1], axis=-1)[..., ::-1], np.abs(points).max(1)
 
 
-def words(recordings: Recordings, items: Sentences, limits: Floats) -> NDArray[np.float32]:
+def words(recordings: Recordings, items: LabelledIntervals, limits: Floats) -> NDArray[np.float32]:
     """Features ``[candidate, item, feature]``."""
     config = EncoderConfig(5, recordings.dt)
-    tracks = (encode_recordings(config, Thresholds(one), recordings.wrench, recordings.length) for one in limits)
-    return np.stack([describe(track, items, WORDS).values.astype(np.float32) for track in tracks])
+    tracks = (encode_batch(config, GradientThresholds(one), recordings.wrench, recordings.length) for one in limits)
+    return np.stack([extract_features(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
 def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64], weight: Floats | None = None) -> NDArray[np.float32]:
@@ -87,7 +87,7 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
         make(folder, "mild", name)
         store = read_recordings(store_of(folder, "mild", name))
         recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
-        items = sentences(recordings, TaskSpec())
+        items = labelled_intervals(recordings, TaskSpec())
         parts[name] = words(recordings, items, limits), items.y
     out = {}
     for one, other in itertools.permutations(SIMULATED, 2):
@@ -115,10 +115,12 @@ class Near:
     _kernels: dict[bytes, NDArray[np.float32]] = field(default_factory=dict)
     _inside: dict[bytes, tuple[Floats, Floats]] = field(default_factory=dict)
 
-    def learner(self, method: str) -> validation.Learner:
+    def learner(self, method: str) -> validation.Estimator:
         return partial(self._learn, method)
 
-    def _learn(self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+    def _learn(
+        self, method: str, train: NDArray[np.int64], test: NDArray[np.int64], seed: int
+    ) -> validation.Prediction:
         kernels = self._kernels_of(train)
         accuracy, margin = self._inside_of(train, seed)
         chosen, cost = self._choice(method, accuracy, margin)
@@ -195,7 +197,7 @@ def main() -> None:
     given = parser.parse_args()
     store = read_recordings(given.store)
     limits, distance = candidates(given.candidates)
-    made: dict[str, tuple[Near, Sentences]] = {}
+    made: dict[str, tuple[Near, LabelledIntervals]] = {}
 
     @cache
     def told() -> dict[tuple[str, str], Floats]:
@@ -205,10 +207,10 @@ def main() -> None:
         pairs = [value for pair, value in told().items() if preset_of_test not in pair]
         return np.asarray(np.mean(pairs, axis=0), np.float64)
 
-    def near(source: str) -> tuple[Near, Sentences]:
+    def near(source: str) -> tuple[Near, LabelledIntervals]:
         if source not in made:
             recordings = part_of(store, (source,))
-            items = sentences(recordings, TaskSpec())
+            items = labelled_intervals(recordings, TaskSpec())
             made[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
         return made[source]
 
@@ -226,7 +228,7 @@ def main() -> None:
         if method.startswith("simulated"):
             learners.ranked[method] = without(other)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        found = validation.transfer(learners.learner(method), items.y, items.trial, (train, test), SEED)
+        found = validation.holdout_score(learners.learner(method), items.y, items.trial, (train, test), SEED)
         return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": found.chosen["candidates"][:1]}
 
     wanted: dict[str, Callable[[], Any]] = {}

@@ -1,4 +1,4 @@
-"""Thresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
+"""GradientThresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
 
 Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). On a CPU, to see it work: --engine mjx
 --trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
@@ -24,30 +24,30 @@ import numpy as np
 
 from experiments._lib.results_io import write_result
 from rcbht_jax.calibration import contextual, gradient
-from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import SCORES, Objective
-from rcbht_jax.calibration.on_device import device_corpus
-from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.calibration.on_device import device_calibration_data
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.encoding.compact import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import FAILURE_TYPES, STATES, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import FAILURE_TYPES, STATES, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import device
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation, draw_batch
+from sim_mjx.randomization.trials import DomainRandomization, sample_batch
 from sim_mjx.synthesis.calibration_data import states_corpus, whole_corpus
 
 SEED = 0
 CONFIG = EncoderConfig(5, CONTROL_PERIOD)
-SPACE = Space(groups=(0, 0, 0, 1, 1, 1))
+SPACE = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
 WORDS = FeatureSpec(families=("histogram", "ngram", "attributes"))  # no duration, no absolute offset
 GRID = Grid(kernels=("linear",), costs=(0.01, 0.1, 1.0), scalings=(True,))
 
@@ -58,18 +58,18 @@ class Run:
 
     given: argparse.Namespace
     result: dict[str, Any]
-    data: Corpus = field(init=False)  # on the device; training trials first
+    data: CalibrationData = field(init=False)  # on the device; training trials first
     training: int = field(init=False)  # trials
     recordings: Recordings = field(init=False)  # the same on the host
     limits: dict[str, np.ndarray] = field(default_factory=lambda: {"preset": np.asarray(preset().limits)})  # [6, 4]
 
-    def parts(self) -> tuple[Corpus, Corpus]:
+    def parts(self) -> tuple[CalibrationData, CalibrationData]:
         """Training and held-out trials, on the device."""
         return _rows(self.data, slice(self.training)), _rows(self.data, slice(self.training, None))
 
 
-def _rows(data: Corpus, span: slice) -> Corpus:
-    return device_corpus(CONFIG, data.wrench[span], data.edges[span], data.y[span], data.classes)
+def _rows(data: CalibrationData, span: slice) -> CalibrationData:
+    return device_calibration_data(CONFIG, data.wrench[span], data.edges[span], data.y[span], data.classes)
 
 
 def seconds_of(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -94,9 +94,9 @@ def rollouts(run: Run) -> dict[str, Any]:
     """Simulate; the compiled programs do not depend on how long the trials last, so short ones compile them."""
     given, scene, impl = run.given, one_arm(), engines.IMPLEMENTATIONS[run.given.engine]
     share = 1.0 if given.task == "states" else 0.0
-    spec = Randomisation(nominal_share=share, faults=("pose",), longest=given.longest)
+    spec = DomainRandomization(nominal_share=share, faults=("pose",), longest=given.longest)
     start = time.perf_counter()
-    params, faults = draw_batch(given.preset, SEED, range(given.trials), spec)
+    params, faults = sample_batch(given.preset, SEED, range(given.trials), spec)
     drawn = round(time.perf_counter() - start, 2)
     short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
     _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)
@@ -121,7 +121,7 @@ def rollouts(run: Run) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def walks(trials: int) -> Corpus:
+def walks(trials: int) -> CalibrationData:
     """Trials whose bits are the same on every machine: walks of whole steps, steeper from state to state."""
     rng, samples = np.random.default_rng(SEED), 800
     steep = np.repeat([1, 4, 16, 64], samples // 4)[None, :, None]
@@ -133,9 +133,9 @@ def walks(trials: int) -> Corpus:
     return _corpus(wrench, edges, y, STATES)
 
 
-def _corpus(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> Corpus:
+def _corpus(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> CalibrationData:
     there = jax.device_put((wrench, edges, y))
-    return device_corpus(CONFIG, there[0], there[1], there[2], classes)
+    return device_calibration_data(CONFIG, there[0], there[1], there[2], classes)
 
 
 def agreement(run: Run) -> dict[str, Any]:
@@ -145,10 +145,10 @@ def agreement(run: Run) -> dict[str, Any]:
     out: dict[str, Any] = {"candidates": len(limits), "device": jax.devices()[0].device_kind}
     trials = run.given.agreement_trials
     for name, data in (("simulated", _rows(run.parts()[0], slice(trials))), ("walks", walks(trials))):
-        here = evaluate(data, CONFIG, limits)
+        here = score_candidates(data, CONFIG, limits)
         with jax.default_device(jax.devices("cpu")[0]):
             wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
-            there = evaluate(_corpus(wrench, edges, y, data.classes), CONFIG, limits, chunk=64, group=8)
+            there = score_candidates(_corpus(wrench, edges, y, data.classes), CONFIG, limits, chunk=64, group=8)
         off = np.abs((here - there).astype(np.float64))
         out[name] = {
             "trials": len(data),
@@ -173,7 +173,7 @@ def searched(run: Run) -> dict[str, Any]:
     samples = 6 * int(training.windows.length.sum()) * found.evaluations
     run.limits["search"] = np.asarray(found.thresholds.limits)
     both = np.stack([run.limits[name] for name in ("preset", "search")])
-    held_out = evaluate(outside, CONFIG, both).astype(np.float64)
+    held_out = score_candidates(outside, CONFIG, both).astype(np.float64)
     return {
         "evaluations": found.evaluations, "seconds of a first, small search (compiles)": compiling,
         "seconds": round(spent, 2), "billion samples per second": round(samples / spent / 1e9, 3),
@@ -194,7 +194,7 @@ def trained(run: Run) -> dict[str, Any]:
     made = gradient.calibrate(training, CONFIG, preset(), options, held_out=held_out)
     spent = time.perf_counter() - start
     run.limits["gradient"] = np.asarray(made.thresholds.limits)
-    values = evaluate(outside, CONFIG, run.limits["gradient"][None]).astype(np.float64)
+    values = score_candidates(outside, CONFIG, run.limits["gradient"][None]).astype(np.float64)
     return {
         "steps": given.steps, "trials per step": given.batch, "seconds of the first step (compiles)": compiling,
         "seconds": round(spent, 2), "limits": run.limits["gradient"].round(4).tolist(),
@@ -232,7 +232,7 @@ def stored(run: Run) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _recordings(data: Corpus, name: str) -> Recordings:
+def _recordings(data: CalibrationData, name: str) -> Recordings:
     count = len(data)
     wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
     failed = edges.shape[1] == 2
@@ -256,13 +256,13 @@ def svm(run: Run) -> dict[str, Any]:
     some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
     names = [name for name in Recordings.__dataclass_fields__ if name != "dt"]
     recordings = replace(run.recordings, **{name: getattr(run.recordings, name)[some] for name in names})
-    items = sentences(recordings, TaskSpec(run.given.task))
+    items = labelled_intervals(recordings, TaskSpec(run.given.task))
     inside = np.isin(items.trial, run.recordings.trial[: run.training])
     split = np.flatnonzero(inside), np.flatnonzero(~inside)
     out: dict[str, Any] = {"trials": len(some), "training": len(np.unique(items.trial[inside]))}
 
-    def score(learner: validation.Learner) -> dict[str, Any]:
-        made = validation.transfer(learner, items.y, items.trial, split, SEED).summary()["accuracy"]
+    def score(learner: validation.Estimator) -> dict[str, Any]:
+        made = validation.holdout_score(learner, items.y, items.trial, split, SEED).summary()["accuracy"]
         return {key: round(value, 4) for key, value in made.items()}
 
     out["duration alone"] = score(validation.forest(items.seconds, items.y))
@@ -270,8 +270,8 @@ def svm(run: Run) -> dict[str, Any]:
     wrench, length = jax.device_put((recordings.wrench, recordings.length))
     for name, limits in run.limits.items():
         start = time.perf_counter()
-        tracks = jax.device_get(encode_on_device(CONFIG, Thresholds(limits).limits, wrench, length))
-        words = describe(tracks, items, WORDS).values
+        tracks = jax.device_get(encode_on_device(CONFIG, GradientThresholds(limits).limits, wrench, length))
+        words = extract_features(tracks, items, WORDS).values
         described = time.perf_counter() - start
         out[name] = score(validation.nested_svm({"": words}, items.y, items.trial, GRID))
         out[name]["seconds to describe and in all"] = [round(described, 1), round(time.perf_counter() - start, 1)]

@@ -18,9 +18,9 @@ import numpy as np
 
 from experiments._lib.results_io import write_result
 from rcbht_jax import reference
-from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import SCORES, Objective
-from rcbht_jax.calibration.search import SearchOptions, Space, evaluate
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates
 from rcbht_jax.calibration.windows import Windows
 from rcbht_jax.encoding.encoder import EncoderConfig
 
@@ -29,30 +29,30 @@ DT = 0.005
 SEED = 0
 
 
-def from_store(path: Path) -> Corpus:
-    from rcbht_jax.calibration.dataset import corpus
+def from_store(path: Path) -> CalibrationData:
+    from rcbht_jax.calibration.dataset import calibration_data
     from rcbht_jax.io.store import read_recordings
-    from rcbht_jax.learning.tasks import TaskSpec, sentences
+    from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
     recordings = read_recordings(path)
-    return corpus(recordings, sentences(recordings, TaskSpec(sources=SOURCES)), EncoderConfig(5, DT))
+    return calibration_data(recordings, labelled_intervals(recordings, TaskSpec(sources=SOURCES)), EncoderConfig(5, DT))
 
 
-def save(data: Corpus, path: Path) -> None:
+def save(data: CalibrationData, path: Path) -> None:
     lines = {field.name: getattr(data.windows, field.name) for field in fields(Windows)}
     np.savez_compressed(
         path, wrench=data.wrench, edges=data.edges, y=data.y, classes=np.array(data.classes), trial=data.trial, **lines
     )
 
 
-def load(path: Path) -> Corpus:
+def load(path: Path) -> CalibrationData:
     with np.load(path, allow_pickle=False) as stored:
         windows = Windows(*(stored[field.name] for field in fields(Windows)))
         classes = tuple(stored["classes"].tolist())
-        return Corpus(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
+        return CalibrationData(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
 
 
-def numpy_rate(data: Corpus, trials: int = 6, clock: Callable[[], float] = time.perf_counter) -> float:
+def numpy_rate(data: CalibrationData, trials: int = 6, clock: Callable[[], float] = time.perf_counter) -> float:
     """Samples (one axis, one time) per second of the NumPy taxonomy, trial after trial."""
     rows = np.linspace(0, len(data) - 1, trials).astype(int)
     samples, start = 0, clock()
@@ -64,16 +64,16 @@ def numpy_rate(data: Corpus, trials: int = 6, clock: Callable[[], float] = time.
     return samples / (clock() - start)
 
 
-def measure(data: Corpus, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:
-    config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=Space(), seed=SEED)
+def measure(data: CalibrationData, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:
+    config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=SearchSpace(), seed=SEED)
     limits = options.space.limits(options.points())
     once = len(limits) if jax.default_backend() != "cpu" else chunk or 128  # compiles what the timed call needs
     warm = time.perf_counter()
-    evaluate(data, config, limits[:once], chunk=chunk, group=group)
+    score_candidates(data, config, limits[:once], chunk=chunk, group=group)
     warm = time.perf_counter() - warm
     before = numpy_rate(data)
     start, used = time.perf_counter(), time.process_time()
-    made = evaluate(data, config, limits, chunk=chunk, group=group)
+    made = score_candidates(data, config, limits, chunk=chunk, group=group)
     seconds, used = time.perf_counter() - start, time.process_time() - used
     numpy = (before + numpy_rate(data)) / 2
     samples = 6 * int(data.windows.length.sum())

@@ -1,4 +1,4 @@
-"""Thresholds chosen on thousands of simulated failures, tried on the authors' failures, which they never saw.
+"""GradientThresholds chosen on thousands of simulated failures, tried on the authors' failures, which they never saw.
 
 The limits are those that experiments.calibration.on_device found by search and by gradients. The folds of the authors'
 trials are the same for all; an SVM on words alone, its cost and kernel chosen inside, features scaled by their
@@ -20,13 +20,13 @@ import numpy as np
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.peer_rows import result
 from experiments.calibration.methods import FAILURES, WORDS, folds, part_of
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 
 SOURCE = "calibration_device_warp_failure_type"
 COSTS = (0.1, 1.0, 10.0, 100.0)
@@ -42,12 +42,12 @@ def main() -> None:
     limits = {"preset": np.asarray(preset().limits)}
     limits |= {f"simulated, {name}": np.array(found[name]["limits"]) for name in ("search", "gradient")}
     recordings = part_of(read_recordings(given.store), (FAILURES,))
-    items = sentences(recordings, TaskSpec("failure-type"))
+    items = labelled_intervals(recordings, TaskSpec("failure-type"))
     config, measure = EncoderConfig(5, recordings.dt), folds(given.repeats)
 
     def row(which: np.ndarray, ranks: bool) -> dict[str, Any]:
-        tracks = encode_recordings(config, Thresholds(which), recordings.wrench, recordings.length)
-        x = describe(tracks, items, WORDS).values
+        tracks = encode_batch(config, GradientThresholds(which), recordings.wrench, recordings.length)
+        x = extract_features(tracks, items, WORDS).values
         grid = Grid(kernels=("linear", "rbf"), costs=COSTS, scalings=(True,), ranks=ranks)
         return measure(validation.nested_svm({"": x}, items.y, items.trial, grid), items)
 

@@ -25,13 +25,13 @@ from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import Rows
 from experiments.classification.table1_ours import papers_features
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, predictions
-from rcbht_jax.learning.tasks import Sentences, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import Recordings
 
@@ -51,10 +51,10 @@ class Data:
     recordings: Recordings
 
     @cache  # noqa: B019 (one object lives as long as the program)
-    def part(self, name: str) -> tuple[Recordings, Sentences]:
+    def part(self, name: str) -> tuple[Recordings, LabelledIntervals]:
         spec = BENCHMARKS[name].task
         trials = self.recordings.take(np.isin(self.recordings.source, spec.sources))
-        return trials, sentences(trials, spec)
+        return trials, labelled_intervals(trials, spec)
 
     @cache  # noqa: B019
     def features(self, name: str, features: str) -> NDArray[np.floating]:
@@ -63,11 +63,11 @@ class Data:
             return papers_features(encode_dataset(trials), items)
         if features == STATISTICS:
             return raw.statistics(segments(trials, items))
-        tracks = encode_recordings(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
-        return describe(tracks, items, FeatureSpec()).values
+        tracks = encode_batch(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
+        return extract_features(tracks, items, FeatureSpec()).values
 
 
-def learner(x: NDArray[np.floating], items: Sentences, features: str) -> validation.Learner:
+def learner(x: NDArray[np.floating], items: LabelledIntervals, features: str) -> validation.Estimator:
     """A classifier without anything to choose: the paper's on its features, a linear one on words."""
     if features == STATISTICS:
         return raw.forest(x, items.y)

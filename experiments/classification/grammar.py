@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
 from experiments._lib.checkpointed_rows import Rows
 from experiments.classification.sim_to_real_sets import tared
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features
 from rcbht_jax.types import LabelTracks, Recordings
 
 # Window in samples and factor on the preset's thresholds.
@@ -99,11 +99,11 @@ class Experiment:
     def tracks(self, encoder: str, tare: bool) -> LabelTracks:
         window, scale = ENCODERS[encoder]
         data = tared(self.recordings) if tare else self.recordings
-        limits = Thresholds(np.asarray(preset().limits) * scale)
-        return encode_recordings(EncoderConfig(window, data.dt), limits, data.wrench, data.length)
+        limits = GradientThresholds(np.asarray(preset().limits) * scale)
+        return encode_batch(EncoderConfig(window, data.dt), limits, data.wrench, data.length)
 
     @cache  # noqa: B019
-    def items(self, benchmark: str) -> Sentences:
+    def items(self, benchmark: str) -> LabelledIntervals:
         found = items_of(self.recordings, self.benchmarks[benchmark])
         return of_both(found, BATCHES[benchmark]) if benchmark in BATCHES else found
 
@@ -112,7 +112,7 @@ class Experiment:
         made = {}
         for grammar in method.grammars:
             tracks = {name: self.tracks(name, method.tare) for name in GRAMMARS[grammar]}
-            made[grammar] = describe(tracks, self.items(benchmark), method.spec)
+            made[grammar] = extract_features(tracks, self.items(benchmark), method.spec)
         return dict(sorted(made.items(), key=lambda item: len(item[1].names)))
 
     def row(self, benchmark: str, name: str) -> Callable[[], Any]:
@@ -157,10 +157,10 @@ class Experiment:
         }
 
 
-def counted(learner: validation.Learner, chosen: Counter[str]) -> validation.Learner:
+def counted(learner: validation.Estimator, chosen: Counter[str]) -> validation.Estimator:
     """The same learner, which also counts what the inner folds chose."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
         said, choice = learner(train, test, seed)
         chosen[f"{choice['features']}: {choice['kernel']} C={choice['cost']:g}"] += 1
         return said, choice
@@ -174,7 +174,7 @@ def by_batch(recordings: Recordings) -> Recordings:
     return replace(recordings, session=np.where(recordings.source == FAILURES, began, recordings.session))
 
 
-def of_both(items: Sentences, sessions: tuple[str, str]) -> Sentences:
+def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledIntervals:
     """Only the classes with at least FEWEST items on each side."""
     counts = [np.bincount(items.y[items.session == side], minlength=len(items.classes)) for side in sessions]
     kept = np.flatnonzero(np.min(counts, axis=0) >= FEWEST).tolist()
@@ -182,7 +182,7 @@ def of_both(items: Sentences, sessions: tuple[str, str]) -> Sentences:
     number = np.full(len(items.classes), -1)
     number[kept] = np.arange(len(kept))
     dropped = {**items.dropped, "class not in both batches": len(items.y) - len(rows)}
-    return Sentences(
+    return LabelledIntervals(
         tuple(items.classes[c] for c in kept),
         number[items.y[rows]],
         items.trial[rows],

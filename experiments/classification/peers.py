@@ -19,16 +19,16 @@ from typing import Any
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, recorded, segments
 from experiments._lib.checkpointed_rows import Rows
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences, describe
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
 from rcbht_jax.types import LabelTracks, Recordings
 
-Make = Callable[[raw.Segments, Sentences], validation.Learner]
+Make = Callable[[raw.Segments, LabelledIntervals], validation.Estimator]
 
 PEERS: dict[str, Make] = {
     "statistics + random forest": lambda x, items: raw.forest(raw.statistics(x), items.y),
@@ -65,17 +65,17 @@ class Experiment:
     def tracks(self) -> LabelTracks:
         """Labels of all recordings; made when a row needs them."""
         config = EncoderConfig(dt=self.recordings.dt)
-        return encode_recordings(config, preset(), self.recordings.wrench, self.recordings.length)
+        return encode_batch(config, preset(), self.recordings.wrench, self.recordings.length)
 
     @cache  # noqa: B019
-    def data(self, benchmark: str) -> tuple[Sentences, raw.Segments]:
+    def data(self, benchmark: str) -> tuple[LabelledIntervals, raw.Segments]:
         items = items_of(self.recordings, BENCHMARKS[benchmark])
         return items, segments(self.recordings, items)
 
-    def learner(self, benchmark: str, method: str) -> validation.Learner:
+    def learner(self, benchmark: str, method: str) -> validation.Estimator:
         items, parts = self.data(benchmark)
         if method in OURS:
-            words = describe(self.tracks(), items, FeatureSpec(families=OURS[method])).values
+            words = extract_features(self.tracks(), items, FeatureSpec(families=OURS[method])).values
             return validation.nested_svm({"": words}, items.y, items.trial, GRID)
         return (PEERS | PROBES)[method](parts, items)
 

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import Rows
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks
 
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,), balanced=True)
@@ -66,25 +66,25 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self) -> LabelTracks:
         config = EncoderConfig(dt=self.recordings.dt)
-        return encode_recordings(config, preset(), self.recordings.wrench, self.recordings.length)
+        return encode_batch(config, preset(), self.recordings.wrench, self.recordings.length)
 
     @cache  # noqa: B019
-    def items(self, question: str) -> Sentences:
+    def items(self, question: str) -> LabelledIntervals:
         """Whole records; the class is the group of the session."""
         asked = QUESTIONS[question]
         session = self.recordings.session
         outcome = np.where(np.isin(session, asked.classes[0]), "failure", "success")
         spec = TaskSpec("outcome", sessions=asked.sessions, outcomes=())
-        found = sentences(replace(self.recordings, outcome=outcome), spec)
+        found = labelled_intervals(replace(self.recordings, outcome=outcome), spec)
         names = tuple(" ".join(group) for group in asked.classes)
         return replace(found, classes=names)
 
-    def learners(self, question: str) -> dict[str, Callable[[], validation.Learner]]:
+    def learners(self, question: str) -> dict[str, Callable[[], validation.Estimator]]:
         items = self.items(question)
         parts = segments(self.recordings, items)
 
-        def words() -> validation.Learner:
-            x = describe(self.tracks(), items, FeatureSpec()).values
+        def words() -> validation.Estimator:
+            x = extract_features(self.tracks(), items, FeatureSpec()).values
             return validation.nested_svm({"": x}, items.y, items.trial, GRID)
 
         return {
@@ -113,7 +113,7 @@ class Experiment:
         return [held_out(items, asked.classes[1], self.seed + repeat) for repeat in range(self.repeats)]
 
 
-def held_out(items: Sentences, sessions: tuple[str, ...], seed: int) -> list[Split]:
+def held_out(items: LabelledIntervals, sessions: tuple[str, ...], seed: int) -> list[Split]:
     """Two folds: each holds one session of successes and a random half of the failures."""
     failures = np.random.default_rng(seed).permutation(np.flatnonzero(items.y == 0))
     first = failures[: len(failures) // 2]

@@ -2,7 +2,7 @@
 
 Nothing of the recorded trials is used but the mean of their first second, in free space, which is subtracted (tare).
 Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
-only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
+only one set is trained on, by grouped folds inside it. GradientThresholds are the authors' or chosen on simulated trials.
 
 Controllers are those of the recorded sessions; parts and sensor of presets A and B were fitted to the wrenches of those
 sessions, C has B's, and the OpenHRP preset wears A's sensor. What transfers without a session's own fit is said by the
@@ -34,14 +34,14 @@ from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, R
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
 from experiments.classification.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets
 from rcbht_jax.calibration import contextual
-from rcbht_jax.calibration.dataset import corpus
+from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, search
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Grid, SvmSpec, predictions, select
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 SEED = 0
@@ -137,7 +137,7 @@ class Experiment:
 
     @cache  # noqa: B019
     def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
-        """Thresholds chosen on the training sets; None = the preset's."""
+        """GradientThresholds chosen on the training sets; None = the preset's."""
         if spec.thresholds == "preset":
             return None
         trials, items = self.training(spec)
@@ -147,13 +147,13 @@ class Experiment:
             rows = np.unique(items.intervals[0].recording)
             found = contextual.calibrate(trials, rows, config, copy=copy).thresholds
         elif spec.thresholds == "gradient":
-            found = Thresholds(trained_limits(corpus(trials, items, config), config))
+            found = GradientThresholds(trained_limits(calibration_data(trials, items, config), config))
         else:
             options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
-            found = search(corpus(trials, items, config), config, options).thresholds
+            found = search(calibration_data(trials, items, config), config, options).thresholds
         return tuple(tuple(row) for row in np.asarray(found.limits).tolist())
 
-    def training(self, spec: Row) -> tuple[Recordings, Sentences]:
+    def training(self, spec: Row) -> tuple[Recordings, LabelledIntervals]:
         """A few trials of each training set as one set, and their states."""
         parts = []
         for name in spec.train:
@@ -162,7 +162,7 @@ class Experiment:
             few = np.random.default_rng(SEED).permutation(rows)[:SEARCHING]
             parts.append(trials.take(np.sort(few)))
         together = Recordings.join(parts)
-        return together, sentences(together, TaskSpec(outcomes=()))
+        return together, labelled_intervals(together, TaskSpec(outcomes=()))
 
     def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:
         """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.

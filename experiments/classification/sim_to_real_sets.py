@@ -14,26 +14,26 @@ from pathlib import Path
 
 import numpy as np
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FAMILIES, Features, FeatureSpec
 from rcbht_jax.io.store import read_recordings
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.presets.sessions import PRESETS
-from sim_mjx.randomization.trials import SIMULATED, Randomisation
+from sim_mjx.randomization.trials import SIMULATED, DomainRandomization
 from sim_mjx.synthesis import pipeline
 
 SEED = 20
 ONE = (1.0, 1.0)
-NONE = Randomisation(
+NONE = DomainRandomization(
     nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0), stiffness=ONE, overlap=ONE, friction=ONE, mount=ONE,
     gain=ONE, goal=ONE, speed=ONE, noise=ONE, force_bias=(0.0, 0.0), moment_bias=(0.0, 0.0), tare=ONE,
 )  # fmt: skip
-MILD = Randomisation(nominal_share=1.0)
+MILD = DomainRandomization(nominal_share=1.0)
 # What another robot, part or day might bring, without looking at any: half to twice each physical unknown.
-WIDE = Randomisation(
+WIDE = DomainRandomization(
     nominal_share=1.0, shift=(-2e-3, 2e-3), turn=(-0.02, 0.02), stiffness=(0.5, 2.0), overlap=(0.8, 1.1),
     friction=(0.5, 2.0), mount=(0.6, 1.7), gain=(0.8, 1.25), goal=(0.7, 1.4), speed=(0.6, 1.6), lag=(3, 8),
     noise=(0.5, 2.0), force_bias=(-1.0, 1.0), moment_bias=(-0.05, 0.05), tare=(0.8, 1.0), mating=(1.0, 20.0),
@@ -44,7 +44,7 @@ WIDE = Randomisation(
 class SimulatedSet:
     """How one level of randomisation is simulated."""
 
-    spec: Randomisation
+    spec: DomainRandomization
     trials: int  # per preset
 
 
@@ -96,22 +96,22 @@ class Sets:
         return tared(found) if tare else found
 
     @cache  # noqa: B019
-    def items(self, name: str, boundaries: str) -> Sentences:
+    def items(self, name: str, boundaries: str) -> LabelledIntervals:
         """One sentence per state of the trials that reached every state."""
         spec = RECORDED.get(name, TaskSpec(outcomes=()))
-        return sentences(self.recordings(name, True), replace(spec, boundaries=boundaries))
+        return labelled_intervals(self.recordings(name, True), replace(spec, boundaries=boundaries))
 
     @cache  # noqa: B019
     def tracks(self, name: str, how: Labelling) -> LabelTracks:
         """Labels of all trials of a set."""
         trials = self.recordings(name, how.tare)
-        limits = preset() if how.limits is None else Thresholds(np.array(how.limits))
-        return encode_recordings(EncoderConfig(how.window, trials.dt), limits, trials.wrench, trials.length)
+        limits = preset() if how.limits is None else GradientThresholds(np.array(how.limits))
+        return encode_batch(EncoderConfig(how.window, trials.dt), limits, trials.wrench, trials.length)
 
     @cache  # noqa: B019
     def features(self, name: str, how: Labelling, boundaries: str) -> Features:
         """All families of features of a set's sentences."""
-        return describe(self.tracks(name, how), self.items(name, boundaries), SPEC)
+        return extract_features(self.tracks(name, how), self.items(name, boundaries), SPEC)
 
 
 def tared(recordings: Recordings) -> Recordings:
@@ -137,9 +137,9 @@ def make(folder: Path, level: str, preset: str) -> None:
     spec = SETS[level].spec
     if preset == SIMULATED and level != "ideal":
         spec = replace(spec, sensor=WORN)
-    job = pipeline.Synthesis(preset, SETS[level].trials, SEED, shard=64, spec=spec)
+    job = pipeline.SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 
-    def progress(now: pipeline.Progress) -> None:
+    def progress(now: pipeline.SynthesisProgress) -> None:
         print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)
 
     print(pipeline.synthesise(target, job, progress=progress), flush=True)

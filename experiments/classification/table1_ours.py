@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
 from experiments._lib.checkpointed_rows import Rows
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec, longest
@@ -38,10 +38,10 @@ from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.learning.svm import Grid, grouped_folds
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import LabelTracks, Recordings
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
 
 SIMULATED = {"simulated B": "B", "simulated A": "A", "simulated two-arm": "two"}  # set -> preset
@@ -52,7 +52,7 @@ NESTED = Grid(scalings=(False,))  # the authors' grid: three kernels, ten costs,
 WORDS = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,))
 LABELS = ("offline", "online")
 
-Learn = Callable[[NDArray[np.int64]], validation.Learner]  # from the rows of a repeat
+Learn = Callable[[NDArray[np.int64]], validation.Estimator]  # from the rows of a repeat
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,10 @@ class Data:
             return self.authors().take(np.isin(self.authors().source, sources))
         target = self.folder / f"table1-{SIMULATED[sources[0]]}.zarr"
         if not target.exists():
-            spec = Randomisation(nominal_share=SHARE, longest=LONGEST)
+            spec = DomainRandomization(nominal_share=SHARE, longest=LONGEST)
             self.folder.mkdir(parents=True, exist_ok=True)
             pipeline.synthesise(
-                target, pipeline.Synthesis(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec)
+                target, pipeline.SynthesisConfig(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec)
             )
         return read_recordings(target)
 
@@ -108,16 +108,16 @@ class Data:
         trials = self.recordings(sources)
         if labels == "offline":
             return encode_dataset(trials)
-        return encode_recordings(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
+        return encode_batch(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
 
 
-def papers_features(tracks: LabelTracks, items: Sentences) -> NDArray[np.float32]:
+def papers_features(tracks: LabelTracks, items: LabelledIntervals) -> NDArray[np.float32]:
     """The label codes of every axis and layer, resampled to the longest sentence of the set."""
     slots = np.max([longest(tracks, arm) for arm in items.intervals], axis=0)
-    return describe(tracks, items, FeatureSpec(families=("sentence",), slots=tuple(slots.tolist()))).values
+    return extract_features(tracks, items, FeatureSpec(families=("sentence",), slots=tuple(slots.tolist()))).values
 
 
-def drawn(items: Sentences, balanced: bool, seed: int) -> NDArray[np.int64]:
+def drawn(items: LabelledIntervals, balanced: bool, seed: int) -> NDArray[np.int64]:
     """Rows of a repeat: all, or equally many of each class."""
     if not balanced:
         return np.arange(len(items.y))
@@ -128,7 +128,9 @@ def drawn(items: Sentences, balanced: bool, seed: int) -> NDArray[np.int64]:
     )
 
 
-def score(items: Sentences, learn: Learn, balanced: bool, grouped: bool, repeats: int, seed: int) -> dict[str, Any]:
+def score(
+    items: LabelledIntervals, learn: Learn, balanced: bool, grouped: bool, repeats: int, seed: int
+) -> dict[str, Any]:
     """Repeated folds, each repeat on its own rows."""
     runs = []
     for one in range(seed, seed + repeats):
@@ -143,9 +145,9 @@ def score(items: Sentences, learn: Learn, balanced: bool, grouped: bool, repeats
 
 def measure(data: Data, row: Row, labels: str, repeats: int, seed: int) -> dict[str, Any]:
     """The scores of one row for one kind of labels."""
-    items = sentences(data.recordings(row.sources), row.task)
+    items = labelled_intervals(data.recordings(row.sources), row.task)
     tracks = data.tracks(row.sources, labels)
-    codes, words = papers_features(tracks, items), describe(tracks, items, FeatureSpec()).values
+    codes, words = papers_features(tracks, items), extract_features(tracks, items, FeatureSpec()).values
     balanced = row.task.task == "outcome"
 
     def svm(x: NDArray[np.float32], grid: Grid) -> Learn:

@@ -27,7 +27,7 @@ from sim_mjx.assembly.waypoints import approach
 from sim_mjx.engines import native
 from sim_mjx.presets import two_arm as presets
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.randomization.two_arm import REPEATED
 from sim_mjx.registry import TWO_ARM
 from sim_mjx.validation import signature
@@ -40,7 +40,7 @@ SHARES = (0.0, 0.1, 0.2, 0.5, 1.0)  # of the right arm's gains
 NAMES = {"R": "right", "L": "left"}
 
 
-def simulated(name: str, count: int, spec: Randomisation) -> tuple[Rollouts, list[str], float]:
+def simulated(name: str, count: int, spec: DomainRandomization) -> tuple[Rollouts, list[str], float]:
     """Trials of a preset, their faults and the seconds that the physics took."""
     params, faults = TWO_ARM.draw_batch(name, SEED, range(count), spec)
     start = time.perf_counter()
@@ -201,7 +201,7 @@ def main() -> None:
     root = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE
     recorded, _ = read_hiro(root)
     result: dict[str, Any] = {"recorded trials": len(recorded) // 2, "forward kinematics": forward_kinematics(root)}
-    mild = Randomisation(nominal_share=1.0)
+    mild = DomainRandomization(nominal_share=1.0)
     for name in presets.PRESETS:
         run, _, _ = simulated(name, LIKE_RECORDED, REPEATED)
         varied, faults, seconds = simulated(name, MILD, mild)
@@ -209,7 +209,7 @@ def main() -> None:
             "signature of trials like the recorded ones": signatures(recorded, run, picture=name == "two-fixed"),
             "way of the left hand": way_of_left_hand(varied),
             "mildly randomised": seating(varied, faults, seconds),
-            "faulty": seating(*simulated(name, FAULTY, Randomisation(nominal_share=0.0))),
+            "faulty": seating(*simulated(name, FAULTY, DomainRandomization(nominal_share=0.0))),
         }
     result["way of the left hand by share of the right arm's gains"] = by_gain()
     params, _ = TWO_ARM.draw_batch("two", SEED, range(CERTIFIED), mild)

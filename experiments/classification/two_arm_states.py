@@ -12,18 +12,18 @@ from typing import Any
 
 from experiments._lib.results_io import write_result
 from experiments.classification.two_arm import SOURCE, as_recordings, simulated
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.hiro.importer import read_hiro
-from rcbht_jax.learning.evaluation import Protocol, evaluate
+from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import two_arm
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 
 SEED = 0
 TRIALS = 40  # of each preset
@@ -45,7 +45,7 @@ def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, simulated_set in made.items():
         both = Recordings.join([recorded, simulated_set])
-        tracks = encode_recordings(config, thresholds(), both.wrench, both.length)
+        tracks = encode_batch(config, thresholds(), both.wrench, both.length)
         forth = {"train_on": (name,), "test_on": ("SIM2",)}
         back = {"train_on": ("SIM2",), "test_on": (name,)}
         ways: dict[str, tuple[TaskSpec, dict[str, Any]]] = {
@@ -58,7 +58,7 @@ def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
             if title in out:
                 continue
             found = {
-                kind: evaluate(both, tracks, task, spec, Protocol(5, 3, SEED, grid, **split))
+                kind: evaluate(both, tracks, task, spec, EvaluationProtocol(5, 3, SEED, grid, **split))
                 for kind, (spec, grid) in KINDS.items()
             }
             row = {kind: interval(one.score) for kind, one in found.items()}
@@ -74,7 +74,7 @@ def interval(score: dict[str, Any]) -> dict[str, float]:
 
 def main() -> None:
     recorded, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE)
-    mild = Randomisation(nominal_share=1.0)
+    mild = DomainRandomization(nominal_share=1.0)
     made = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in two_arm.PRESETS}
     note = (
         "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms; "

@@ -35,14 +35,20 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
-from rcbht_jax.introspection.chain import Sight
+from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.levels import Alarm
-from rcbht_jax.introspection.training import TRIAL_FAMILIES, TRIAL_RELATIVE, Looks, streamed, watch
+from rcbht_jax.introspection.training import (
+    TRIAL_FAMILIES,
+    TRIAL_RELATIVE,
+    Snapshots,
+    regular_snapshots,
+    snapshot_features,
+)
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
 SOURCES = ("REAL_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_ERROR_CHARAC")
 RATE = 10.0  # looks per second
@@ -59,8 +65,8 @@ Flags = NDArray[np.bool_]
 class Watched:
     """All looks at all real trials."""
 
-    items: Sentences  # one per trial
-    looks: Looks
+    items: LabelledIntervals  # one per trial
+    looks: Snapshots
     x: Floats  # [look, feature]
     dt: float
 
@@ -103,7 +109,7 @@ SPLITS: dict[str, Callable[[NDArray[np.str_], np.random.Generator], Iterator[tup
 }
 
 
-def evenly(looks: Looks) -> Flags:
+def evenly(looks: Snapshots) -> Flags:
     """Looks that train: evenly spaced over each record, its end always."""
     chosen = np.zeros(len(looks), bool)
     for sentence in np.unique(looks.sentence):
@@ -172,12 +178,12 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
 def looked(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     """All looks, and the columns of each choice of features; the time that has passed is the last column."""
     recordings, _ = read_hiro(data)
-    items = sentences(recordings, TaskSpec("outcome", sources=SOURCES))
+    items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
-    looks = streamed(items, round(1 / (RATE * config.dt)))
-    sight = Sight(FeatureSpec(families=TRIAL_FAMILIES))
+    looks = regular_snapshots(items, round(1 / (RATE * config.dt)))
+    sight = FeatureView(FeatureSpec(families=TRIAL_FAMILIES))
     with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
-        x = watch(recordings, looks, sight, config, preset(), bar.update)
+        x = snapshot_features(recordings, looks, sight, config, preset(), bar.update)
     family = np.array([name.split(".")[0] for name in names(sight.spec)] + ["elapsed"])
     elapsed = ((looks.now - looks.begin) * config.dt)[:, None]
     columns = {

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments._lib.results_io import write_result
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.hiro.importer import read_hiro
@@ -49,7 +49,7 @@ def main() -> None:
     result = {}
     for window in WINDOWS:
         config = EncoderConfig(window=window, dt=recordings.dt)
-        tracks = encode_recordings(config, preset(), recordings.wrench, recordings.length)
+        tracks = encode_batch(config, preset(), recordings.wrench, recordings.length)
         shares: dict[str, list[list[list[float]]]] = {}
         for row, source in enumerate(recordings.source):
             table, ids = tables[source]

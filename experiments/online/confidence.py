@@ -22,14 +22,14 @@ from experiments._lib.checkpointed_rows import Rows
 from experiments.online.table2 import MAIN_RATE, SETS, halves, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, Looks, learn
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, Snapshots, learn
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 PARTS = 20  # of a sub-task
 
 
-def beliefs(x: dict[str, Any], items: Sentences, seed: int) -> tuple[Looks, np.ndarray]:
+def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Snapshots, np.ndarray]:
     """The looks at the untrained half, and the probability of the true class at each."""
     inside = halves(items, seed)
     columns = np.isin(x["family"], FAMILIES)
@@ -44,7 +44,7 @@ def beliefs(x: dict[str, Any], items: Sentences, seed: int) -> tuple[Looks, np.n
 
 
 def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
-    items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    items = labelled_intervals(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
     length = items.intervals[0].end - items.intervals[0].start
     parts = []
@@ -58,7 +58,7 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
     }
 
 
-def held(looks: Looks, p: np.ndarray, sentence: int, length: int) -> np.ndarray:
+def held(looks: Snapshots, p: np.ndarray, sentence: int, length: int) -> np.ndarray:
     """The belief that stands at each moment of one sentence; NaN before the first."""
     mine = looks.sentence == sentence
     moments = (np.arange(PARTS) + 0.5) / PARTS

@@ -27,12 +27,20 @@ from experiments._lib.results_io import write_result
 from experiments.online.table2 import SETS, halves
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.introspection.levels import Phases
-from rcbht_jax.introspection.training import HeadSpec, Looks, from_the_beginning, learn, picked, streamed, watch
+from rcbht_jax.introspection.levels import PhaseFilter
+from rcbht_jax.introspection.training import (
+    HeadSpec,
+    Snapshots,
+    from_the_beginning,
+    learn,
+    regular_snapshots,
+    snapshot_features,
+    training_snapshots,
+)
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # looks per second
@@ -47,12 +55,12 @@ Ints = NDArray[np.int64]
 class View:
     """Looks with their features."""
 
-    looks: Looks
+    looks: Snapshots
     x: NDArray[np.float32]
     head: HeadSpec
 
 
-def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
+def fitted(items: LabelledIntervals, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
     """A machine for the state, trained on the looks at the training trials, as ``rcbht train-online`` does."""
     rows = inside[view.looks.sentence]
     x = view.x[rows].astype(np.float64)
@@ -61,14 +69,14 @@ def fitted(items: Sentences, view: View, inside: NDArray[np.bool_], seed: int) -
 
 def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
     """When each sub-task but the first is noticed, s: state -> time."""
-    phases, found = Phases(classes), {}
+    phases, found = PhaseFilter(classes), {}
     for row, t in zip(p, time.tolist(), strict=True):
         if phases.update(row, t):
             found[phases.current] = t
     return found
 
 
-def going_on(looks: Looks, starts: dict[int, dict[int, float]], dt: float) -> Ints:
+def going_on(looks: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Ints:
     """The sub-task that goes on at each look, as it was noticed."""
     out = np.zeros(len(looks), np.int64)
     for recording, found in starts.items():
@@ -77,7 +85,7 @@ def going_on(looks: Looks, starts: dict[int, dict[int, float]], dt: float) -> In
     return out
 
 
-def with_beginnings(looks: Looks, starts: dict[int, dict[int, float]], dt: float) -> Looks:
+def with_beginnings(looks: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Snapshots:
     """The same moments with the sentences begun when they were noticed; after the look that noticed them."""
     begin = np.zeros_like(looks.begin)
     for recording, found in starts.items():
@@ -88,7 +96,7 @@ def with_beginnings(looks: Looks, starts: dict[int, dict[int, float]], dt: float
     return replace(looks, begin=begin)
 
 
-def repeat(data: Recordings, items: Sentences, views: dict[str, View], seed: int) -> dict[str, Any]:
+def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], seed: int) -> dict[str, Any]:
     """One half-split."""
     inside, dt = halves(items, seed), data.dt
     state, phase = (fitted(items, views[name], inside, seed) for name in ("state trains", "phase trains"))
@@ -104,7 +112,7 @@ def repeat(data: Recordings, items: Sentences, views: dict[str, View], seed: int
         errors.append([starts[recording].get(s, np.nan) - truth[s] for s in range(1, len(items.classes))])
     own = with_beginnings(looks, starts, dt)
     order = np.lexsort((own.now, own.recording))
-    x = watch(data, own.take(order), given.head.sight, EncoderConfig(dt=dt), preset())
+    x = snapshot_features(data, own.take(order), given.head.sight, EncoderConfig(dt=dt), preset())
     mine = ~inside[given.looks.sentence]
     scores = {
         "given": (items.y[given.looks.sentence[mine]], state.probability(given.x[mine].astype(np.float64))),
@@ -138,11 +146,11 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
     return out
 
 
-def views_of(data: Recordings, items: Sentences) -> dict[str, View]:
+def views_of(data: Recordings, items: LabelledIntervals) -> dict[str, View]:
     """All looks that any repeat needs, with features."""
     config = EncoderConfig(dt=data.dt)
     every = round(1 / (RATE * config.dt))
-    chosen, all_of_it = picked(items, every), streamed(items, every)
+    chosen, all_of_it = training_snapshots(items, every), regular_snapshots(items, every)
     wanted = {
         "state trains": chosen,
         "state": all_of_it,
@@ -153,7 +161,7 @@ def views_of(data: Recordings, items: Sentences) -> dict[str, View]:
     for name, looks in wanted.items():
         with tqdm(total=len(looks), desc=name, file=sys.stderr, disable=None) as bar:
             head = HEADS[name.split()[0]]
-            out[name] = View(looks, watch(data, looks, head.sight, config, preset(), bar.update), head)
+            out[name] = View(looks, snapshot_features(data, looks, head.sight, config, preset(), bar.update), head)
     return out
 
 
@@ -166,7 +174,7 @@ def main() -> None:
     data, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
     rows = {}
     for name in args.sets:
-        items = sentences(data, TaskSpec(sources=(SETS[name],), arms="R"))
+        items = labelled_intervals(data, TaskSpec(sources=(SETS[name],), arms="R"))
         views = views_of(data, items)
         seeds = tqdm(range(args.seed, args.seed + args.repeats), desc=name, file=sys.stderr, disable=None)
         runs = [repeat(data, items, views, s) for s in seeds]

@@ -26,13 +26,21 @@ from tqdm import tqdm
 from experiments._lib.benchmarks import recorded
 from experiments._lib.checkpointed_rows import Rows
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.introspection.chain import Sight
-from rcbht_jax.introspection.training import TRIAL_FAMILIES, TRIAL_GRID, Looks, learn, picked, streamed, watch
+from rcbht_jax.introspection.chain import FeatureView
+from rcbht_jax.introspection.training import (
+    TRIAL_FAMILIES,
+    TRIAL_GRID,
+    Snapshots,
+    learn,
+    regular_snapshots,
+    snapshot_features,
+    training_snapshots,
+)
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import Recordings
 
@@ -66,7 +74,7 @@ METHODS = {
 }
 
 
-def moments(items: Sentences, looks: Looks) -> dict[str, NDArray[np.int64]]:
+def moments(items: LabelledIntervals, looks: Snapshots) -> dict[str, NDArray[np.int64]]:
     """The first look of every trial at or after each part of its record."""
     length = (items.intervals[0].end - items.intervals[0].start)[looks.sentence]
     found = {}
@@ -77,7 +85,13 @@ def moments(items: Sentences, looks: Looks) -> dict[str, NDArray[np.int64]]:
 
 
 def fold(
-    items: Sentences, looks: Looks, training: NDArray[np.bool_], x: Floats, method: Method, test: Floats, seed: int
+    items: LabelledIntervals,
+    looks: Snapshots,
+    training: NDArray[np.bool_],
+    x: Floats,
+    method: Method,
+    test: Floats,
+    seed: int,
 ) -> dict[str, Any]:
     """Train on the trials that are not in ``test``, stream those."""
     seen, y = np.isin(looks.sentence, test), items.y[looks.sentence]
@@ -114,21 +128,23 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def watched(recordings: Recordings, looks: Looks, method: Method) -> Floats:
+def watched(recordings: Recordings, looks: Snapshots, method: Method) -> Floats:
     """Features of all looks."""
     config = EncoderConfig(window=method.window, dt=recordings.dt)
-    limits = Thresholds(np.asarray(preset().limits) * method.scale)
+    limits = GradientThresholds(np.asarray(preset().limits) * method.scale)
     with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
-        x = watch(recordings, looks, Sight(FeatureSpec(families=method.families)), config, limits, bar.update)
+        x = snapshot_features(
+            recordings, looks, FeatureView(FeatureSpec(families=method.families)), config, limits, bar.update
+        )
     return x.astype(np.float64)
 
 
 def row(
-    recordings: Recordings, items: Sentences, looks: Looks, method: Method, repeats: int, seed: int
+    recordings: Recordings, items: LabelledIntervals, looks: Snapshots, method: Method, repeats: int, seed: int
 ) -> Callable[[], Any]:
     def make() -> Any:
         every = round(1 / (RATE * recordings.dt))
-        chosen = picked(items, every, PICKED, early=False)
+        chosen = training_snapshots(items, every, PICKED, early=False)
         training = np.isin(looks.sentence * 10**7 + looks.now, chosen.sentence * 10**7 + chosen.now)
         x = watched(recordings, looks, method)
         splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
@@ -144,8 +160,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     recordings = recorded()
-    items = sentences(recordings, TaskSpec("failure-type"))
-    looks = streamed(items, round(1 / (RATE * recordings.dt)))
+    items = labelled_intervals(recordings, TaskSpec("failure-type"))
+    looks = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
     about = {
         "what": "failure type of simulated failures from the stream; folds grouped by trial",
         "trials": len(items.y),

@@ -21,8 +21,8 @@ from rcbht_jax.io.store import read_recordings, read_simulation
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.presets import sessions
-from sim_mjx.randomization.trials import MATING_BEGINS, Randomisation
-from sim_mjx.synthesis.pipeline import Synthesis, synthesise
+from sim_mjx.randomization.trials import MATING_BEGINS, DomainRandomization
+from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 
 # Kind -> what a grade is, and the fields of the distributions that each grade sets.
 GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
@@ -68,12 +68,12 @@ class Trials:
         return np.asarray(self.recordings.outcome == "failure")
 
 
-def spec_of(kind: str, grade: int) -> Randomisation:
+def spec_of(kind: str, grade: int) -> DomainRandomization:
     """The distributions of one kind and grade."""
     if kind == NOMINAL:
-        return Randomisation(nominal_share=1.0, logs_on=TAIL)
+        return DomainRandomization(nominal_share=1.0, logs_on=TAIL)
     values: dict[str, Any] = {name: (value, value) for name, value in GRADES[kind][grade][1].items()}
-    return replace(Randomisation(nominal_share=0.0, faults=(kind,), logs_on=TAIL), **values)
+    return replace(DomainRandomization(nominal_share=0.0, faults=(kind,), logs_on=TAIL), **values)
 
 
 def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int]]:
@@ -102,7 +102,9 @@ def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, s
     ):
         path = folder / f"{preset}-{kind}-{grade}-{count}-{1000 * seed + number}.zarr"
         if not path.exists():
-            synthesise(path, Synthesis(preset, count, 1000 * seed + number, shard=_SHARD, spec=spec_of(kind, grade)))
+            synthesise(
+                path, SynthesisConfig(preset, count, 1000 * seed + number, shard=_SHARD, spec=spec_of(kind, grade))
+            )
         lots.append(_lot(path, preset, kind, grade))
     columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
     recordings = Recordings.join(columns.pop("recordings"))

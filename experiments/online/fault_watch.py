@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments.online.fault_trials import NOMINAL, Trials, trials
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.introspection.alarms import conformal_level, held_out, held_peak
-from rcbht_jax.introspection.chain import Sight, observe_all
+from rcbht_jax.introspection.alarms import conformal_threshold, held_out, sustained_peak
+from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.levels import Alarm
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
@@ -34,7 +34,7 @@ APPROACH, INSERTION, MATING, SETTLED = range(4)
 REST = 12.0  # s after mating begins: session B's hand creeps so long until its wrench is steady; a new sentence begins
 MERGED = [0, 1, 3]  # columns of the onsets: in the recorded controllers the rotation may last one sample
 # Primitives alone: their levels and slopes are the force itself, which a missing tab changes by less than a word.
-SIGHT = Sight(
+SIGHT = FeatureView(
     FeatureSpec(
         layers=("primitive",), families=("histogram", "attributes", "offset", "course", "edges", "duration"),
     )
@@ -98,8 +98,8 @@ def watched(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, 
     path = folder / f"{preset}-{sizes}-{per_kind}-{seed}-looks.npz"
     if not path.is_file():
         with tqdm(total=len(now), desc=f"watch {preset}", file=sys.stderr, disable=None) as bar:
-            x = observe_all(config, thresholds(), SIGHT, recordings.wrench, row, begin, now, bar.update)
-        with whole_file(path) as draft:
+            x = online_features_batch(config, thresholds(), SIGHT, recordings.wrench, row, begin, now, bar.update)
+        with atomic_write(path) as draft:
             np.savez(draft, x=x)
     return Watched(those, row, begin, now, stage, np.load(path)["x"])
 
@@ -136,7 +136,7 @@ def _limit(w: Watched, inside: NDArray[np.bool_], stage: int) -> float:
     """Longest time that a sub-task may last, s."""
     onset = w.trials.recordings.onset[:, MERGED]
     lasted = (onset[:, stage + 1] - onset[:, stage])[inside & w.trials.nominal]
-    return conformal_level(lasted, CLOCK)
+    return conformal_threshold(lasted, CLOCK)
 
 
 def _of_stage(w: Watched, inside: NDArray[np.bool_], stage: int) -> NDArray[np.bool_]:
@@ -194,7 +194,7 @@ def _level(
 ) -> float:
     """Of the words' alarm in a sub-task, for a share of false alarms."""
     steps, calm = round(hold * RATE) + 1, _by_trial(w, stage, inside & w.trials.nominal)
-    return conformal_level(np.array([held_peak(said[looks], steps) for looks in calm.values()]), share)
+    return conformal_threshold(np.array([sustained_peak(said[looks], steps) for looks in calm.values()]), share)
 
 
 def _found(
@@ -207,7 +207,7 @@ def _found(
     for stage, level in levels.items():
         for trial, rows in _by_trial(w, stage, failures).items():
             intime = rows[time[rows] <= those.end[trial]]
-            raised[trial] |= held_peak(said[intime], steps) > level
+            raised[trial] |= sustained_peak(said[intime], steps) > level
     kinds = np.unique(those.kind[failures])
     return float(np.mean([raised[failures & (those.kind == kind)].mean() for kind in kinds]))
 

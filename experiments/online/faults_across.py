@@ -32,7 +32,7 @@ from tqdm import tqdm
 from experiments.online.fault_trials import GRADES, Trials
 from experiments.online.fault_watch import Monitor, Watched, alarms, monitor, watched
 from experiments.online.faults import Streamed, arguments, cell, false_alarms, keep_faults, parts
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.types import Recordings
 
 Rows = NDArray[np.bool_]
@@ -100,7 +100,7 @@ def heard(w: Watched, others: list[Watched], seed: int, way: str, path: Path) ->
     if not path.is_file():
         said = {name: alarms(w, one, ~inside) for name, one in learned(w, inside, others, seed, way).items()}
         found = {f"{name}/{watcher}": times for name, first in said.items() for watcher, times in first.items()}
-        with whole_file(path) as draft:
+        with atomic_write(path) as draft:
             np.savez(draft, allow_pickle=False, **found)
     with np.load(path, allow_pickle=False) as kept:
         names = dict.fromkeys(key.split("/")[0] for key in kept.files)

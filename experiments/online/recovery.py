@@ -35,7 +35,7 @@ from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.randomization import trials as randomize
 
 PRESET = "C"
-MILD = randomize.Randomisation(nominal_share=1.0)
+MILD = randomize.DomainRandomization(nominal_share=1.0)
 DIRECTIONS = {"+x": (1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the hand from the part
 FAULT = (0.004, 0.012)  # m
 STEP = 0.004  # m, by which the planner moves the next approach
@@ -53,7 +53,7 @@ def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
     """Trials with the hand ``offsets`` [trial, 2] (m) beside the part, mildly randomised otherwise."""
     trials = []
     for index, (dx, dy) in enumerate(offsets, start=first):
-        one, _ = randomize.draw(PRESET, seed, index, MILD)
+        one, _ = randomize.sample(PRESET, seed, index, MILD)
         moved = one.task.way_position + np.array([dx, dy, 0.0])
         trials.append(replace(one, task=replace(one.task, way_position=moved)))
     return native.simulate(one_arm(), stack(trials))

@@ -30,11 +30,21 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
-from rcbht_jax.introspection.chain import Sight
-from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, RELATIVE, Looks, learn, picked, streamed, watch
+from rcbht_jax.introspection.chain import FeatureView
+from rcbht_jax.introspection.training import (
+    ENDS,
+    FAMILIES,
+    GRID,
+    RELATIVE,
+    Snapshots,
+    learn,
+    regular_snapshots,
+    snapshot_features,
+    training_snapshots,
+)
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.tasks import Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
 KINDS = {"all": FAMILIES, "relative": RELATIVE}
 MAIN_RATE = 10.0
@@ -53,26 +63,26 @@ CHANCE = "ECE full sequences, were they calibrated perfectly"
 Floats = NDArray[np.float64]
 
 
-def halves(items: Sentences, seed: int) -> NDArray[np.bool_]:
+def halves(items: LabelledIntervals, seed: int) -> NDArray[np.bool_]:
     """Which sentences train: those of a random half of the trials."""
     trials = np.unique(items.trial)
     return np.isin(items.trial, np.random.default_rng(seed).permutation(trials)[: len(trials) // 2])
 
 
-def certainty_rows(p: Floats, looks: Looks, items: Sentences) -> dict[str, Any]:
+def certainty_rows(p: Floats, looks: Snapshots, items: LabelledIntervals) -> dict[str, Any]:
     """Counts and m of the streamed test sentences at every k."""
     order = np.unique(looks.sentence)
     parts = [p[looks.sentence == s] for s in order]
     truth = [int(items.y[s]) for s in order]
     rows = {}
-    for k in metrics.THRESHOLDS:
+    for k in metrics.CERTAINTY_LEVELS:
         c = metrics.certainties(parts, truth, k)
         names = ("count_min", "count_mean", "count_max", "avg_len", "m_paper", "m_own")
         rows[f"k={k:.2f}"] = {name: getattr(c, name) for name in names}
     return rows
 
 
-def time_to_confidence(p: Floats, looks: Looks, items: Sentences, k: float, dt: float) -> Floats:
+def time_to_confidence(p: Floats, looks: Snapshots, items: LabelledIntervals, k: float, dt: float) -> Floats:
     """Median seconds until a belief is first right and certain for good, per class; inf where most never are."""
     seconds: list[list[float]] = [[] for _ in items.classes]
     for s in np.unique(looks.sentence):
@@ -85,7 +95,7 @@ def time_to_confidence(p: Floats, looks: Looks, items: Sentences, k: float, dt: 
     return np.array([np.median(x) for x in seconds])
 
 
-def early(p: Floats, looks: Looks, items: Sentences) -> Floats:
+def early(p: Floats, looks: Snapshots, items: LabelledIntervals) -> Floats:
     """Accuracy ``[class, fraction]`` at 10, 20, ... 100 % of the sub-task."""
     where = items.intervals[0]
     length = (where.end - where.start)[looks.sentence]
@@ -98,7 +108,7 @@ def early(p: Floats, looks: Looks, items: Sentences) -> Floats:
     return np.divide(hits, total, out=np.full(size, np.nan), where=total > 0).reshape(-1, FRACTIONS)
 
 
-def repeat(x: dict[str, Any], items: Sentences, families: tuple[str, ...], seed: int, dt: float) -> Any:
+def repeat(x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int, dt: float) -> Any:
     """All numbers of one half-split: trained on one half's looks, streamed over the other."""
     inside = halves(items, seed)
     columns = np.isin(x["family"], families)
@@ -164,22 +174,24 @@ def _mean(stacked: Floats) -> Floats:
     return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
 
 
-def watched(recordings: Any, items: Sentences, config: EncoderConfig, rate: float) -> dict[str, Any]:
+def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, rate: float) -> dict[str, Any]:
     """Features of all looks, once for all repeats: they depend on no training."""
     families = tuple(dict.fromkeys((*FAMILIES, *RELATIVE)))
-    sight = Sight(FeatureSpec(families=families))
+    sight = FeatureView(FeatureSpec(families=families))
     every = round(1 / (rate * config.dt))
-    out: dict[str, Any] = {"picked": picked(items, every), "streamed": streamed(items, every)}
+    out: dict[str, Any] = {"picked": training_snapshots(items, every), "streamed": regular_snapshots(items, every)}
     for part in ("picked", "streamed"):
         with tqdm(total=len(out[part]), desc=f"{part} looks at {rate:g} Hz", file=sys.stderr, disable=None) as bar:
-            out[f"{part}_x"] = watch(recordings, out[part], sight, config, preset(), lambda n: bar.update(n))
+            out[f"{part}_x"] = snapshot_features(
+                recordings, out[part], sight, config, preset(), lambda n: bar.update(n)
+            )
     out["family"] = np.array([name.split(".")[0] for name in names(sight.spec)])
     return out
 
 
 def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, relative: bool) -> dict[str, Any]:
     config = EncoderConfig(dt=recordings.dt)
-    items = sentences(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    items = labelled_intervals(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, config, rate)
     result: dict[str, Any] = {
         "trials": len(np.unique(items.trial)),

@@ -16,7 +16,7 @@ from sim_mjx import engines
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, one_arm
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation, draw_batch
+from sim_mjx.randomization.trials import DomainRandomization, sample_batch
 from sim_mjx.validation.engine_parity import parity, reference
 from sim_mjx.validation.solver_convergence import certify
 
@@ -25,7 +25,9 @@ CERTIFIED = 64  # trials
 
 
 def trials_of(count: int, longest: float, nominal_share: float = 0.5) -> TrialParams:
-    return draw_batch(PRESET, SEED, range(count), Randomisation(nominal_share=nominal_share, longest=longest))[0]
+    return sample_batch(PRESET, SEED, range(count), DomainRandomization(nominal_share=nominal_share, longest=longest))[
+        0
+    ]
 
 
 def speed(engine: str, params: TrialParams, scene: Scene | None = None) -> dict[str, float]:

@@ -27,7 +27,7 @@ from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
 from sim_mjx.assembly.task import ENDED
 from sim_mjx.engines import device
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import labelled, pipeline
 from sim_mjx.validation.engine_parity import parity, reference
 
@@ -107,12 +107,12 @@ def _differences(expected: device.Outcome, found: device.Outcome) -> dict[str, f
 
 def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
     """Trials with onsets, outcome, fault and all label tracks, stored; the first, smaller run compiles."""
-    spec = Randomisation(longest=options.synthesis_longest)
+    spec = DomainRandomization(longest=options.synthesis_longest)
     out: dict[str, Any] = {"trials": options.trials, "longest": options.synthesis_longest}
     spans: dict[str, float] = {}
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         for turn in ("with_compilation_s", "seconds"):
-            job = pipeline.Synthesis("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
+            job = pipeline.SynthesisConfig("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
             with _stopwatch(spans):
                 start = time.perf_counter()
                 report = pipeline.synthesise(Path(folder) / f"{turn}.zarr", job)

@@ -39,7 +39,7 @@ def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
 
 
 def mild(preset: str, count: int, **options: Any) -> tuple[Rollouts, float]:
-    drawn, _ = trials.draw_batch(preset, SEED, range(count), trials.Randomisation(nominal_share=1.0, **options))
+    drawn, _ = trials.sample_batch(preset, SEED, range(count), trials.DomainRandomization(nominal_share=1.0, **options))
     start = time.perf_counter()
     run = native.simulate(one_arm(), drawn)
     return run, time.perf_counter() - start

@@ -27,7 +27,7 @@ from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import sessions as presets
-from sim_mjx.randomization.trials import Randomisation, draw, draw_batch
+from sim_mjx.randomization.trials import DomainRandomization, sample, sample_batch
 from sim_mjx.validation import sessions
 from sim_mjx.validation.replay import Recorder, seated_snaps
 
@@ -42,7 +42,7 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
     seated, diverged, start = [], 0, time.perf_counter()
     for first in range(0, trials, BLOCK):
         indices = range(first, min(first + BLOCK, trials))
-        run = native.simulate(one_arm(), draw_batch(preset, SEED, indices, Randomisation(nominal_share=1.0))[0])
+        run = native.simulate(one_arm(), sample_batch(preset, SEED, indices, DomainRandomization(nominal_share=1.0))[0])
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
@@ -71,10 +71,10 @@ def success_map(
 ) -> np.ndarray:
     """Share of seated trials [roll, y, x] of the hand displaced by x and y (mm) and turned by roll (degrees)."""
     cells = [(r, y, x) for r in rolls for y in offsets for x in offsets for _ in range(per_cell)]
-    spec = Randomisation(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
+    spec = DomainRandomization(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
     trials = []
     for index, (r, y, x) in enumerate(cells):
-        trial = draw(MAP_PRESET, SEED, index, spec)[0]
+        trial = sample(MAP_PRESET, SEED, index, spec)[0]
         way = trial.task.way_position + np.array([x, y, 0.0]) * 1e-3
         turned = trial.task.way_rpy + np.array([np.radians(r), 0.0, 0.0])
         trials.append(replace(trial, task=replace(trial.task, way_position=way, way_rpy=turned)))

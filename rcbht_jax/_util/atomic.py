@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Give a temporary sibling of ``path`` to write; on success it takes its place, on failure it is removed.
 
     It has the suffix of ``path``. A killed process leaves at most a file whose name begins with a dot and contains

@@ -1,4 +1,4 @@
-"""Thresholds from context: the authors' rule, which reads limits off the states of an assembly.
+"""GradientThresholds from context: the authors' rule, which reads limits off the states of an assembly.
 
 The impulse limit of an axis is a share of its steepest primitive during insertion, when the snaps engage; the
 constant limit a share of the mean slope during rotation, when the hand only leans on its edge. The limits in
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import LabelTrack, Recordings
@@ -33,7 +33,7 @@ class Context:
 
     impulse: NDArray[np.float64]
     constant: NDArray[np.float64]
-    thresholds: Thresholds  # [6, 4]
+    thresholds: GradientThresholds  # [6, 4]
     trials: NDArray[np.int64]  # [2] trials that spoke for the impulse and for the constant limit
 
 
@@ -73,7 +73,7 @@ def trial_limits(
 def combine(
     impulse: NDArray[np.floating],
     constant: NDArray[np.floating],
-    fallback: Thresholds,
+    fallback: GradientThresholds,
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
 ) -> Context:
     """Medians over the trials, copied between axes and spaced.
@@ -100,7 +100,7 @@ def combine(
     # A rotation steeper than the insertion says nothing about constancy.
     top = np.maximum(top, bottom * (1 + 1e-6))
     speaking = np.array([int((~np.isnan(values)).any(1).sum()) for values in (impulse, constant)])
-    return Context(medians[0], medians[1], Thresholds(spectrum(top, bottom)), speaking)
+    return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), speaking)
 
 
 def _median(values: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -132,7 +132,7 @@ def calibrate(
         raise InputError("there is no trial to calibrate on.")
     base = preset(robot)
     length = recordings.length[rows]
-    tracks = encode_recordings(config, base, recordings.wrench[rows], length)
+    tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
     found = trial_limits(tracks.primitive, recordings.onset_harmonised[rows], end, recordings.dt)
     context = combine(*found, base, copy)

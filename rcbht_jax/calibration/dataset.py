@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from rcbht_jax.calibration.windows import Windows, fit_windows
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.tasks import Sentences
+from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Array, Recordings
 
 
 @dataclass(frozen=True)
-class Corpus:
+class CalibrationData:
     """One row per recording; every recording has the same number of sentences, end to end.
 
-    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.on_device.device_corpus`).
+    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.on_device.device_calibration_data`).
     """
 
     wrench: Array  # float32 [recording, time, 6], N and Nm
@@ -33,10 +33,12 @@ class Corpus:
     def __len__(self) -> int:
         return len(self.trial)
 
-    def take(self, rows: NDArray[np.integer[Any]]) -> Corpus:
+    def take(self, rows: NDArray[np.integer[Any]]) -> CalibrationData:
         """The chosen recordings."""
         windows = self.windows.take(rows)
-        return Corpus(self.wrench[rows], windows, self.edges[rows], self.y[rows], self.classes, self.trial[rows])
+        return CalibrationData(
+            self.wrench[rows], windows, self.edges[rows], self.y[rows], self.classes, self.trial[rows]
+        )
 
     def fingerprint(self) -> str:
         """SHA-256 of all that the result of a calibration can depend on."""
@@ -48,12 +50,12 @@ class Corpus:
         return digest.hexdigest()
 
 
-def corpus(recordings: Recordings, items: Sentences, config: EncoderConfig) -> Corpus:
+def calibration_data(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig) -> CalibrationData:
     """The sentences of a task with the windows of their recordings.
 
     Args:
         recordings: the data set.
-        items: sentences of one arm, from :func:`rcbht_jax.learning.tasks.sentences`.
+        items: sentences of one arm, from :func:`rcbht_jax.learning.tasks.labelled_intervals`.
         config: window and sampling period.
 
     Raises:
@@ -73,4 +75,4 @@ def corpus(recordings: Recordings, items: Sentences, config: EncoderConfig) -> C
     wrench = recordings.wrench[rows, : length.max()]
     windows = fit_windows(config, wrench, length)
     y = items.y.reshape(shape).astype(np.int32)
-    return Corpus(wrench, windows, edges, y, items.classes, recordings.trial[rows])
+    return CalibrationData(wrench, windows, edges, y, items.classes, recordings.trial[rows])

@@ -1,4 +1,4 @@
-"""Thresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
+"""GradientThresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 import optax  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.calibration.objective import left_out
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.objective import ridge_leave_one_out
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares
-from rcbht_jax.encoding.thresholds import Thresholds, from_free, to_free
+from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array
@@ -67,16 +67,16 @@ class Batch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainResult:
     """The end of a training."""
 
-    thresholds: Thresholds  # [6, 4]
+    thresholds: GradientThresholds  # [6, 4]
     parameters: Parameters
     history: list[tuple[float, float, float]]  # per step: seconds, training loss, held-out loss (NaN without)
     path: NDArray[np.float64]  # [step, 6, 4] thresholds after each step
 
 
-def batch_of(corpus: Corpus, config: EncoderConfig) -> Batch:
+def batch_of(corpus: CalibrationData, config: EncoderConfig) -> Batch:
     """A corpus as arrays for :func:`loss`."""
     windows = -(-corpus.wrench.shape[1] // config.window)
     weights = overlaps(jnp.asarray(corpus.edges), windows, config.window)
@@ -103,7 +103,7 @@ def loss(
     """Mean loss of the linear classifier on soft label shares, without its penalty.
 
     With ``fit`` it is the share of the variance of the classes that a ridge classifier does not explain when each trial
-    is left out in turn (:func:`rcbht_jax.calibration.objective.left_out`).
+    is left out in turn (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
     limits = from_free(parameters.free).limits
     labels = soft_encode(
@@ -113,7 +113,7 @@ def loss(
     if options.loss == "fit":
         flat = x.reshape(-1, x.shape[-1])
         target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0])
-        return 1 - left_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
+        return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
     said = _GAIN * x @ parameters.weights + parameters.bias[None, None]
     if options.loss == "logistic":
         return optax.softmax_cross_entropy_with_integer_labels(said, batch.y).mean()
@@ -124,14 +124,14 @@ def loss(
 
 
 def calibrate(
-    corpus: Corpus,
+    corpus: CalibrationData,
     config: EncoderConfig,
-    start: Thresholds,
+    start: GradientThresholds,
     options: GradientOptions,
     *,
-    held_out: Corpus | None = None,
+    held_out: CalibrationData | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Trained:
+) -> TrainResult:
     """Train thresholds and classifier on a corpus, from ``start``.
 
     Args:
@@ -169,7 +169,7 @@ def calibrate(
             raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
         if progress is not None:
             progress(1)
-    return Trained(Thresholds(path[-1]), parameters, history, np.stack(path))
+    return TrainResult(GradientThresholds(path[-1]), parameters, history, np.stack(path))
 
 
 def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) -> Parameters:

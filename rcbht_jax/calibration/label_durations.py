@@ -17,7 +17,7 @@ from rcbht_jax.encoding import encoder
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.segments import gradient_label
 from rcbht_jax.labels import LAYER_SIZES
-from rcbht_jax.types import Array, Item
+from rcbht_jax.types import Array, Segment
 
 LABELS = sum(LAYER_SIZES)
 _ITEMS, _INTS, _REALS = 8, 3, 2  # held items; label, t0, t1; vmax, vmin
@@ -30,7 +30,7 @@ _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
 @partial(jax.jit, static_argnums=0, static_argnames="group")
-def label_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
+def label_durations(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
     """Samples that each label fills in each sentence.
 
     Args:
@@ -78,7 +78,7 @@ def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: 
         size = jnp.clip(length - start, 0, config.window)
         label = jnp.where(size >= 2, gradient_label(slope, lane_limits), 0)
         none = jnp.zeros_like(slope)
-        x = Item(label, start, start + size, vmax, vmin, none, none)
+        x = Segment(label, start, start + size, vmax, vmin, none, none)
         items, published = encoder.chain(config, _unpack(held), x)
         return _pack(items), _labels(published)
 
@@ -97,7 +97,7 @@ def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: 
 
 def _rest(config: EncoderConfig, held: _Held) -> Array:
     """What the end of a recording publishes, int32 ``[slot, 9, lane]`` like a block."""
-    layers = encoder.drain_items(config, _unpack(held))
+    layers = encoder.drain_segments(config, _unpack(held))
     slots = -(-max(items.label.shape[0] for items in layers) // _UNROLLED) * _UNROLLED
     short = ((0, slots - items.label.shape[0]) for items in layers)
     padded = [jax.tree.map(lambda leaf, s=s: jnp.pad(leaf, (s, (0, 0))), x) for x, s in zip(layers, short, strict=True)]
@@ -141,19 +141,19 @@ def _per_label(label: Array, duration: Array, size: int) -> Array:
     return jax.lax.fori_loop(0, label.shape[0] // _UNROLLED, some, jnp.zeros((size, label.shape[1]), jnp.int32))
 
 
-def _labels(items: list[Item]) -> Array:
+def _labels(items: list[Segment]) -> Array:
     return jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
 
 
-def _pack(items: list[Item]) -> _Held:
+def _pack(items: list[Segment]) -> _Held:
     return _labels(items), jnp.stack([leaf for x in items for leaf in (x.vmax, x.vmin)])
 
 
-def _unpack(held: _Held) -> list[Item]:
+def _unpack(held: _Held) -> list[Segment]:
     """Items without area and rise, on which no label depends."""
     none = jnp.zeros_like(held[1][0])
     ints, reals = (leaf.reshape(_ITEMS, -1, none.shape[0]) for leaf in held)
     return [
-        Item(label=i[0], t0=i[1], t1=i[2], vmax=r[0], vmin=r[1], area=none, rise=none)
+        Segment(label=i[0], t0=i[1], t1=i[2], vmax=r[0], vmin=r[1], area=none, rise=none)
         for i, r in zip(ints, reals, strict=True)
     ]

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 
 
-class Ledger:
+class ScoreCheckpoint:
     """Scores ``[evaluation, score]`` in order; in memory only when there is no path.
 
     Args:
@@ -50,5 +50,5 @@ class Ledger:
             raise ValueError(f"evaluation {first} does not follow the {len(known)} known ones")
         self._scores = np.concatenate([known, scores])
         if self._path is not None:
-            with whole_file(self._path) as draft, draft.open("wb") as file:
+            with atomic_write(self._path) as draft, draft.open("wb") as file:
                 np.savez(file, fingerprint=np.array(self._fingerprint), scores=self._scores)

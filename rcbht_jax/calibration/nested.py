@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.label_durations import label_durations
 from rcbht_jax.calibration.objective import Objective, scores
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences, describe
-from rcbht_jax.learning.validation import Answer, Learner, nested_svm
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
+from rcbht_jax.learning.validation import Estimator, Prediction, nested_svm
 from rcbht_jax.types import Array, Recordings
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ Choose = Callable[[Rows, int], Floats]
 
 
 @dataclass(frozen=True)
-class Library:
+class CandidateBank:
     """Candidates and their times per label, trial by trial: what a candidate says of a trial depends on nothing else.
 
     So one encoding of all trials serves every fold; a fold scores the candidates on its own training trials.
@@ -41,13 +41,13 @@ class Library:
     classes: int
 
     @staticmethod
-    def make(corpus: Corpus, config: EncoderConfig, limits: Floats, chunk: int = 256) -> Library:
+    def make(corpus: CalibrationData, config: EncoderConfig, limits: Floats, chunk: int = 256) -> CandidateBank:
         """Encode all trials with all candidates."""
         parts = []
         for start in range(0, len(limits), chunk):
             some = jnp.asarray(limits[start : start + chunk], corpus.windows.slope.dtype)
-            parts.append(np.asarray(label_times(config, some, corpus.windows, jnp.asarray(corpus.edges))))
-        return Library(limits, np.concatenate(parts), corpus.y, len(corpus.classes))
+            parts.append(np.asarray(label_durations(config, some, corpus.windows, jnp.asarray(corpus.edges))))
+        return CandidateBank(limits, np.concatenate(parts), corpus.y, len(corpus.classes))
 
     def rank(self, rows: Rows, objective: Objective) -> Rows:
         """Candidates from the best to the worst on the recordings ``rows``; ties to the lowest index."""
@@ -62,7 +62,7 @@ class Library:
 
 @dataclass
 class CalibratedSvm:
-    """Learner: chooses thresholds on its training trials, encodes all trials with them, trains and selects an SVM.
+    """Estimator: chooses thresholds on its training trials, encodes all trials with them, trains and selects an SVM.
 
     Attributes:
         recordings: the data set.
@@ -74,18 +74,18 @@ class CalibratedSvm:
     """
 
     recordings: Recordings
-    items: Sentences
+    items: LabelledIntervals
     config: EncoderConfig
     choose: Choose
     grid: Grid
     spec: FeatureSpec
     _known: dict[bytes, Features] = field(default_factory=dict, init=False, repr=False)
 
-    def learner(self) -> Learner:
+    def learner(self) -> Estimator:
         """For :func:`rcbht_jax.learning.validation.cross_validate`."""
         return self._learn
 
-    def _learn(self, train: Rows, test: Rows, seed: int) -> Answer:
+    def _learn(self, train: Rows, test: Rows, seed: int) -> Prediction:
         (spans,) = self.items.intervals
         order = list(dict.fromkeys(spans.recording.tolist()))
         rows = np.array(sorted({order.index(r) for r in spans.recording[train].tolist()}), np.int64)
@@ -102,9 +102,9 @@ class CalibratedSvm:
             (spans,) = self.items.intervals
             rows, place = np.unique(spans.recording, return_inverse=True)
             wrench, length = self.recordings.wrench[rows], self.recordings.length[rows]
-            tracks = encode_recordings(self.config, Thresholds(limits), wrench, length)
+            tracks = encode_batch(self.config, GradientThresholds(limits), wrench, length)
             local = replace(self.items, intervals=(replace(spans, recording=place),))
-            self._known[key] = describe(tracks, local, self.spec)
+            self._known[key] = extract_features(tracks, local, self.spec)
         return self._known[key]
 
 

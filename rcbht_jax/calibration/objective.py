@@ -1,6 +1,6 @@
 """How well the labels of a set of thresholds tell sentences apart: fast scores for thousands of candidates.
 
-All scores see the time per label only (:func:`rcbht_jax.calibration.label_durations.label_times`), lie between 0 and 1
+All scores see the time per label only (:func:`rcbht_jax.calibration.label_durations.label_durations`), lie between 0 and 1
 (``fit`` may be negative) and are larger where the thresholds are better.
 """
 
@@ -88,7 +88,7 @@ def score_block(times: Array, y: Array, *, classes: int) -> Array:
 
     def one(candidate: Array) -> Array:
         x = shares(candidate.reshape(-1, *candidate.shape[2:]))
-        accuracy, fit = left_out(jnp.sqrt(x), target, y.shape[1])
+        accuracy, fit = ridge_leave_one_out(jnp.sqrt(x), target, y.shape[1])
         return jnp.stack([accuracy, fit, _fisher(x, target), _information(x, target), _agreement(x, target)])
 
     with jax.default_matmul_precision("highest"):  # a GPU would round the factors to ten bits
@@ -110,7 +110,7 @@ def _blocks(times: Array) -> list[Array]:
     return [padded[start : start + _BLOCK] for start in range(0, count, _BLOCK)]
 
 
-def left_out(x: Array, target: Array, per_trial: int) -> tuple[Array, Array]:
+def ridge_leave_one_out(x: Array, target: Array, per_trial: int) -> tuple[Array, Array]:
     """Accuracy and explained variance of ridge regression on the classes, each trial left out in turn.
 
     The residuals of a left-out block are (I - H)^-1 times those of the full fit, H the block of the hat matrix,

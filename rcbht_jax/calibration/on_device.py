@@ -11,13 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.windows import Windows, device_lines
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.types import Array
 
 
-def device_corpus(config: EncoderConfig, wrench: Array, edges: Array, y: Array, classes: tuple[str, ...]) -> Corpus:
+def device_calibration_data(
+    config: EncoderConfig, wrench: Array, edges: Array, y: Array, classes: tuple[str, ...]
+) -> CalibrationData:
     """Windows fitted where the wrenches are; trials are named by their number.
 
     Args:
@@ -28,7 +30,7 @@ def device_corpus(config: EncoderConfig, wrench: Array, edges: Array, y: Array, 
         classes: their names.
     """
     clean, windows = _fitted(config, wrench, edges)
-    return Corpus(clean, windows, edges, y, classes, np.arange(len(wrench)).astype(np.str_))
+    return CalibrationData(clean, windows, edges, y, classes, np.arange(len(wrench)).astype(np.str_))
 
 
 @partial(jax.jit, static_argnums=0)

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from rcbht_jax.calibration.cma import Cma
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.calibration.label_durations import LABELS, label_times
-from rcbht_jax.calibration.ledger import Ledger
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.label_durations import LABELS, label_durations
+from rcbht_jax.calibration.ledger import ScoreCheckpoint
 from rcbht_jax.calibration.objective import SCORES, Objective, scores
 from rcbht_jax.calibration.windows import AXES
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ _MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and bytes that the times of a chunk 
 
 
 @dataclass(frozen=True)
-class Space:
+class SearchSpace:
     """Where thresholds are looked for: ordered limits between multiples of a base, per axis or group of axes."""
 
     base: Floats = field(default_factory=lambda: np.asarray(preset().limits, np.float64))  # [6, 4]
@@ -58,7 +58,7 @@ class Space:
         return 4 * (max(self.groups) + 1)
 
     def limits(self, points: Floats) -> Floats:
-        """Thresholds ``[candidate, 6, 4]`` of points ``[candidate, dimensions]`` in the unit cube."""
+        """GradientThresholds ``[candidate, 6, 4]`` of points ``[candidate, dimensions]`` in the unit cube."""
         position = -np.sort(-points.reshape(len(points), -1, 4), axis=-1)[:, self.groups]
         bottom, top = (np.log(self.base[:, k] * f)[:, None] for k, f in ((3, self.low), (0, self.high)))
         return np.asarray(np.exp(bottom + position * (top - bottom)), np.float64)
@@ -76,7 +76,7 @@ class Space:
 class SearchOptions:
     """How long and where to look."""
 
-    space: Space = field(default_factory=Space)
+    space: SearchSpace = field(default_factory=SearchSpace)
     objective: Objective = field(default_factory=Objective)
     candidates: int = 4096  # Sobol points, the base among them
     rungs: tuple[float, ...] = (1.0,)  # share of the trials in each round of successive halving, increasing to 1
@@ -102,10 +102,10 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The best thresholds of a search."""
 
-    thresholds: Thresholds  # [6, 4]
+    thresholds: GradientThresholds  # [6, 4]
     value: float  # weighted sum of the scores
     scores: dict[str, float]
     start_value: float  # value of the base
@@ -113,8 +113,8 @@ class Found:
     history: list[tuple[int, float, float]]  # evaluations, seconds, best value so far on all trials
 
 
-def evaluate(
-    corpus: Corpus,
+def score_candidates(
+    corpus: CalibrationData,
     config: EncoderConfig,
     limits: Floats,
     *,
@@ -142,14 +142,14 @@ def evaluate(
     for start in range(0, len(limits), chunk):
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
-        times = label_times(config, jax.device_put(padded), windows, edges, group=group)
+        times = label_durations(config, jax.device_put(padded), windows, edges, group=group)
         out.append(scores(times, y, len(corpus.classes))[: len(some)])
         if progress is not None:
             progress(start, out[-1])
     return np.concatenate(out)
 
 
-def _chunk(backend: str, corpus: Corpus) -> int:
+def _chunk(backend: str, corpus: CalibrationData) -> int:
     """Candidates at once, a power of two, so that their times fit."""
     bytes_each = 4 * corpus.y.size * AXES * LABELS
     return min(_TOGETHER[backend][0], 1 << max(0, (_MOST[backend] // bytes_each).bit_length() - 1))
@@ -159,7 +159,12 @@ class _Run:
     """Numbered evaluations through the ledger."""
 
     def __init__(
-        self, corpus: Corpus, config: EncoderConfig, options: SearchOptions, ledger: Ledger, chunk: int | None
+        self,
+        corpus: CalibrationData,
+        config: EncoderConfig,
+        options: SearchOptions,
+        ledger: ScoreCheckpoint,
+        chunk: int | None,
     ):
         self.corpus, self.config, self.options, self.ledger, self.chunk = corpus, config, options, ledger, chunk
         self.weights = options.objective.weights()
@@ -186,7 +191,7 @@ class _Run:
             progress(done)
         if done < len(points):
             part = self.corpus if trials == 1 else self.corpus.take(rows)
-            made = evaluate(part, self.config, limits[done:], chunk=self.chunk, progress=keep)
+            made = score_candidates(part, self.config, limits[done:], chunk=self.chunk, progress=keep)
             known = np.concatenate([known.reshape(-1, made.shape[1]), made])
         self.number += len(points)
         return known
@@ -201,14 +206,14 @@ class _Run:
 
 
 def search(
-    corpus: Corpus,
+    corpus: CalibrationData,
     config: EncoderConfig,
     options: SearchOptions,
     *,
     chunk: int | None = None,
     ledger: Path | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Found:
+) -> SearchResult:
     """The best thresholds for a corpus; ties go to the candidate evaluated first.
 
     Args:
@@ -225,7 +230,7 @@ def search(
     if len(np.unique(jax.device_get(corpus.y))) < 2:
         raise InputError("thresholds can only be searched on sentences of at least two classes.")
     fingerprint = "" if ledger is None else _fingerprint(corpus, config, options)
-    run = _Run(corpus, config, options, Ledger(ledger, fingerprint), chunk)
+    run = _Run(corpus, config, options, ScoreCheckpoint(ledger, fingerprint), chunk)
     points = options.points()
     for rung in options.rungs:
         made = run(points, rung, progress)
@@ -245,8 +250,8 @@ def search(
         if run.values(made)[best] > found[2]:
             found = points[best], made[best], run.values(made)[best]
         run.note(float(found[2]))
-    return Found(
-        thresholds=Thresholds(options.space.limits(found[0][None])[0]),
+    return SearchResult(
+        thresholds=GradientThresholds(options.space.limits(found[0][None])[0]),
         value=float(found[2]),
         scores=dict(zip(SCORES, found[1].tolist(), strict=True)),
         start_value=float(values[0]),
@@ -255,7 +260,7 @@ def search(
     )
 
 
-def _fingerprint(corpus: Corpus, config: EncoderConfig, options: SearchOptions) -> str:
+def _fingerprint(corpus: CalibrationData, config: EncoderConfig, options: SearchOptions) -> str:
     plain: dict[str, Any] = asdict(options)
     plain["space"]["base"] = options.space.base.tolist()
     text = json.dumps([corpus.fingerprint(), asdict(config), plain], sort_keys=True)

@@ -13,20 +13,20 @@ import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from rcbht_jax.calibration import contextual
-from rcbht_jax.calibration.dataset import Corpus, corpus
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
 from rcbht_jax.calibration.gradient import GradientOptions
 from rcbht_jax.calibration.gradient import calibrate as train
 from rcbht_jax.calibration.objective import SCORES, Objective
-from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.cli.command import Command
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.threshold_file import LIMITS, write_thresholds
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.labels import AXES
 from rcbht_jax.learning.evaluation import data_hash
-from rcbht_jax.learning.tasks import TaskSpec, sentences
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.plots import save
 from rcbht_jax.plots.thresholds import threshold_figure
 from rcbht_jax.types import Recordings
@@ -97,13 +97,13 @@ class Calibrate(Command):
         recordings = read_recordings(self.store)
         spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
         config = EncoderConfig(self.window, recordings.dt)
-        data = corpus(recordings, sentences(recordings, spec), config)
+        data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
         start = time.perf_counter()
         thresholds, found = getattr(self, f"_{self.method}")(recordings, data, config)
         seconds = time.perf_counter() - start
         base = np.asarray(preset(self.robot).limits)
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
-        both = evaluate(data, config, np.stack([base, np.asarray(thresholds.limits)]))
+        both = score_candidates(data, config, np.stack([base, np.asarray(thresholds.limits)]))
         result = {
             "method": self.method,
             "trials": len(data),
@@ -142,16 +142,18 @@ class Calibrate(Command):
         return "\n".join([*lines, "These trials chose the thresholds: measure on others."])
 
     def _context(
-        self, recordings: Recordings, data: Corpus, config: EncoderConfig
-    ) -> tuple[Thresholds, dict[str, Any]]:
+        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig
+    ) -> tuple[GradientThresholds, dict[str, Any]]:
         rows = np.flatnonzero(np.isin(recordings.trial, data.trial) & (recordings.arm == self.arm))
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
         found = contextual.calibrate(recordings, rows, config, self.robot, copy)
         return found.thresholds, {"trials_per_limit": found.trials.tolist(), "own_axes": self.own_axes}
 
-    def _search(self, recordings: Recordings, data: Corpus, config: EncoderConfig) -> tuple[Thresholds, dict[str, Any]]:
+    def _search(
+        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig
+    ) -> tuple[GradientThresholds, dict[str, Any]]:
         options = SearchOptions(
-            space=Space(np.asarray(preset(self.robot).limits, np.float64), _GROUPS[self.groups]),
+            space=SearchSpace(np.asarray(preset(self.robot).limits, np.float64), _GROUPS[self.groups]),
             objective=Objective.of(dict.fromkeys(self.objective, 1.0)),
             candidates=self.candidates,
             rungs=self.rungs,
@@ -164,8 +166,8 @@ class Calibrate(Command):
         return found.thresholds, {"evaluations": found.evaluations, "groups": self.groups, "options": plain}
 
     def _gradient(
-        self, recordings: Recordings, data: Corpus, config: EncoderConfig
-    ) -> tuple[Thresholds, dict[str, Any]]:
+        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig
+    ) -> tuple[GradientThresholds, dict[str, Any]]:
         options = GradientOptions(
             steps=self.steps, loss=self.loss, straight_through=self.straight_through, seed=self.seed
         )

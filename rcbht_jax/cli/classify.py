@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.cli.command import Command
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import choose_tracks
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning.model_io import TrainedModel, load
-from rcbht_jax.learning.predict import Classified, check_encoders, classify, encoders_of, task_of
+from rcbht_jax.learning.predict import Classification, check_encoders, classify, encoders_of, task_of
 from rcbht_jax.types import LabelTracks, Recordings
 
 
@@ -59,7 +59,7 @@ class Classify(Command):
         recordings = read_recordings(self.store)
         found = classify(model, recordings, tracks, spec)
         write = _csv if self.out.suffix == ".csv" else _json_lines
-        with whole_file(self.out) as draft:
+        with atomic_write(self.out) as draft:
             draft.write_text(write(found, lines_of(found, recordings)), encoding="utf-8")
         said = Counter(found.said.tolist())
         return {
@@ -67,7 +67,7 @@ class Classify(Command):
             "task": spec.task,
             "sentences": len(found.said),
             "classes": {name: said[name] for name in found.classes},
-            "dropped": found.spans.dropped,
+            "dropped": found.items.dropped,
             "known": int((found.known & ~found.seen).sum()),
             "accuracy": found.accuracy(),
             "trained_on": int(found.seen.sum()),
@@ -102,23 +102,23 @@ class Classify(Command):
         return "\n".join(lines)
 
 
-def lines_of(found: Classified, recordings: Recordings) -> list[dict[str, Any]]:
+def lines_of(found: Classification, recordings: Recordings) -> list[dict[str, Any]]:
     """One line per sentence, without the decision values."""
-    spans = found.spans.intervals
+    spans = found.items.intervals
     columns = {
-        "source": recordings.source[found.spans.row],
-        "trial": recordings.trial[found.spans.row],
-        "arm": recordings.arm[found.spans.row] if len(spans) == 1 else np.full(len(found.said), "both"),
-        "session": recordings.session[found.spans.row],
+        "source": recordings.source[found.items.row],
+        "trial": recordings.trial[found.items.row],
+        "arm": recordings.arm[found.items.row] if len(spans) == 1 else np.full(len(found.said), "both"),
+        "session": recordings.session[found.items.row],
         "start": np.round(spans[0].start * recordings.dt, 6),
         "end": np.round(spans[0].end * recordings.dt, 6),
         "class": found.said,
-        "truth": found.spans.name,
+        "truth": found.items.name,
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*(c.tolist() for c in columns.values()), strict=True)]
 
 
-def _csv(found: Classified, lines: list[dict[str, Any]]) -> str:
+def _csv(found: Classification, lines: list[dict[str, Any]]) -> str:
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*lines[0], *found.pairs])
@@ -126,7 +126,7 @@ def _csv(found: Classified, lines: list[dict[str, Any]]) -> str:
     return table.getvalue()
 
 
-def _json_lines(found: Classified, lines: list[dict[str, Any]]) -> str:
+def _json_lines(found: Classification, lines: list[dict[str, Any]]) -> str:
     decisions = (dict(zip(found.pairs, values, strict=True)) for values in found.decision.tolist())
     texts = (
         json.dumps(line | {"truth": line["truth"] or None, "decision": decision}, ensure_ascii=False, allow_nan=False)

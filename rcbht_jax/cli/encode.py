@@ -14,10 +14,10 @@ import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from rcbht_jax.cli.command import Command
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.threshold_file import read_thresholds
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import list_tracks, write_tracks
 from rcbht_jax.io.store import read_recordings
@@ -112,20 +112,20 @@ class Encode(Command):
         thresholds, source = self._thresholds()
         total = int(recordings.length.sum())
         with tqdm(total=total, desc="encode", unit=" samples", unit_scale=True, file=sys.stderr, disable=None) as bar:
-            tracks = encode_recordings(
+            tracks = encode_batch(
                 config, thresholds, recordings.wrench, recordings.length, progress=lambda n: bar.update(n)
             )
         how = {"semantics": "online", "window": self.window, "config": asdict(config)}
         return tracks, {**how, "thresholds": thresholds.limits.tolist(), "thresholds_from": source}
 
-    def _thresholds(self) -> tuple[Thresholds, dict[str, Any]]:
+    def _thresholds(self) -> tuple[GradientThresholds, dict[str, Any]]:
         if self.thresholds is None:
             chosen, source = preset(self.robot), {"method": "preset", "robot": self.robot}
         else:
             chosen, source = read_thresholds(self.thresholds)
         if self.scale == 1:
             return chosen, source
-        return Thresholds(np.asarray(chosen.limits) * self.scale), {**source, "scale": self.scale}
+        return GradientThresholds(np.asarray(chosen.limits) * self.scale), {**source, "scale": self.scale}
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         def bar(indices: Iterable[int]) -> Iterable[int]:

@@ -13,7 +13,7 @@ from rcbht_jax.cli.command import Command
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.label_store import choose_tracks
 from rcbht_jax.io.store import read_recordings
-from rcbht_jax.learning.evaluation import Grammars, Protocol, evaluate, train
+from rcbht_jax.learning.evaluation import EvaluationProtocol, Grammars, evaluate, train
 from rcbht_jax.learning.model_io import save
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec
@@ -93,7 +93,7 @@ class Evaluate(_Learning):
 
     def run(self) -> dict[str, Any]:
         grammars, how = self.read_tracks()
-        protocol = Protocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
+        protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features, balance=self.balance)
         result = evaluate(read_recordings(self.store), grammars, self.spec, families, protocol, how)
         return {"tracks": " ".join(grammars), **result.to_json()}

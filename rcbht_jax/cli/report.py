@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.cli.command import Command
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import model as models
@@ -61,7 +61,7 @@ class Report(Command):
         count = len(chosen(data.recordings, options))
         with tqdm(total=count, desc="report", unit=" trials", file=sys.stderr, disable=None) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)
-        with whole_file(self.out) as draft:
+        with atomic_write(self.out) as draft:
             draft.write_text(text, encoding="utf-8")
         return {
             "out": str(self.out),

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, drain, encode_lanes, init
-from rcbht_jax.encoding.thresholds import Thresholds, validate
+from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, drain, init, scan_lanes
+from rcbht_jax.encoding.thresholds import GradientThresholds, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -73,9 +73,9 @@ def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS)
     return Schedule(recording, offset, samples)
 
 
-def encode_recordings(
+def encode_batch(
     config: EncoderConfig,
-    thresholds: Thresholds,
+    thresholds: GradientThresholds,
     wrench: NDArray[np.floating],
     length: NDArray[np.int32],
     *,
@@ -118,7 +118,9 @@ def encode_recordings(
     return rows.compact(len(length))
 
 
-def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]) -> NDArray[np.floating]:
+def _checked(
+    thresholds: GradientThresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]
+) -> NDArray[np.floating]:
     if wrench.ndim != 3 or wrench.shape[2] != AXES:
         raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, 6].")
     if length.shape != wrench.shape[:1] or length.size == 0:
@@ -133,7 +135,7 @@ def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArr
     limits = np.asarray(thresholds.limits)
     validate(limits)
     if limits.shape not in ((AXES, 4), (len(length), AXES, 4)):
-        raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] or [recording, 6, 4].")
+        raise InputError(f"GradientThresholds have shape {limits.shape}; expected [6, 4] or [recording, 6, 4].")
     return np.broadcast_to(limits, (len(length), AXES, 4)).astype(wrench.dtype)
 
 
@@ -171,7 +173,7 @@ def _piece(
         wide = jnp.broadcast_to(fresh, leaf.shape) if leaf.ndim == 1 else jnp.broadcast_to(fresh[None], leaf.shape)
         return jnp.where(wide, jnp.zeros_like(leaf), leaf)
 
-    return encode_lanes(config, limits, jax.tree.map(restart, state), samples, count)
+    return scan_lanes(config, limits, jax.tree.map(restart, state), samples, count)
 
 
 _drained = jax.jit(drain, static_argnums=0)

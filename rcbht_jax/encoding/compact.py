@@ -1,6 +1,6 @@
 """Whole batches of recordings encoded on the device: wrench in, label tracks out, nothing through the host.
 
-Same labels, bit for bit, as :func:`rcbht_jax.encoding.batch.encode_recordings`, which is better where recordings differ much in
+Same labels, bit for bit, as :func:`rcbht_jax.encoding.batch.encode_batch`, which is better where recordings differ much in
 length or where memory is short: here all are scanned at once to the end of the longest.
 """
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from rcbht_jax.encoding.pipe import amplitude, duration, is_contact, is_impulse, keep, merge, once, relabel, select
 from rcbht_jax.labels import LLB, MC, MC_PAIR, MC_SINGLE, Group, Primitive
-from rcbht_jax.types import Array, Item
+from rcbht_jax.types import Array, Segment
 
 
 def _packed(cells: Sequence[int]) -> int:
@@ -36,7 +36,7 @@ def group(label: Array) -> Array:
     return jnp.where(label >= Primitive.PIMP, impulse, jnp.where(label == Primitive.CONS, jnp.int32(Group.K), ramp))
 
 
-def push_primitive(h: Item, x: Item, gate: bool, contact_first: bool) -> tuple[Item, Item]:
+def push_primitive(h: Segment, x: Segment, gate: bool, contact_first: bool) -> tuple[Segment, Segment]:
     """One primitive arrives (an empty x changes nothing): new H, composition (empty where none is complete).
 
     Args:
@@ -60,12 +60,12 @@ def push_primitive(h: Item, x: Item, gate: bool, contact_first: bool) -> tuple[I
     return _composed(h, x, pair, jnp.where(both, label, 0))
 
 
-def single_composition(h: Item) -> Item:
+def single_composition(h: Segment) -> Segment:
     """The composition of a primitive left alone at the end of a stream; empty stays empty."""
     return keep(h.label > 0, relabel(h, _look_up(_SINGLE_MC, group(h.label))))
 
 
-def push_composition(h: Item, x: Item, short: int) -> tuple[Item, Item]:
+def push_composition(h: Segment, x: Segment, short: int) -> tuple[Segment, Segment]:
     """One composition arrives: new H, behaviour. Singles shorter than ``short`` samples are noise."""
     both = (x.label > 0) & (h.label > 0)
     contacts = is_contact(h.label) & is_contact(x.label)
@@ -76,7 +76,7 @@ def push_composition(h: Item, x: Item, short: int) -> tuple[Item, Item]:
     return _composed(h, x, pair, jnp.where(both, label, 0))
 
 
-def _composed(h: Item, x: Item, pair: Array, label: Array) -> tuple[Item, Item]:
+def _composed(h: Segment, x: Segment, pair: Array, label: Array) -> tuple[Segment, Segment]:
     """New H and output: the pair, or H alone, under a label; 0 = nothing to say yet."""
     word = once(label << 1 | pair.astype(jnp.int32), x.t0)
     pair, label = word & 1 > 0, word >> 1
@@ -84,12 +84,12 @@ def _composed(h: Item, x: Item, pair: Array, label: Array) -> tuple[Item, Item]:
     return select(x.label > 0, keep(~pair, x), h), out
 
 
-def single_behaviour(h: Item, short: int) -> Item:
+def single_behaviour(h: Segment, short: int) -> Segment:
     """The behaviour of a composition left alone at the end of a stream; empty stays empty."""
     return keep(h.label > 0, _single(h, short))
 
 
-def _single(h: Item, short: int) -> Item:
+def _single(h: Segment, short: int) -> Segment:
     noise = ~is_contact(h.label) & ((h.label == MC.U) | (duration(h) < short))
     return relabel(h, jnp.where(noise, jnp.int32(LLB.N), _behaviour(h.label)))
 

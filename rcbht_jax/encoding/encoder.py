@@ -2,7 +2,7 @@
 
 ``step`` is pure, fixed-size and loop-free; ``encode`` scans it. Lanes (axes, arms, trials) are the trailing
 batch dimensions, so a wrench window is ``[window, axis]`` and ``[window, trial, axis]`` works alike.
-Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Item` for why.
+Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rcbht_jax.encoding import pipe, segments
 from rcbht_jax.encoding.pipe import PipeRules
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC
-from rcbht_jax.types import Array, Item, LabelTrack, LabelTracks
+from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 
 FLUSH_SLOTS = (2, 5, 8)  # most labels that the end of a stream can publish, per layer (section 4.8)
 _ITEMS = 8  # P.A P.B H M.A M.B H L.A L.B
@@ -91,7 +91,7 @@ class EncoderState:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Published:
+class PackedLabels:
     """What one step publishes, packed for the loop; :func:`unpack` gives the labels. Stacks of steps lead."""
 
     ints: Array  # int32 [9, ...], label, t0, t1 of each layer's item
@@ -108,7 +108,7 @@ def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float3
     )
 
 
-def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, Published]:
+def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, PackedLabels]:
     """One full window of samples for every lane.
 
     Args:
@@ -125,13 +125,13 @@ def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Arra
 
 def step_partial(
     config: EncoderConfig, limits: Array, state: EncoderState, window: Array, count: Array
-) -> tuple[EncoderState, Published]:
+) -> tuple[EncoderState, PackedLabels]:
     """As :func:`step`, for a window of which ``count`` samples (int32, lanes) are there; a single one is dropped."""
     x = segments.fit(window, count, _lane_limits(limits, window), config.dt, state.time)
     return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
 
 
-def unpack(published: Published) -> LabelTracks:
+def unpack(published: PackedLabels) -> LabelTracks:
     """Labels of one step, arrays ``[...]`` like the lanes; label 0 where nothing was published.
 
     Under a scan, apply it to each step by ``jax.vmap`` or leave the packed form as it is.
@@ -183,12 +183,12 @@ def encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -
     lanes = jnp.swapaxes(wrench, 0, 1).reshape(total, trials * axes)
     lane_limits = _lane_limits(limits, lanes, (trials, axes))
     length = jnp.repeat(length.astype(jnp.int32), axes)
-    state, tracks = encode_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
+    state, tracks = scan_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
     joined = _join(tracks, drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(trials, axes, leaf.shape[-1]), joined)
 
 
-def encode_lanes(
+def scan_lanes(
     config: EncoderConfig, limits: Array, state: EncoderState, samples: Array, count: Array
 ) -> tuple[EncoderState, LabelTracks]:
     """Scan one piece of a recording per lane; pieces but the last must be multiples of the window.
@@ -211,10 +211,10 @@ def encode_lanes(
     size = jnp.clip(count[None] - start, 0, window)
     x = segments.fit(full, size, limits[:, None], config.dt, start)
 
-    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, Published]:
+    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, PackedLabels]:
         label, *values = row
         size = jnp.where(label > 0, jnp.minimum(end - state.time, window), 0)
-        return _advance(config, state, Item(label, state.time, state.time + size, *values), size)
+        return _advance(config, state, Segment(label, state.time, state.time + size, *values), size)
 
     end = state.time + count
     state, out = jax.lax.scan(body, state, (x.label, x.vmax, x.vmin, x.area, x.rise))
@@ -232,13 +232,13 @@ def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = Non
     return jnp.moveaxis(wide, -1, 0).reshape(4, *like.shape[1:])
 
 
-def _advance(config: EncoderConfig, state: EncoderState, x: Item, count: Array) -> tuple[EncoderState, Published]:
+def _advance(config: EncoderConfig, state: EncoderState, x: Segment, count: Array) -> tuple[EncoderState, PackedLabels]:
     held, out = chain(config, _unpack(state.ints, state.reals), x)
     state = EncoderState(state.time + count, *_pack(held))
-    return state, Published(*_pack(out), state.time)
+    return state, PackedLabels(*_pack(out), state.time)
 
 
-def chain(config: EncoderConfig, held: Sequence[Item], x: Item) -> tuple[list[Item], list[Item]]:
+def chain(config: EncoderConfig, held: Sequence[Segment], x: Segment) -> tuple[list[Segment], list[Segment]]:
     """Window item through pipe, composer, pipe, composer, pipe (section 4.7).
 
     Args:
@@ -263,18 +263,18 @@ def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
 
     State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots (section 4.8).
     """
-    layers = drain_items(config, _unpack(state.ints, state.reals))
+    layers = drain_segments(config, _unpack(state.ints, state.reals))
     return LabelTracks(*(_last_axis_track(items, state.time) for items in layers))
 
 
-def drain_items(config: EncoderConfig, held: Sequence[Item]) -> tuple[Item, Item, Item]:
+def drain_segments(config: EncoderConfig, held: Sequence[Segment]) -> tuple[Segment, Segment, Segment]:
     """What the eight held items still publish, per layer: 2, 5 and 8 items stacked in front of the lanes."""
     pa, pb, hm, ma, mb, hl, la, lb = held
 
-    def primitive(h: Item, x: Item) -> tuple[Item, Item]:
+    def primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return compose.push_primitive(h, x, config.gate, config.contact_first)
 
-    def composition(h: Item, x: Item) -> tuple[Item, Item]:
+    def composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return compose.push_composition(h, x, config.short)
 
     prims = _stack(*pipe.drain(pa, pb, config.rules(0)))
@@ -285,10 +285,10 @@ def drain_items(config: EncoderConfig, held: Sequence[Item]) -> tuple[Item, Item
     return prims, mcs, llbs
 
 
-def _drain_pipe(config: EncoderConfig, layer: int, a: Item, b: Item, arrivals: Item) -> Item:
+def _drain_pipe(config: EncoderConfig, layer: int, a: Segment, b: Segment, arrivals: Segment) -> Segment:
     rules = config.rules(layer)
 
-    def push(held: tuple[Item, Item], x: Item) -> tuple[tuple[Item, Item], Item]:
+    def push(held: tuple[Segment, Segment], x: Segment) -> tuple[tuple[Segment, Segment], Segment]:
         a, b, out = pipe.push(*held, x, rules)
         return (a, b), out
 
@@ -296,34 +296,34 @@ def _drain_pipe(config: EncoderConfig, layer: int, a: Item, b: Item, arrivals: I
     return _append(out, *pipe.drain(a, b, rules))
 
 
-def _stack(*items: Item) -> Item:
+def _stack(*items: Segment) -> Segment:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)
 
 
-def _append(stacked: Item, *items: Item) -> Item:
+def _append(stacked: Segment, *items: Segment) -> Segment:
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), stacked, _stack(*items))
 
 
-def _last_axis_track(items: Item, time: Array) -> LabelTrack:
+def _last_axis_track(items: Segment, time: Array) -> LabelTrack:
     items = jax.tree.map(lambda leaf: leaf.T, items)
     return _track(items, jnp.broadcast_to(time[:, None], items.label.shape))
 
 
-def _pack(items: Sequence[Item]) -> tuple[Array, Array]:
+def _pack(items: Sequence[Segment]) -> tuple[Array, Array]:
     ints = jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
     reals = jnp.stack([leaf for x in items for leaf in (x.vmax, x.vmin, x.area, x.rise)])
     return ints, reals
 
 
-def _unpack(ints: Array, reals: Array) -> list[Item]:
+def _unpack(ints: Array, reals: Array) -> list[Segment]:
     count = ints.shape[0] // _INTS
     return [
-        Item(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
+        Segment(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
         for k in range(count)
     ]
 
 
-def _track(x: Item, emit: Array) -> LabelTrack:
+def _track(x: Segment, emit: Array) -> LabelTrack:
     """Published form of items: means instead of sums, zeros where empty."""
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
     label = x.label.astype(jnp.int8)

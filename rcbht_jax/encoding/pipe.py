@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from rcbht_jax.labels import LLB, MC, Primitive
-from rcbht_jax.types import Array, Item
+from rcbht_jax.types import Array, Segment
 
 
 def is_impulse(label: Array) -> Array:
@@ -52,38 +52,38 @@ class PipeRules:
     one_slot: bool = False
 
 
-def amplitude(x: Item) -> Array:
+def amplitude(x: Segment) -> Array:
     """Height of the fitted lines, never negative."""
     return x.vmax - x.vmin
 
 
-def duration(x: Item) -> Array:
+def duration(x: Segment) -> Array:
     """Length in samples."""
     return x.t1 - x.t0
 
 
-def select(condition: Array, x: Item, y: Item) -> Item:
+def select(condition: Array, x: Segment, y: Segment) -> Segment:
     """Lane-wise choice between two items."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), x, y)
 
 
-def keep(condition: Array, x: Item) -> Item:
+def keep(condition: Array, x: Segment) -> Segment:
     """The item where the condition holds, an empty slot elsewhere."""
     return relabel(x, jnp.where(condition, x.label, 0))
 
 
-def relabel(x: Item, label: Array) -> Item:
+def relabel(x: Segment, label: Array) -> Segment:
     """The same span under another label."""
-    return Item(label, x.t0, x.t1, x.vmax, x.vmin, x.area, x.rise)
+    return Segment(label, x.t0, x.t1, x.vmax, x.vmin, x.area, x.rise)
 
 
-def merge(x: Item, y: Item, label: Array) -> Item:
+def merge(x: Segment, y: Segment, label: Array) -> Segment:
     """The span of two neighbours, x first; associative (section 4.1)."""
     vmax, vmin = jnp.maximum(x.vmax, y.vmax), jnp.minimum(x.vmin, y.vmin)
-    return Item(label, x.t0, y.t1, vmax, vmin, x.area + y.area, x.rise + y.rise)
+    return Segment(label, x.t0, y.t1, vmax, vmin, x.area + y.area, x.rise + y.rise)
 
 
-def over(x: Item, y: Item, rule: str) -> Array:
+def over(x: Segment, y: Segment, rule: str) -> Array:
     """Whether x may absorb y by the time-amplitude rule."""
     ax, ay, dx, dy = amplitude(x), amplitude(y), duration(x), duration(y)
     if rule == "paper":
@@ -91,7 +91,7 @@ def over(x: Item, y: Item, rule: str) -> Array:
     return (ax <= 5 * ay) & (ay <= 5 * ax) & (dx > 5 * dy)
 
 
-def push(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]:
+def push(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tuple[Segment, Segment, Segment]:
     """One arrival (an empty x changes nothing): new A, new B, published item (empty where nothing leaves)."""
     if rules.one_slot:
         return _push_one_slot(a, b, x, rules)
@@ -106,7 +106,7 @@ def push(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]
     return new_a, new_b, keep(fire, a)
 
 
-def _decide(a: Item, b: Item, x: Item, rules: PipeRules) -> list[Array]:
+def _decide(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> list[Array]:
     """Whether x arrived; whether it continues B; A and B merge, under A's label; A leaves; x joins the merged item."""
     arrived, both = x.label > 0, (x.label > 0) & (a.label > 0)
     same = arrived & _same(b.label, x.label, rules)
@@ -141,7 +141,7 @@ def once(word: Array, time: Array) -> Array:
     return (word.astype(jnp.float32) / one).astype(jnp.int32)
 
 
-def _push_one_slot(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, Item, Item]:
+def _push_one_slot(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tuple[Segment, Segment, Segment]:
     both = (x.label > 0) & (b.label > 0)
     same = both & _same(b.label, x.label, rules)
     contact = rules.contact(b.label) | rules.contact(x.label)
@@ -153,7 +153,7 @@ def _push_one_slot(a: Item, b: Item, x: Item, rules: PipeRules) -> tuple[Item, I
     return a, new_b, keep(both & ~join, b)
 
 
-def drain(a: Item, b: Item, rules: PipeRules) -> tuple[Item, Item]:
+def drain(a: Segment, b: Segment, rules: PipeRules) -> tuple[Segment, Segment]:
     """What the pipe still holds at the end of a stream, decided as if B were closed: two items, either may be empty."""
     both = (a.label > 0) & (b.label > 0)
     contact = rules.contact(a.label) | rules.contact(b.label)

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rcbht_jax.labels import Primitive
-from rcbht_jax.types import Array, Item
+from rcbht_jax.types import Array, Segment
 
 _UNROLLED = 64  # windows up to this many samples become straight-line code
 
 
-def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Item:
+def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Segment:
     """Least-squares line through the first ``count`` samples of each lane's window.
 
     The result does not depend on how a compiler fuses this code: no rounded product meets a sum
@@ -30,10 +30,10 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> It
     """
     slope, x = line(samples, count, dt, t0)
     label = jnp.where(count >= 2, gradient_label(slope, limits), 0)
-    return Item(label, x.t0, x.t1, x.vmax, x.vmin, x.area, x.rise)
+    return Segment(label, x.t0, x.t1, x.vmax, x.vmin, x.area, x.rise)
 
 
-def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Item]:
+def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Segment]:
     """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and items whose label is 0."""
     dtype = samples.dtype
     n = jnp.maximum(count, 2).astype(dtype)
@@ -44,7 +44,7 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Ite
     half = jnp.abs(slope) * (n - 1) * period * 0.5
     mean = total / n
     rise = slope / (1 / n)
-    return slope, Item(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
+    return slope, Segment(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
 
 
 def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -20,7 +20,7 @@ from rcbht_jax.encoding import composition, encoder, segments
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.segments import gradient_label
 from rcbht_jax.labels import LAYER_SIZES, LLB, MC, MC_PAIR, MC_SINGLE, PRIMITIVE_GROUP, Group
-from rcbht_jax.types import Array, Item, LabelTrack
+from rcbht_jax.types import Array, LabelTrack, Segment
 
 _TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
 
@@ -152,14 +152,14 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
     windows = -(-samples // config.window)
     tracks = encoder.encode(config, limits, wrench, length)
 
-    def lanes(track: LabelTrack) -> Item:
+    def lanes(track: LabelTrack) -> Segment:
         flat = jax.tree.map(lambda leaf: leaf.reshape(trials * axes, -1).T, track)
-        return Item(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
+        return Segment(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
 
-    def push_primitive(h: Item, x: Item) -> tuple[Item, Item]:
+    def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return composition.push_primitive(h, x, config.gate, config.contact_first)
 
-    def push_composition(h: Item, x: Item) -> tuple[Item, Item]:
+    def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return composition.push_composition(h, x, config.short)
 
     p, m, l = (lanes(track) for track in (tracks.primitive, tracks.mc, tracks.llb))
@@ -171,11 +171,11 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
     return tuple(_on_grid(items, windows, config.window) for items in (p, pairs, m, joints, l))
 
 
-def _append(items: Item, last: Item) -> Item:
+def _append(items: Segment, last: Segment) -> Segment:
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), items, last)
 
 
-def _on_grid(items: Item, windows: int, window: int) -> _Spans:
+def _on_grid(items: Segment, windows: int, window: int) -> _Spans:
     """Items ``[slot, lane]`` that follow one another, spread over the windows they cover."""
     lane = jnp.broadcast_to(jnp.arange(items.label.shape[1], dtype=jnp.int32)[None], items.label.shape)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, flush, init, step, unpack
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks
 
@@ -30,11 +30,13 @@ class Stream:
     for bit to those of :func:`rcbht_jax.encoding.encoder.encode`, however the samples are cut into chunks.
     """
 
-    def __init__(self, config: EncoderConfig, thresholds: Thresholds, dtype: type[np.floating] = np.float32) -> None:
+    def __init__(
+        self, config: EncoderConfig, thresholds: GradientThresholds, dtype: type[np.floating] = np.float32
+    ) -> None:
         self._config = config
         self._limits = jnp.asarray(np.asarray(thresholds.limits), dtype)
         if self._limits.ndim != 2:
-            raise InputError(f"Thresholds have shape {self._limits.shape}; a stream expects [axis, 4].")
+            raise InputError(f"GradientThresholds have shape {self._limits.shape}; a stream expects [axis, 4].")
         self._axes = self._limits.shape[0]
         self._state: EncoderState = init((self._axes,), dtype)
         self._rest: NDArray[np.floating] = np.zeros((config.window, self._axes), dtype)

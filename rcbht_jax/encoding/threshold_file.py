@@ -1,4 +1,4 @@
-"""Thresholds as a JSON file with their provenance: written by ``rcbht calibrate``, read wherever labels are made."""
+"""GradientThresholds as a JSON file with their provenance: written by ``rcbht calibrate``, read wherever labels are made."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
-from rcbht_jax._util.atomic import whole_file
-from rcbht_jax.encoding.thresholds import Thresholds, validate
+from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax.encoding.thresholds import GradientThresholds, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 
@@ -20,7 +20,7 @@ FORMAT, FORMAT_VERSION = "rcbht-thresholds", 1
 LIMITS = ("impulse", "big", "medium", "small")
 
 
-def write_thresholds(path: Path, thresholds: Thresholds, provenance: Mapping[str, Any]) -> None:
+def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Mapping[str, Any]) -> None:
     """Write thresholds ``[6, 4]`` in N/s and Nm/s, as a whole file or not at all.
 
     Args:
@@ -45,12 +45,12 @@ def write_thresholds(path: Path, thresholds: Thresholds, provenance: Mapping[str
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "provenance": dict(provenance),
     }
-    with whole_file(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def read_thresholds(path: Path) -> tuple[Thresholds, dict[str, Any]]:
-    """Thresholds ``[6, 4]`` and their provenance.
+def read_thresholds(path: Path) -> tuple[GradientThresholds, dict[str, Any]]:
+    """GradientThresholds ``[6, 4]`` and their provenance.
 
     Raises:
         InputError: not such a file, or its limits are not ordered positive numbers for six axes.
@@ -68,12 +68,12 @@ def read_thresholds(path: Path) -> tuple[Thresholds, dict[str, Any]]:
             raise
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
     _check(limits, path)
-    return Thresholds(limits), provenance
+    return GradientThresholds(limits), provenance
 
 
 def _check(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path) -> None:
     if limits.shape != (len(AXES), len(LIMITS)):
-        raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [6, 4].")
+        raise InputError(f"GradientThresholds for {path} have shape {limits.shape}; expected [6, 4].")
     try:
         validate(limits)
     except InputError as error:

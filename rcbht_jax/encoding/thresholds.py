@@ -24,7 +24,7 @@ MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the fo
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Thresholds:
+class GradientThresholds:
     """Gradient limits, largest first, mirrored for negative slopes.
 
     Attributes:
@@ -45,14 +45,14 @@ def validate(limits: NDArray[np.floating]) -> None:
         InputError: wrong shape, not finite, not positive or not ordered.
     """
     if limits.ndim < 2 or limits.shape[-1] != 4:
-        raise InputError(f"Thresholds have shape {limits.shape}; expected [..., axis, 4].")
+        raise InputError(f"GradientThresholds have shape {limits.shape}; expected [..., axis, 4].")
     if not np.all(np.isfinite(limits)) or not np.all(limits > 0):
-        raise InputError("Thresholds must be finite and positive numbers.")
+        raise InputError("GradientThresholds must be finite and positive numbers.")
     if not np.all(limits[..., :-1] >= limits[..., 1:]):
-        raise InputError("Thresholds must be ordered: impulse >= big >= medium >= small.")
+        raise InputError("GradientThresholds must be ordered: impulse >= big >= medium >= small.")
 
 
-def preset(robot: str = "hiro") -> Thresholds:
+def preset(robot: str = "hiro") -> GradientThresholds:
     """Hand-set thresholds of the authors for a robot, ``[6, 4]``; moments are a tenth of the forces.
 
     Args:
@@ -64,19 +64,19 @@ def preset(robot: str = "hiro") -> Thresholds:
     if robot not in _FORCE_LIMITS:
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
-    return Thresholds(np.stack([force] * 3 + [force / MOMENT_SCALE] * 3))
+    return GradientThresholds(np.stack([force] * 3 + [force / MOMENT_SCALE] * 3))
 
 
-def from_free(free: Array) -> Thresholds:
-    """Thresholds from unconstrained numbers ``[..., axis, 4]``: log of the small limit, then log of each step up.
+def from_free(free: Array) -> GradientThresholds:
+    """GradientThresholds from unconstrained numbers ``[..., axis, 4]``: log of the small limit, then log of each step up.
 
     Any real input gives ordered, positive limits; the inverse is :func:`to_free`.
     """
     steps = jnp.exp(free)
-    return Thresholds(jnp.cumsum(steps, axis=-1)[..., ::-1])
+    return GradientThresholds(jnp.cumsum(steps, axis=-1)[..., ::-1])
 
 
-def to_free(thresholds: Thresholds) -> Array:
+def to_free(thresholds: GradientThresholds) -> Array:
     """Unconstrained parametrisation of strictly ordered thresholds (inverse of :func:`from_free`)."""
     ascending = jnp.asarray(thresholds.limits)[..., ::-1]
     steps = jnp.diff(ascending, axis=-1, prepend=jnp.zeros_like(ascending[..., :1]))

@@ -25,7 +25,7 @@ Families that read the sentence back from its primitives at equally spaced momen
 * ``order``: when the highest, steepest, first and last things happen; scale-free;
 * ``levels``: absolute level of each third, which gives away sensor bias.
 
-Labels of several encoders (other windows, other thresholds) may stand side by side, see ``side_by_side``.
+Labels of several encoders (other windows, other thresholds) may stand side by side, see ``concatenate_features``.
 
 Host code, NumPy only; nothing here trains.
 """
@@ -38,10 +38,10 @@ from rcbht_jax.features.spec import (
     Features,
     FeatureSpec,
     balanced_weights,
-    both_arms,
-    features,
+    concatenate_arms,
+    concatenate_features,
+    interval_features,
     longest,
-    side_by_side,
 )
 
 __all__ = [
@@ -52,8 +52,8 @@ __all__ = [
     "Features",
     "Intervals",
     "balanced_weights",
-    "both_arms",
-    "features",
+    "concatenate_arms",
+    "interval_features",
     "longest",
-    "side_by_side",
+    "concatenate_features",
 ]

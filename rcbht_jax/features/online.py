@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rcbht_jax.encoding.encoder import FLUSH_SLOTS
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FAMILIES, WHOLE, Features, FeatureSpec, Intervals, online_signal
-from rcbht_jax.features import features as grammar_features
+from rcbht_jax.features import interval_features as grammar_features
 from rcbht_jax.features.signal_families import FAMILIES as LINES
 from rcbht_jax.features.word_families import UNIT
 from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
@@ -48,7 +48,7 @@ class Values:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Tally:
+class RunningStats:
     """Sums over the words of one sentence; arrays ``[layer, axis, ...]`` for the layers of the specification."""
 
     begin: Array  # int32 [], sample at which the sentence begins
@@ -59,7 +59,7 @@ class Tally:
     runs: Array  # int32 [layer, axis, code^n], runs of n words; [layer, axis, 0] where no family needs them
     values: Values | None  # None where no family needs them
     readings: (
-        online_signal.Readings | None
+        online_signal.DecimatedSignal | None
     )  # of the primitives; None where no family of rcbht_jax.features.signal_families is wanted
 
 
@@ -77,13 +77,13 @@ def check_online(spec: FeatureSpec) -> None:
         )
 
 
-def empty(spec: FeatureSpec, begin: Array) -> Tally:
+def empty(spec: FeatureSpec, begin: Array) -> RunningStats:
     """No word yet; ``begin`` int32 ``[]`` is the first sample of the sentence."""
     lanes = (len(spec.layers), len(AXES))
     ints = jnp.zeros((*lanes, CODES), jnp.int32)
     runs = CODES**spec.ngram if "ngram" in spec.families else 0
     last = jnp.zeros((*lanes, spec.ngram - 1), jnp.int32)
-    return Tally(
+    return RunningStats(
         begin=begin,
         count=ints,
         time=ints,
@@ -101,7 +101,7 @@ def _no_values(lanes: tuple[int, int]) -> Values:
     return Values(total=sums, lost=sums, top=lowest, bottom=-lowest, first=zero, final=zero)
 
 
-def restart(spec: FeatureSpec, tally: Tally, begin: Array) -> Tally:
+def restart(spec: FeatureSpec, tally: RunningStats, begin: Array) -> RunningStats:
     """The same tally, or an empty one if the sentence begins at another sample than the tally's."""
     fresh = empty(spec, begin)
     return jax.tree.map(lambda new, old: jnp.where(begin == tally.begin, old, new), fresh, tally)
@@ -118,14 +118,14 @@ def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
     return jax.tree.map(lambda *leaves: jnp.stack([padded(leaf) for leaf in leaves]), *layers)
 
 
-def grow(dt: float, tally: Tally, now: Array, window: int) -> Tally:
+def grow(dt: float, tally: RunningStats, now: Array, window: int) -> RunningStats:
     """The same tally, ready for words known at sample ``now``, at most ``window`` samples after those it has."""
     if tally.readings is None:
         return tally
     return replace(tally, readings=online_signal.grow(tally.readings, dt, tally.begin, now, window))
 
 
-def add(spec: FeatureSpec, dt: float, tally: Tally, words: LabelTrack) -> Tally:
+def add(spec: FeatureSpec, dt: float, tally: RunningStats, words: LabelTrack) -> RunningStats:
     """Count words ``[layer, axis, slot]``; what lies before the beginning of the sentence is cut off."""
     label = words.label.astype(jnp.int32)
     span = jnp.maximum(words.t1 - jnp.maximum(words.t0, tally.begin), 0)
@@ -139,7 +139,7 @@ def add(spec: FeatureSpec, dt: float, tally: Tally, words: LabelTrack) -> Tally:
         layer = spec.layers.index("primitive")
         primitives = jax.tree.map(lambda leaf: leaf[layer, :, : FLUSH_SLOTS[0]], words)  # the rest is padding
         readings = online_signal.extend(readings, dt, tally.begin, primitives)
-    return Tally(
+    return RunningStats(
         begin=tally.begin,
         count=tally.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
         time=tally.time + jnp.sum(spans, axis=2, dtype=jnp.int32),
@@ -151,7 +151,9 @@ def add(spec: FeatureSpec, dt: float, tally: Tally, words: LabelTrack) -> Tally:
     )
 
 
-def _add_values(spec: FeatureSpec, tally: Tally, words: LabelTrack, used: Array, code: Array, span: Array) -> Values:
+def _add_values(
+    spec: FeatureSpec, tally: RunningStats, words: LabelTrack, used: Array, code: Array, span: Array
+) -> Values:
     values = tally.values
     assert values is not None
     weighted = _values(words) * jnp.where(used, span, 0).astype(jnp.float32)[..., None]
@@ -216,7 +218,7 @@ def _two_sum(total: Array, lost: Array, value: Array) -> tuple[Array, Array]:
     return new, lost + ((total - (new - part)) + (value - part))
 
 
-def _add_runs(spec: FeatureSpec, tally: Tally, code: Array) -> tuple[Array, Array]:
+def _add_runs(spec: FeatureSpec, tally: RunningStats, code: Array) -> tuple[Array, Array]:
     """The latest codes, and the counts of runs, after words ``[layer, axis, slot]`` some of which are empty."""
     last = tally.last
     if tally.runs.shape[-1] == 0:
@@ -233,7 +235,7 @@ def _add_runs(spec: FeatureSpec, tally: Tally, code: Array) -> tuple[Array, Arra
     return last, tally.runs + jnp.sum(hot, axis=2, dtype=jnp.int32)
 
 
-def describe(spec: FeatureSpec, dt: float, tally: Tally, now: Array) -> Array:
+def describe_interval(spec: FeatureSpec, dt: float, tally: RunningStats, now: Array) -> Array:
     """Features float32 ``[feature]`` of the sentence up to sample ``now``, in the order of :func:`names`."""
     blocks: dict[str, Callable[[], list[Array]]] = {
         "histogram": lambda: [_share(tally.time), _share(tally.count)],
@@ -271,7 +273,7 @@ def _compressed(value: Array) -> Array:
     return jnp.sign(value) * jnp.log1p(jnp.abs(value) / unit)
 
 
-def _means(spec: FeatureSpec, tally: Tally, values: Values) -> tuple[Array, Array, Array]:
+def _means(spec: FeatureSpec, tally: RunningStats, values: Values) -> tuple[Array, Array, Array]:
     """Duration-weighted means: ``[layer, axis, group, 3]``, where the group occurs, and the level of the sentence."""
     groups = jnp.asarray(_groups(spec)[:, 1:, None] == np.arange(1, CODES + 1))  # [layer, code, group]
     time = jnp.sum(jnp.where(groups[:, None], tally.time[..., None], 0), axis=2)
@@ -281,7 +283,7 @@ def _means(spec: FeatureSpec, tally: Tally, values: Values) -> tuple[Array, Arra
     return mean, time > 0, level
 
 
-def _attributes(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+def _attributes(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
     mean, occurs, level = _means(spec, tally, values)
     said = jnp.any(tally.count > 0, axis=-1)
     span = jnp.where(said, values.top - values.bottom, 0)[..., None]
@@ -289,17 +291,17 @@ def _attributes(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
     return [_compressed(x) for x in (mean[..., 0], mean[..., 1], relative, span)]
 
 
-def _offset(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+def _offset(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
     mean, _, level = _means(spec, tally, values)
     return [_compressed(mean[..., 2]), _compressed(level)]
 
 
-def _edges(tally: Tally, values: Values) -> Array:
+def _edges(tally: RunningStats, values: Values) -> Array:
     said = jnp.any(tally.count > 0, axis=-1)[..., None]
     return jnp.where(said, jnp.stack([values.first, values.final, values.top, values.bottom], axis=-1), 0)
 
 
-def _course(spec: FeatureSpec, tally: Tally, values: Values) -> list[Array]:
+def _course(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
     edges, level = _edges(tally, values), _means(spec, tally, values)[2]
     return [_compressed(edges - level), _compressed(edges[..., 1:2] - edges[..., :1])]
 

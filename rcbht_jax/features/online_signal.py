@@ -30,7 +30,7 @@ _FIRST, _SECOND = np.triu_indices(len(AXES), 1)
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Readings:
+class DecimatedSignal:
     """A sentence read at samples ``begin + k stride``, and the latest line, which lasts on."""
 
     stride: Array  # int32 [], samples
@@ -39,10 +39,10 @@ class Readings:
     line: Array  # float32 [5, axis], sign, vmax, vmin, avg and slope of it
 
 
-def empty() -> Readings:
+def empty() -> DecimatedSignal:
     """Nothing read yet."""
     axes = len(AXES)
-    return Readings(
+    return DecimatedSignal(
         stride=jnp.int32(1),
         value=jnp.zeros((3, axes, READINGS), jnp.float32),
         span=jnp.zeros((2, axes), jnp.int32),
@@ -56,7 +56,7 @@ def stride_of(samples: Array) -> Array:
     return jnp.left_shift(jnp.int32(1), jnp.sum(samples > full, dtype=jnp.int32))
 
 
-def grow(readings: Readings, dt: float, begin: Array, now: Array, window: int) -> Readings:
+def grow(readings: DecimatedSignal, dt: float, begin: Array, now: Array, window: int) -> DecimatedSignal:
     """Drop every other reading, as often as it takes to reach to sample ``now``; ``window`` = most samples at once.
 
     What comes into reach lies behind the beginning of the latest line, which lasts on.
@@ -70,12 +70,12 @@ def grow(readings: Readings, dt: float, begin: Array, now: Array, window: int) -
     return replace(grown, value=latest)
 
 
-def _samples(readings: Readings, begin: Array) -> Array:
+def _samples(readings: DecimatedSignal, begin: Array) -> Array:
     """Where the readings are, int32 ``[reading]``."""
     return begin + jnp.arange(READINGS, dtype=jnp.int32) * readings.stride
 
 
-def extend(readings: Readings, dt: float, begin: Array, words: LabelTrack) -> Readings:
+def extend(readings: DecimatedSignal, dt: float, begin: Array, words: LabelTrack) -> DecimatedSignal:
     """Read primitives ``[axis, slot]``, in time order, of a sentence that began at ``begin`` and has grown to them."""
     at, value, span, line = _samples(readings, begin), readings.value, readings.span, readings.line
     spans = jnp.stack([words.t0, words.t1])
@@ -86,7 +86,7 @@ def extend(readings: Readings, dt: float, begin: Array, words: LabelTrack) -> Re
         used = (words.label[:, slot] > 0) & (new_span[1] > begin)
         value = _filled(value, dt, at, new_span, new_line, used, span[1] == 0)
         span, line = jnp.where(used[None], new_span, span), jnp.where(used[None], new_line, line)
-    return Readings(readings.stride, value, span, line)
+    return DecimatedSignal(readings.stride, value, span, line)
 
 
 def _filled(value: Array, dt: float, at: Array, span: Array, line: Array, used: Array, first: Array | bool) -> Array:
@@ -118,7 +118,7 @@ def width(families: tuple[str, ...]) -> int:
 
 
 @dataclass(frozen=True)
-class _Drawing:
+class _ResampledSignal:
     """What the families are made of; float32."""
 
     sign: Array  # [axis, moment]
@@ -128,14 +128,14 @@ class _Drawing:
     range: Array  # [axis, 1]
 
 
-def describe(families: tuple[str, ...], readings: Readings, samples: Array) -> Array:
+def describe(families: tuple[str, ...], readings: DecimatedSignal, samples: Array) -> Array:
     """Columns float32 ``[column]`` of the families, in the grammar's order, of a sentence of ``samples`` samples."""
     sign, level, slope = readings.value[..., moments(samples, readings.stride)]
     size = jnp.max(level, axis=-1, keepdims=True) - jnp.min(level, axis=-1, keepdims=True)
     flat = size <= NEAR * jnp.max(jnp.abs(level), axis=-1, keepdims=True)
     level = jnp.where(flat, level[:, :1], level)
-    drawing = _Drawing(sign, level, slope, _centred(level), jnp.where(flat, 0, size))
-    made: dict[str, Callable[[_Drawing], Array]] = {
+    drawing = _ResampledSignal(sign, level, slope, _centred(level), jnp.where(flat, 0, size))
+    made: dict[str, Callable[[_ResampledSignal], Array]] = {
         "parts": _parts,
         "spread": _spread,
         "together": _together,
@@ -165,7 +165,7 @@ def _split(values: Array, count: int) -> Array:
     return values.reshape(*values.shape[:-1], count, MOMENTS // count)
 
 
-def _parts(x: _Drawing) -> Array:
+def _parts(x: _ResampledSignal) -> Array:
     signals = jnp.stack(
         [x.relative, x.slope, jnp.abs(x.slope), (x.sign > 0).astype(jnp.float32), (x.sign < 0).astype(jnp.float32)]
     )
@@ -179,7 +179,7 @@ def _parts(x: _Drawing) -> Array:
     return jnp.concatenate(blocks, axis=-1)
 
 
-def _spread(x: _Drawing) -> Array:
+def _spread(x: _ResampledSignal) -> Array:
     place = np.linspace(0, 1, QUANTILES) * (MOMENTS - 1)
     below = np.floor(place).astype(np.int32)
     above = np.minimum(below + 1, MOMENTS - 1)
@@ -192,7 +192,7 @@ def _spread(x: _Drawing) -> Array:
     return jnp.concatenate([_compressed(level), ratio, _compressed(slope), _compressed(deviation)], axis=-1)
 
 
-def _together(x: _Drawing) -> Array:
+def _together(x: _ResampledSignal) -> Array:
     signs = jnp.stack([x.sign > 0, x.sign < 0, x.sign == 0]).astype(jnp.float32)
     shares = jnp.einsum("aim,bjm->ijab", signs, signs)[_FIRST, _SECOND].reshape(len(_FIRST), 9) / MOMENTS
     root = jnp.sign(x.slope) * jnp.sqrt(jnp.abs(x.slope))
@@ -203,7 +203,7 @@ def _together(x: _Drawing) -> Array:
     return jnp.concatenate([shares, jnp.clip(found, -1, 1).T], axis=-1)
 
 
-def _order(x: _Drawing) -> Array:
+def _order(x: _ResampledSignal) -> Array:
     extremes = jnp.stack([x.level, -x.level, x.slope, -x.slope, jnp.abs(x.slope)])
     top = jnp.max(extremes, axis=-1, keepdims=True)
     close = extremes >= top - NEAR * (top - jnp.min(extremes, axis=-1, keepdims=True))
@@ -227,6 +227,6 @@ def _order(x: _Drawing) -> Array:
     return jnp.concatenate([when, times, shares]).T
 
 
-def _levels(x: _Drawing) -> Array:
+def _levels(x: _ResampledSignal) -> Array:
     ends = [f(x.level, axis=-1, keepdims=True) for f in (jnp.max, jnp.min)]
     return _compressed(jnp.concatenate([jnp.mean(_split(x.level, 3), axis=-1), *ends], axis=-1))

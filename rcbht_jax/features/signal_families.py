@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.features.spans import Words, ratio
+from rcbht_jax.features.spans import ClippedSpans, ratio
 from rcbht_jax.features.word_families import Block, compressed
 from rcbht_jax.labels import AXES, PRIMITIVE_GROUP, Group
 
@@ -29,7 +29,7 @@ Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Lines:
+class ResampledSignal:
     """A sentence read at MOMENTS equally spaced moments; zeros where an axis has no word."""
 
     sign: NDArray[np.int64]  # [sentence, axis, moment] 1 rising, -1 falling, 0 constant
@@ -47,12 +47,12 @@ class Lines:
         return np.ptp(self.level, axis=-1)[..., None]
 
 
-def read_back(words: Words, dt: float) -> Lines:
+def read_back(words: ClippedSpans, dt: float) -> ResampledSignal:
     """Read primitives at the middle of MOMENTS equal slots; between words the one before lasts on."""
     return read_at(words, (np.arange(MOMENTS) + 0.5) / MOMENTS * words.length[:, None], dt)
 
 
-def read_at(words: Words, moment: Values, dt: float) -> Lines:
+def read_at(words: ClippedSpans, moment: Values, dt: float) -> ResampledSignal:
     """Read primitives at ``moment`` ``[sentence, MOMENTS]``, samples since the sentence began, increasing."""
     sentences, axes, slots = words.code.shape
     # One search for all lanes: each lane's times are shifted behind those of the lane before.
@@ -71,7 +71,7 @@ def read_at(words: Words, moment: Values, dt: float) -> Lines:
     flat = np.ptp(level, axis=-1) <= NEAR * np.abs(level).max(-1)
     group = PRIMITIVE_GROUP[np.take_along_axis(words.code, index, -1)]
     rising, falling = (np.isin(group, pair) for pair in ((Group.P, Group.PIMP), (Group.N, Group.NIMP)))
-    return Lines(
+    return ResampledSignal(
         rising.astype(np.int64) - falling,
         np.where(flat[..., None], level[..., :1], level),
         said(words.value["grad"]),
@@ -88,7 +88,7 @@ def _means(values: NDArray[Any], parts: int) -> Values:
     return np.stack([part.mean(-1) for part in np.array_split(values, parts, axis=-1)], -1)
 
 
-def parts(lines: Lines) -> Block:
+def piecewise_stats(lines: ResampledSignal) -> Block:
     """The sentence in equal parts: level, slope, activity, range and signs of each."""
     values, columns = [], []
     for count in PARTS:
@@ -109,7 +109,7 @@ def parts(lines: Lines) -> Block:
     return np.concatenate(values, -1), columns
 
 
-def spread(lines: Lines) -> Block:
+def quantiles(lines: ResampledSignal) -> Block:
     """How levels and slopes are distributed over the time of the sentence."""
     steps = np.linspace(0, 1, QUANTILES)
     level, slope = (np.moveaxis(np.quantile(x, steps, axis=-1), 0, -1) for x in (lines.relative, lines.slope))
@@ -128,7 +128,7 @@ def spread(lines: Lines) -> Block:
     return np.concatenate(values, -1), columns
 
 
-def together(lines: Lines) -> Block:
+def cross_axis(lines: ResampledSignal) -> Block:
     """What two axes say at the same time; ``[sentence, pair, column]``."""
     signs = {"rising": lines.sign > 0, "falling": lines.sign < 0, "constant": lines.sign == 0}
     values = [(a[:, _FIRST] & b[:, _SECOND]).mean(-1) for a in signs.values() for b in signs.values()]
@@ -150,7 +150,7 @@ def _correlation(x: Values) -> Values:
     return np.clip(ratio(product[:, _FIRST, _SECOND], size[:, _FIRST] * size[:, _SECOND]), -1, 1)
 
 
-def order(lines: Lines) -> Block:
+def timing(lines: ResampledSignal) -> Block:
     """When the highest, steepest, first and last things happen, as shares of the sentence."""
     highest, lowest = _when(lines.level), _when(-lines.level)
     steepest = [_when(lines.slope), _when(-lines.slope), _when(np.abs(lines.slope))]
@@ -199,7 +199,7 @@ def _times(said: NDArray[np.bool_]) -> list[Values]:
     return [mean, np.where(said, moment, 1).min(-1), np.where(said, moment, 0).max(-1)]
 
 
-def levels(lines: Lines) -> Block:
+def levels(lines: ResampledSignal) -> Block:
     """Absolute level of each third, highest and lowest: they give away sensor bias, and what is held against what."""
     ends = [f(lines.level, axis=-1, keepdims=True) for f in (np.max, np.min)]
     named = [(f"mean.{k}of3", f"mean level in part {k + 1} of 3, signed log") for k in range(3)]
@@ -207,4 +207,4 @@ def levels(lines: Lines) -> Block:
     return compressed(np.concatenate([_means(lines.level, 3), *ends], -1)), columns
 
 
-FAMILIES = {"parts": parts, "spread": spread, "together": together, "order": order, "levels": levels}
+FAMILIES = {"parts": piecewise_stats, "spread": quantiles, "together": cross_axis, "order": timing, "levels": levels}

@@ -30,7 +30,7 @@ class Intervals:
 
 
 @dataclass(frozen=True)
-class Words:
+class ClippedSpans:
     """Spans of one layer clipped to their sentences; used slots first, in time order; code 0 = empty."""
 
     code: NDArray[np.int64]  # [sentence, axis, word]
@@ -47,7 +47,7 @@ class Words:
         return self.end - self.start
 
 
-def clip(track: LabelTrack, intervals: Intervals, layer: str) -> Words:
+def clip(track: LabelTrack, intervals: Intervals, layer: str) -> ClippedSpans:
     """Cut the spans of ``track`` (``[recording, axis, slot]``) to the sentences."""
     rows = intervals.recording
     start, end = (x.astype(np.int64)[:, None, None] for x in (intervals.start, intervals.end))
@@ -67,10 +67,10 @@ def clip(track: LabelTrack, intervals: Intervals, layer: str) -> Words:
     # A line belongs to the whole span, so its middle stays where it was before the cut.
     value["middle"] = gather((np.asarray(track.t0)[rows].astype(np.float64) + np.asarray(track.t1)[rows]) / 2 - start)
     size = LAYER_SIZES[LAYERS.index(layer)]
-    return Words(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
+    return ClippedSpans(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
 
 
-def tally(code: NDArray[np.int64], weight: NDArray[Any], size: int) -> NDArray[np.float64]:
+def weighted_counts(code: NDArray[np.int64], weight: NDArray[Any], size: int) -> NDArray[np.float64]:
     """Weights summed per code 1..size: ``[sentence, axis, word]`` -> ``[sentence, axis, size]``."""
     lanes = code.shape[0] * code.shape[1]
     index = np.arange(lanes).reshape(code.shape[:2])[..., None] * (size + 1) + code

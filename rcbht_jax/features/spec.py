@@ -95,7 +95,7 @@ def balanced_weights(families: Sequence[str]) -> NDArray[np.float64] | None:
     return np.asarray(np.sqrt(len(families) / len(told) / count)[inverse], np.float64)
 
 
-def side_by_side(grammars: Mapping[str, Features]) -> Features:
+def concatenate_features(grammars: Mapping[str, Features]) -> Features:
     """Several grammars of the same sentences in one row each; where there are several, names get theirs as prefix.
 
     Raises:
@@ -110,7 +110,7 @@ def side_by_side(grammars: Mapping[str, Features]) -> Features:
     return _side_by_side([_prefixed(made, name, name) for name, made in grammars.items()])
 
 
-def features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Features:
+def interval_features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Features:
     """Describe each sentence by the families of ``spec``.
 
     Args:
@@ -132,7 +132,7 @@ def features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Fe
     return _side_by_side(blocks)
 
 
-def both_arms(right: Features, left: Features) -> Features:
+def concatenate_arms(right: Features, left: Features) -> Features:
     """Put the sentences of two arms into one row per trial; names get the prefix ``R`` or ``L``."""
     if right.values.shape[0] != left.values.shape[0]:
         raise InputError(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.features.spans import Words, ratio, share, tally
+from rcbht_jax.features.spans import ClippedSpans, ratio, share, weighted_counts
 from rcbht_jax.labels import ALPHABETS, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group, name
 
 # Values are compressed as sign(v) log(1 + |v| / unit): the unit is about five times the sensor noise.
@@ -23,7 +23,7 @@ def _names(layer: str) -> list[str]:
     return [name(layer, code) for code in range(1, LAYER_SIZES[LAYERS.index(layer)] + 1)]
 
 
-def majority(words: Words, slots: int) -> NDArray[np.int64]:
+def majority(words: ClippedSpans, slots: int) -> NDArray[np.int64]:
     """Code per slot ``[sentence, axis, slot]``: the label with most time in it; 0 = no label at all."""
     # Times are multiplied by the number of slots, so that slot edges are whole multiples of the length.
     width = words.length[:, None, None]
@@ -47,10 +47,10 @@ def majority(words: Words, slots: int) -> NDArray[np.int64]:
     return np.where(held.max(-1) > 0, held.argmax(-1) + 1, 0)
 
 
-def resampled(slots: int, one_hot: bool) -> Callable[[Words], Block]:
+def resampled(slots: int, one_hot: bool) -> Callable[[ClippedSpans], Block]:
     """Labels at ``slots`` equal parts of the sentence, as codes or one-hot."""
 
-    def make(words: Words) -> Block:
+    def make(words: ClippedSpans) -> Block:
         codes = majority(words, slots)
         if not one_hot:
             return codes.astype(np.float64), [
@@ -67,20 +67,20 @@ def resampled(slots: int, one_hot: bool) -> Callable[[Words], Block]:
     return make
 
 
-def histogram(words: Words) -> Block:
+def histogram(words: ClippedSpans) -> Block:
     """Share of time and share of count per label."""
-    time = share(tally(words.code, words.duration, words.size))
-    count = share(tally(words.code, words.code > 0, words.size))
+    time = share(weighted_counts(words.code, words.duration, words.size))
+    count = share(weighted_counts(words.code, words.code > 0, words.size))
     labels = _names(words.layer)
     columns = [(f"time.{x}", f"share of the labelled time spent in {x}") for x in labels]
     columns += [(f"count.{x}", f"share of the labels that are {x}") for x in labels]
     return np.concatenate([time, count], -1), columns
 
 
-def ngram(n: int) -> Callable[[Words], Block]:
+def ngram(n: int) -> Callable[[ClippedSpans], Block]:
     """Share of each run of ``n`` successive labels."""
 
-    def make(words: Words) -> Block:
+    def make(words: ClippedSpans) -> Block:
         columns = [
             ("-".join(run), f"share of runs of {n} labels that are {' '.join(run)}")
             for run in itertools.product(_names(words.layer), repeat=n)
@@ -90,17 +90,17 @@ def ngram(n: int) -> Callable[[Words], Block]:
         runs = np.lib.stride_tricks.sliding_window_view(words.code, n, axis=-1)
         place = words.size ** np.arange(n - 1, -1, -1)
         code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
-        return share(tally(code, code > 0, words.size**n)), columns
+        return share(weighted_counts(code, code > 0, words.size**n)), columns
 
     return make
 
 
-def duration(dt: float) -> Callable[[Words], Block]:
+def duration(dt: float) -> Callable[[ClippedSpans], Block]:
     """Mean and longest duration per label in seconds, from ``dt`` seconds per sample."""
 
-    def make(words: Words) -> Block:
-        total = tally(words.code, words.duration, words.size)
-        mean = ratio(total, tally(words.code, words.code > 0, words.size))
+    def make(words: ClippedSpans) -> Block:
+        total = weighted_counts(words.code, words.duration, words.size)
+        mean = ratio(total, weighted_counts(words.code, words.code > 0, words.size))
         lanes = np.arange(total[..., 0].size).reshape(*total.shape[:2], 1)
         longest = np.zeros((lanes.size, words.size + 1))
         np.maximum.at(longest, (lanes, words.code), words.duration)
@@ -112,7 +112,7 @@ def duration(dt: float) -> Callable[[Words], Block]:
     return make
 
 
-def _groups(words: Words) -> tuple[NDArray[np.int64], list[str]]:
+def _groups(words: ClippedSpans) -> tuple[NDArray[np.int64], list[str]]:
     """Group code per word (0 = empty) and group names: the signs of primitives, the labels elsewhere."""
     if words.layer == "primitive":
         return (PRIMITIVE_GROUP[words.code] + 1).astype(np.int64), [g.name.lower() for g in Group]
@@ -125,18 +125,20 @@ def compressed(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sign(scaled) * np.log1p(np.abs(scaled)), np.float64)
 
 
-def _mean_per_group(words: Words, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_per_group(words: ClippedSpans, value: NDArray[np.float64]) -> NDArray[np.float64]:
     code, labels = _groups(words)
-    return ratio(tally(code, words.duration * value, len(labels)), tally(code, words.duration, len(labels)))
+    return ratio(
+        weighted_counts(code, words.duration * value, len(labels)), weighted_counts(code, words.duration, len(labels))
+    )
 
 
-def _mean_level(words: Words) -> NDArray[np.float64]:
+def _mean_level(words: ClippedSpans) -> NDArray[np.float64]:
     """Duration-weighted mean level ``[sentence, axis, 1]``, N or Nm."""
     time = words.duration.sum(-1, keepdims=True).astype(np.float64)
     return ratio((words.duration * words.value["avg"]).sum(-1, keepdims=True), time)
 
 
-def attributes(words: Words) -> Block:
+def attributes(words: ClippedSpans) -> Block:
     """Amplitude, slope and level relative to the sentence, per group; the range of the sentence."""
     labels = _groups(words)[1]
     level = np.where(words.code > 0, words.value["avg"] - _mean_level(words), 0)
@@ -154,7 +156,7 @@ def attributes(words: Words) -> Block:
     return compressed(values), columns
 
 
-def offset(words: Words) -> Block:
+def offset(words: ClippedSpans) -> Block:
     """Absolute mean level, per group and of the sentence."""
     columns = [(f"avg.{x}", f"absolute mean level of {x} labels, signed log") for x in _groups(words)[1]]
     columns += [("avg", "absolute mean level of the sentence, signed log")]
@@ -162,7 +164,7 @@ def offset(words: Words) -> Block:
     return compressed(values), columns
 
 
-def _edges(words: Words) -> NDArray[np.float64]:
+def _edges(words: ClippedSpans) -> NDArray[np.float64]:
     """First, last, highest and lowest value of the sentence's lines, N or Nm: ``[sentence, axis, 4]``; 0 if no word."""
     used = words.code > 0
     rising = words.value["grad"] > 0
@@ -175,7 +177,7 @@ def _edges(words: Words) -> NDArray[np.float64]:
     return np.where(used.any(-1, keepdims=True), np.concatenate(parts, -1), 0)
 
 
-def course(words: Words) -> Block:
+def course(words: ClippedSpans) -> Block:
     """Where the sentence came from and went, relative to its own mean level."""
     edges, level = _edges(words), _mean_level(words)
     values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
@@ -184,7 +186,7 @@ def course(words: Words) -> Block:
     return compressed(values), [*columns, ("change", "last minus first value, signed log")]
 
 
-def edges(words: Words) -> Block:
+def edges(words: ClippedSpans) -> Block:
     """First, last, highest and lowest value, absolute."""
     named = ("first", "last", "highest", "lowest")
     return compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]

@@ -20,14 +20,14 @@ from rcbht_jax.learning.svm import Ints, Matrix, fit, grouped_folds
 FOLDS = 5
 
 
-def held_peak(probability: NDArray[np.floating[Any]], looks: int) -> float:
+def sustained_peak(probability: NDArray[np.floating[Any]], looks: int) -> float:
     """The highest level that ``probability [look]`` keeps for ``looks`` looks in a row; 0 if there are fewer."""
     if len(probability) < looks:
         return 0.0
     return float(np.lib.stride_tricks.sliding_window_view(probability, looks).min(1).max())
 
 
-def conformal_level(peaks: NDArray[np.floating[Any]], share: float) -> float:
+def conformal_threshold(peaks: NDArray[np.floating[Any]], share: float) -> float:
     """Threshold that a new nominal trial's peak exceeds with a probability of at most ``share``.
 
     Args:
@@ -49,8 +49,8 @@ def conformal_level(peaks: NDArray[np.floating[Any]], share: float) -> float:
 
 
 def peaks(probability: NDArray[np.floating[Any]], groups: NDArray[Any], looks: int) -> NDArray[np.float64]:
-    """:func:`held_peak` of every trial, in the order of their names: ``[look]`` and trial ``[look]`` to ``[trial]``."""
-    return np.array([held_peak(probability[groups == trial], looks) for trial in np.unique(groups)])
+    """:func:`sustained_peak` of every trial, in the order of their names: ``[look]`` and trial ``[look]`` to ``[trial]``."""
+    return np.array([sustained_peak(probability[groups == trial], looks) for trial in np.unique(groups)])
 
 
 def held_out(

@@ -16,11 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, Published, drain, init, step_partial, unpack
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, PackedLabels, drain, init, step_partial, unpack
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.features.online import Tally, add, check_online, describe, empty, grow, names, restart, stack_words
+from rcbht_jax.features.online import (
+    RunningStats,
+    add,
+    check_online,
+    describe_interval,
+    empty,
+    grow,
+    names,
+    restart,
+    stack_words,
+)
 from rcbht_jax.types import Array
 
 _TICKS = 512  # per compiled scan, whatever the length of the recording
@@ -28,35 +38,35 @@ _TICKS = 512  # per compiled scan, whatever the length of the recording
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Progress:
+class StreamState:
     """What a stream remembers, whatever its length."""
 
     encoder: EncoderState
-    tallies: tuple[Tally, ...]  # one per kind of sentence, for example the sub-task and the whole trial
+    tallies: tuple[RunningStats, ...]  # one per kind of sentence, for example the sub-task and the whole trial
 
 
 @dataclass(frozen=True)
-class Sight:
+class FeatureView:
     """What may be looked at."""
 
     spec: FeatureSpec
     provisional: bool = True  # also words not yet published, as ``peek`` would say them
 
 
-def begin_stream(sights: tuple[Sight, ...]) -> Progress:
+def begin_stream(sights: tuple[FeatureView, ...]) -> StreamState:
     """The state before the first sample."""
-    return Progress(init((6,)), tuple(empty(sight.spec, jnp.int32(0)) for sight in sights))
+    return StreamState(init((6,)), tuple(empty(sight.spec, jnp.int32(0)) for sight in sights))
 
 
-def tick(
+def step(
     config: EncoderConfig,
-    sights: tuple[Sight, ...],
+    sights: tuple[FeatureView, ...],
     limits: Array,
-    progress: Progress,
+    progress: StreamState,
     window: Array,
     count: Array,
     begins: Array,
-) -> tuple[Progress, tuple[Array, ...], Published]:
+) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
     """One look at the stream.
 
     Args:
@@ -84,28 +94,28 @@ def tick(
         new = add(sight.spec, config.dt, tally, stack_words(sight.spec, slot))
         kept = jax.tree.map(lambda a, b: jnp.where(complete, a, b), new, tally)
         seen = add(sight.spec, config.dt, new, stack_words(sight.spec, held)) if sight.provisional else kept
-        described.append(describe(sight.spec, config.dt, seen, now))
+        described.append(describe_interval(sight.spec, config.dt, seen, now))
         tallies.append(kept)
     encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, progress.encoder)
     published = jax.tree.map(lambda leaf: jnp.where(complete, leaf, jnp.zeros_like(leaf)), out)
-    return Progress(encoder, tuple(tallies)), tuple(described), published
+    return StreamState(encoder, tuple(tallies)), tuple(described), published
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _scan(
-    config: EncoderConfig, sight: Sight, limits: Array, progress: Progress, rows: tuple[Array, ...]
-) -> tuple[Progress, Array]:
-    def body(progress: Progress, row: tuple[Array, ...]) -> tuple[Progress, Array]:
-        progress, described, _ = tick(config, (sight,), limits, progress, *row)
+    config: EncoderConfig, sight: FeatureView, limits: Array, progress: StreamState, rows: tuple[Array, ...]
+) -> tuple[StreamState, Array]:
+    def body(progress: StreamState, row: tuple[Array, ...]) -> tuple[StreamState, Array]:
+        progress, described, _ = step(config, (sight,), limits, progress, *row)
         return progress, described[0]
 
     return jax.lax.scan(body, progress, rows)
 
 
-def observe(
+def online_features(
     config: EncoderConfig,
-    thresholds: Thresholds,
-    sight: Sight,
+    thresholds: GradientThresholds,
+    sight: FeatureView,
     wrench: NDArray[np.float32],
     begin: NDArray[np.int64],
     now: NDArray[np.int64],
@@ -170,10 +180,10 @@ def _schedule(
     return (windows, count, starts), np.searchsorted(at, now)
 
 
-def observe_all(
+def online_features_batch(
     config: EncoderConfig,
-    thresholds: Thresholds,
-    sight: Sight,
+    thresholds: GradientThresholds,
+    sight: FeatureView,
     wrench: NDArray[np.float32],
     recording: NDArray[np.int64],
     begin: NDArray[np.int64],
@@ -188,7 +198,7 @@ def observe_all(
     for row in np.unique(recording):
         looks = np.flatnonzero(recording == row)
         looks = looks[np.lexsort((now[looks], begin[looks]))]
-        out[looks] = observe(config, thresholds, sight, wrench[row], begin[looks], now[looks])
+        out[looks] = online_features(config, thresholds, sight, wrench[row], begin[looks], now[looks])
         if progress is not None:
             progress(len(looks))
     return out

@@ -9,13 +9,13 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, Published
+from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
-from rcbht_jax.introspection.chain import Progress, Sight, begin_stream, tick
-from rcbht_jax.introspection.levels import Alarm, Confidence, Phases
+from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
+from rcbht_jax.introspection.levels import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.model import Head, IntrospectionModel
-from rcbht_jax.learning.metrics import THRESHOLDS
+from rcbht_jax.learning.metrics import CERTAINTY_LEVELS
 from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
 from rcbht_jax.types import Array
 
@@ -39,7 +39,7 @@ class Chain:
 
     config: EncoderConfig
     scopes: tuple[str, ...]  # [sentence]
-    sights: tuple[Sight, ...]  # [sentence]
+    sights: tuple[FeatureView, ...]  # [sentence]
     heads: tuple[HeadShape, ...]
 
     @staticmethod
@@ -59,15 +59,15 @@ class Chain:
         return Chain(model.encoder, scopes, sights, shapes)
 
 
-def believe(
+def infer(
     chain: Chain,
     limits: Array,
     machines: tuple[SvmArrays, ...],
-    progress: Progress,
+    progress: StreamState,
     window: Array,
     count: Array,
     begins: Array,
-) -> tuple[Progress, tuple[Array, ...], Published]:
+) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
     """The whole chain as one pure function; compiled once, it is one call per answer.
 
     Args:
@@ -82,7 +82,7 @@ def believe(
     Returns:
         the new state, probabilities ``[class]`` per head, and the labels published by a complete window.
     """
-    progress, features, published = tick(chain.config, chain.sights, limits, progress, window, count, begins)
+    progress, features, published = step(chain.config, chain.sights, limits, progress, window, count, begins)
     said = tuple(
         probability_jax(machine, head.kernel, head.gamma, head.classes, features[head.sentence])
         for head, machine in zip(chain.heads, machines, strict=True)
@@ -90,7 +90,7 @@ def believe(
     return progress, said, published
 
 
-_believe = jax.jit(believe, static_argnums=0)
+_believe = jax.jit(infer, static_argnums=0)
 _begin = jax.jit(begin_stream, static_argnums=0)  # one small program in place of one per field
 
 
@@ -105,7 +105,7 @@ class Introspector:
         hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
             and below 0.5 before it is cleared.
         detect: nobody says when a sub-task begins; the model's head "phase" does (see
-            :class:`rcbht_jax.introspection.levels.Phases`). The sentence begins when it is noticed, not when it began.
+            :class:`rcbht_jax.introspection.levels.PhaseFilter`). The sentence begins when it is noticed, not when it began.
 
     Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
     gives the same bits.
@@ -118,7 +118,7 @@ class Introspector:
         self,
         model: IntrospectionModel,
         rate: float | None = 10.0,
-        k: float = THRESHOLDS[0],
+        k: float = CERTAINTY_LEVELS[0],
         margin: float = 0.05,
         hold: float = 0.1,
         detect: bool = False,
@@ -131,7 +131,7 @@ class Introspector:
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
-        self._phases = Phases(_head(model, PHASE).classes) if detect else None
+        self._phases = PhaseFilter(_head(model, PHASE).classes) if detect else None
         self._failure: tuple[str, str] | None = None  # label and level that were told last
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -139,7 +139,7 @@ class Introspector:
         self._fresh()
 
     def _fresh(self) -> None:
-        self._progress: Progress = _begin(self._chain.sights)
+        self._progress: StreamState = _begin(self._chain.sights)
         self._rest: NDArray[np.float32] = np.zeros((self._config.window, 6), np.float32)
         self._count = 0
         self._complete = 0  # samples in complete windows
@@ -212,7 +212,7 @@ class Introspector:
     def _now(self) -> float:
         return self.received * self._config.dt if self._time is None else self._time
 
-    def _call(self) -> tuple[Progress, tuple[Array, ...], Published]:
+    def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.
         count, begins = np.int32(self._count), self._begins.copy()
         return _believe(self._chain, self._limits, self._machines, self._progress, self._rest.copy(), count, begins)

@@ -66,7 +66,7 @@ class Alarm:
         return self.raised
 
 
-class Phases:
+class PhaseFilter:
     """Which sub-task goes on, from beliefs alone: the filter of a Markov chain that only goes forwards.
 
     Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back. The

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, validate
+from rcbht_jax.encoding.thresholds import GradientThresholds, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
-from rcbht_jax.introspection.chain import Sight
+from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.learning.model_io import read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm
 
@@ -41,7 +41,7 @@ class Head:
 
     name: str
     scope: Scope
-    sight: Sight
+    sight: FeatureView
     machine: ProbabilisticSvm
     alarm: str = ""
     alarm_level: float = 0.0
@@ -72,7 +72,7 @@ class IntrospectionModel:
     """Everything between a wrench and beliefs."""
 
     encoder: EncoderConfig
-    limits: NDArray[np.float64]  # [6, 4] gradient thresholds, see Thresholds
+    limits: NDArray[np.float64]  # [6, 4] gradient thresholds, see GradientThresholds
     heads: tuple[Head, ...]
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
@@ -86,9 +86,9 @@ class IntrospectionModel:
             raise InputError("a model for introspection needs at least one head, each of its own name.")
 
     @property
-    def thresholds(self) -> Thresholds:
+    def thresholds(self) -> GradientThresholds:
         """The thresholds as the encoder takes them."""
-        return Thresholds(self.limits)
+        return GradientThresholds(self.limits)
 
 
 def save(path: Path, model: IntrospectionModel) -> None:
@@ -127,7 +127,7 @@ def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArra
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
-    sight = Sight(spec, bool(meta["sight"]["provisional"]))
+    sight = FeatureView(spec, bool(meta["sight"]["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
     # Files of before alarms had a level of their own lack it.
     return Head(meta["name"], meta["scope"], sight, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))

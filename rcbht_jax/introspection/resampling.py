@@ -35,7 +35,7 @@ class Report:
 
 
 @dataclass
-class Regular:
+class Resampled:
     """What one reading adds: ``samples``, the ``time`` of the last of them, and what is to be reported.
 
     ``anew``: the stream was broken; forget the past before these samples.
@@ -47,7 +47,7 @@ class Regular:
     reports: list[Report] = field(default_factory=list)
 
 
-class Regulator:
+class Resampler:
     """Puts readings on a grid of ``dt`` seconds; remembers one reading.
 
     Args:
@@ -68,7 +68,7 @@ class Regulator:
         self._skipped = 0  # readings without a time that were left out since the latest good one
         self._off, self._off_since = 0, 0
 
-    def feed(self, sample: Sample) -> Regular:
+    def feed(self, sample: Sample) -> Resampled:
         """Take one reading.
 
         A reading without a time is one period after the one before. One that is not finite is left out, so that
@@ -96,20 +96,20 @@ class Regulator:
         """When a reading without a time was taken; those left out have taken their periods, too."""
         return self._origin + (self._index + 1 + self._skipped) * self._dt
 
-    def _nothing(self, kind: Kind, text: str) -> Regular:
-        return Regular(np.zeros((0, 6), np.float32), self._last, reports=[Report(kind, text)])
+    def _nothing(self, kind: Kind, text: str) -> Resampled:
+        return Resampled(np.zeros((0, 6), np.float32), self._last, reports=[Report(kind, text)])
 
-    def _start(self, time: float, value: NDArray[np.float64]) -> Regular:
+    def _start(self, time: float, value: NDArray[np.float64]) -> Resampled:
         self._origin = self._last = time
         self._value, self._index, self._skipped, self._off, self._off_since = value, 0, 0, 0, 0
-        return Regular(value[None].astype(np.float32), time)
+        return Resampled(value[None].astype(np.float32), time)
 
-    def _anew(self, time: float, value: NDArray[np.float64], text: str) -> Regular:
+    def _anew(self, time: float, value: NDArray[np.float64], text: str) -> Resampled:
         regular = self._start(time, value)
         regular.anew, regular.reports = True, [Report("gap", text)]
         return regular
 
-    def _advance(self, time: float, value: NDArray[np.float64], step: float) -> Regular:
+    def _advance(self, time: float, value: NDArray[np.float64], step: float) -> Resampled:
         position = (time - self._origin) / self._dt
         nearest = round(position)
         on = abs(position - nearest) < ON_GRID
@@ -121,7 +121,7 @@ class Regulator:
             samples[-1] = value
         reports = self._reports(step, position - nearest)
         self._last, self._value, self._index, self._skipped = time, value, max(reached, self._index), 0
-        return Regular(samples.astype(np.float32), self._origin + self._index * self._dt, reports=reports)
+        return Resampled(samples.astype(np.float32), self._origin + self._index * self._dt, reports=reports)
 
     def _reports(self, step: float, off: float) -> list[Report]:
         reports = []

@@ -9,7 +9,7 @@ from typing import Any
 
 from rcbht_jax.events import Event, Notice
 from rcbht_jax.introspection.introspector import Introspector
-from rcbht_jax.introspection.resampling import Regulator
+from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
 
@@ -20,7 +20,7 @@ class Session:
         self.introspector = introspector
         self._dt = introspector.model.encoder.dt
         self._bridge = bridge
-        self._regulator = Regulator(self._dt, bridge)
+        self._regulator = Resampler(self._dt, bridge)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
@@ -34,7 +34,7 @@ class Session:
             return self.introspector.begin()
         if isinstance(message, Reset):
             self.introspector.reset()
-            self._regulator = Regulator(self._dt, self._bridge)
+            self._regulator = Resampler(self._dt, self._bridge)
             return []
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]

@@ -25,10 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import begin_stream
-from rcbht_jax.introspection.introspector import Chain, believe
+from rcbht_jax.introspection.introspector import Chain, infer
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.learning.probability import to_arrays
 from rcbht_jax.types import Array
@@ -48,7 +48,7 @@ def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS
     machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
 
     def run(state: list[Array], window: Array, count: Array, begins: Array) -> tuple[list[Array], list[Array], Array]:
-        progress, said, published = believe(
+        progress, said, published = infer(
             chain, limits, machines, jax.tree.unflatten(tree, state), window, count, begins
         )
         return jax.tree.leaves(progress), list(said), published.ints
@@ -89,7 +89,7 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
     try:
         code = export_chain(model, platforms)
-        with whole_file(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
+        with atomic_write(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(META, json.dumps(meta, indent=1))
             archive.writestr(STATE, state.getvalue())
             archive.writestr(STABLEHLO, code)

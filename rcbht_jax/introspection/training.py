@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
-from rcbht_jax.introspection.alarms import conformal_level, held_out, peaks
-from rcbht_jax.introspection.chain import Sight, observe_all
+from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks
+from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
-from rcbht_jax.learning.tasks import OUTCOMES, Sentences, TaskSpec, sentences
+from rcbht_jax.learning.tasks import OUTCOMES, LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 # A sub-task: words, the sentence in equal parts, where the force is, and for how long. Ranks, because attributes have
@@ -41,7 +41,7 @@ PICKED = 12  # looks per sentence and per spacing (even, geometric) for training
 
 
 @dataclass(frozen=True)
-class Looks:
+class Snapshots:
     """Moments at which sentences are looked at."""
 
     sentence: NDArray[np.int64]  # [look] item of the task
@@ -53,17 +53,17 @@ class Looks:
     def __len__(self) -> int:
         return len(self.now)
 
-    def take(self, rows: NDArray[Any]) -> Looks:
+    def take(self, rows: NDArray[Any]) -> Snapshots:
         """The chosen looks."""
-        return Looks(*(getattr(self, name)[rows] for name in ("sentence", "recording", "begin", "now", "whole")))
+        return Snapshots(*(getattr(self, name)[rows] for name in ("sentence", "recording", "begin", "now", "whole")))
 
 
-def streamed(items: Sentences, every: int) -> Looks:
+def regular_snapshots(items: LabelledIntervals, every: int) -> Snapshots:
     """Looks every ``every`` samples since the sentence began, and one at its end."""
     return _looks(items, lambda size: np.append(np.arange(every, size, every), size))
 
 
-def picked(items: Sentences, every: int, count: int = PICKED, early: bool = True) -> Looks:
+def training_snapshots(items: LabelledIntervals, every: int, count: int = PICKED, early: bool = True) -> Snapshots:
     """At most ``2 * count`` of the streamed looks per sentence, so that long sentences do not outweigh short ones.
 
     Half of them are evenly spaced; ``early`` puts the others at the beginning of the sentence, when a sub-task is
@@ -79,30 +79,30 @@ def picked(items: Sentences, every: int, count: int = PICKED, early: bool = True
     return _looks(items, choose)
 
 
-def _looks(items: Sentences, choose: Callable[[int], NDArray[np.int64]]) -> Looks:
+def _looks(items: LabelledIntervals, choose: Callable[[int], NDArray[np.int64]]) -> Snapshots:
     where = items.intervals[0]
     steps = [choose(int(size)) for size in where.end - where.start]
     sentence = np.repeat(np.arange(len(steps)), [len(s) for s in steps])
     begin, end = where.start[sentence].astype(np.int64), where.end[sentence]
     now = begin + np.concatenate(steps)
-    return Looks(sentence, where.recording[sentence].astype(np.int64), begin, now, now == end)
+    return Snapshots(sentence, where.recording[sentence].astype(np.int64), begin, now, now == end)
 
 
-def watch(
+def snapshot_features(
     recordings: Recordings,
-    looks: Looks,
-    sight: Sight,
+    looks: Snapshots,
+    sight: FeatureView,
     config: EncoderConfig,
-    thresholds: Thresholds,
+    thresholds: GradientThresholds,
     progress: Callable[[int], None] | None = None,
 ) -> NDArray[np.float32]:
     """Features ``[look, feature]`` as a stream would have had them."""
-    return observe_all(
+    return online_features_batch(
         config, thresholds, sight, recordings.wrench, looks.recording, looks.begin, looks.now, progress=progress
     )
 
 
-def from_the_beginning(looks: Looks) -> Looks:
+def from_the_beginning(looks: Snapshots) -> Snapshots:
     """The same moments, seen as parts of the whole trial: its sentence begins with the record."""
     order = np.lexsort((looks.now, looks.recording))
     return replace(looks, begin=np.zeros_like(looks.begin)).take(order)
@@ -126,12 +126,12 @@ class HeadSpec:
         return "subtask" if self.task.task == "states" and not self.phase else "trial"
 
     @property
-    def sight(self) -> Sight:
+    def sight(self) -> FeatureView:
         """What it sees; where the force is, how it moves and for how long weigh the same in a sub-task."""
         subtask = self.scope == "subtask"
         every, relative = (FAMILIES, RELATIVE) if subtask else (TRIAL_FAMILIES, TRIAL_RELATIVE)
         families = self.families or (relative if self.relative else every)
-        return Sight(FeatureSpec(families=families, balance=subtask))
+        return FeatureView(FeatureSpec(families=families, balance=subtask))
 
     @property
     def learning(self) -> tuple[Grid, int]:
@@ -145,7 +145,13 @@ class HeadSpec:
 
 
 def learn(
-    x: NDArray[np.floating[Any]], looks: Looks, items: Sentences, spec: FeatureSpec, grid: Grid, ends: int, seed: int
+    x: NDArray[np.floating[Any]],
+    looks: Snapshots,
+    items: LabelledIntervals,
+    spec: FeatureSpec,
+    grid: Grid,
+    ends: int,
+    seed: int,
 ) -> ProbabilisticSvm:
     """A machine from looks at training sentences; kernel and cost are chosen by cross-validation grouped by trial.
 
@@ -169,7 +175,7 @@ def train_head(
     recordings: Recordings,
     spec: HeadSpec,
     config: EncoderConfig,
-    thresholds: Thresholds,
+    thresholds: GradientThresholds,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Head:
@@ -180,11 +186,13 @@ def train_head(
     Raises:
         InputError: fewer than two classes, a class with a single trial, or too few nominal trials for ``false_alarms``.
     """
-    items = sentences(recordings, spec.task)
-    looks = picked(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
+    items = labelled_intervals(recordings, spec.task)
+    looks = training_snapshots(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
     looks = from_the_beginning(looks) if spec.phase else looks
     sight, total = spec.sight, len(looks)
-    x = watch(recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total)))
+    x = snapshot_features(
+        recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total))
+    )
     machine = learn(x, looks, items, sight.spec, *spec.learning, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
     level = 0.0
@@ -198,27 +206,27 @@ def _alarm_level(
     recordings: Recordings,
     spec: HeadSpec,
     config: EncoderConfig,
-    thresholds: Thresholds,
-    items: Sentences,
+    thresholds: GradientThresholds,
+    items: LabelledIntervals,
     machine: ProbabilisticSvm,
     training: tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.str_]],
     seed: int,
 ) -> float:
     """Level of the alarm from the successes, each streamed through a machine that did not see it."""
     alarm = items.classes.index(OUTCOMES[0])
-    looks = streamed(items, max(1, round(1 / (spec.rate * config.dt))))
+    looks = regular_snapshots(items, max(1, round(1 / (spec.rate * config.dt))))
     looks = looks.take(np.flatnonzero(items.y[looks.sentence] != alarm))
-    x = watch(recordings, looks, spec.sight, config, thresholds)
+    x = snapshot_features(recordings, looks, spec.sight, config, thresholds)
     groups = items.trial[looks.sentence]
     said = held_out(machine, *training, x, groups, seed)[:, alarm]
-    return conformal_level(peaks(said, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
+    return conformal_threshold(peaks(said, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
 
 
 def train_model(
     recordings: Recordings,
     specs: tuple[HeadSpec, ...],
     config: EncoderConfig | None = None,
-    thresholds: Thresholds | None = None,
+    thresholds: GradientThresholds | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> IntrospectionModel:

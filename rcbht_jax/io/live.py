@@ -7,12 +7,12 @@ import threading
 from collections.abc import Iterator
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.messages import Lines, Message, Silence, read_lines
+from rcbht_jax.io.messages import LineReader, Message, Silence, read_lines
 
 _BACKLOG = 1000  # messages read ahead; beyond that the writer has to wait, and memory does not grow
 
 
-def read_live(source: Lines, silent: float = 1.0) -> Iterator[Message]:
+def read_live(source: LineReader, silent: float = 1.0) -> Iterator[Message]:
     """Messages of ``source``, and :class:`Silence` each time nothing arrived for ``silent`` seconds.
 
     Raises:

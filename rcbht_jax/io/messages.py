@@ -54,14 +54,14 @@ Message = Sample | Begin | Reset | Malformed | Silence
 
 
 @runtime_checkable
-class Lines(Protocol):
+class LineReader(Protocol):
     """The part of a binary file that is needed to read lines."""
 
     def readline(self, size: int, /) -> bytes:
         """At most ``size`` bytes, up to and with the next line feed."""
 
 
-def read_lines(source: Lines) -> Iterator[Message]:
+def read_lines(source: LineReader) -> Iterator[Message]:
     """Messages from a binary file of JSON lines, in constant memory whatever it holds; empty lines are skipped."""
     while raw := source.readline(MAX_LINE):
         if len(raw) == MAX_LINE and not raw.endswith(b"\n"):

@@ -17,12 +17,12 @@ from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import Grid, Split, Weight, fit, select
-from rcbht_jax.learning.tasks import CONFOUNDS, Sentences, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import CONFOUNDS, LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 
 @dataclass(frozen=True)
-class Protocol:
+class EvaluationProtocol:
     """How to measure: repeated grouped k-fold, or training and testing on different sessions."""
 
     folds: int = 5
@@ -43,7 +43,7 @@ class Protocol:
 
 
 @dataclass(frozen=True)
-class Result:
+class EvaluationResult:
     """Everything needed to read a score, compare it and repeat it; ``to_json`` gives plain JSON values."""
 
     task: dict[str, Any]
@@ -71,7 +71,7 @@ Grammars = Mapping[str, Mapping[str, LabelTracks]]
 
 
 def candidates(
-    tracks: LabelTracks | Grammars, items: Sentences, features: FeatureSpec | Mapping[str, FeatureSpec]
+    tracks: LabelTracks | Grammars, items: LabelledIntervals, features: FeatureSpec | Mapping[str, FeatureSpec]
 ) -> dict[str, tuple[Features, Weight]]:
     """Every grammar described by every specification, in the order given: features and their weights by name."""
     grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
@@ -79,7 +79,7 @@ def candidates(
     made: dict[str, tuple[Features, Weight]] = {}
     for grammar, labels in grammars.items():
         for name, spec in specs.items():
-            found = describe(labels, items, spec)
+            found = extract_features(labels, items, spec)
             made[" ".join(filter(None, (grammar, name)))] = found, found.weights(spec)
     return made
 
@@ -89,9 +89,9 @@ def evaluate(
     tracks: LabelTracks | Grammars,
     task: TaskSpec,
     features: FeatureSpec | Mapping[str, FeatureSpec],
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     label_attrs: Mapping[str, Any] | None = None,
-) -> Result:
+) -> EvaluationResult:
     """Score the labels on a task.
 
     Args:
@@ -106,7 +106,7 @@ def evaluate(
         InputError: unknown sessions, too few trials for the folds, or fewer than two classes.
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
-    items = sentences(recordings, task)
+    items = labelled_intervals(recordings, task)
     made = candidates(tracks, items, features)
     provenance = {
         "version": rcbht_jax.__version__,
@@ -120,13 +120,13 @@ def evaluate(
 
 
 def score(
-    items: Sentences,
+    items: LabelledIntervals,
     matrices: Mapping[str, NDArray[Any]],
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     task: dict[str, Any],
     provenance: dict[str, Any],
     weights: Mapping[str, Weight] | None = None,
-) -> Result:
+) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits."""
     learners = {
         "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights),
@@ -135,7 +135,7 @@ def score(
     }
     if protocol.train_on:
         split = _split(items, protocol)
-        made = {k: validation.transfer(x, items.y, items.trial, split, protocol.seed) for k, x in learners.items()}
+        made = {k: validation.holdout_score(x, items.y, items.trial, split, protocol.seed) for k, x in learners.items()}
         fold_accuracy, chosen = [[made["svm"].accuracy]], [made["svm"].chosen]
         tables = {k: (x.summary(), x.confusion) for k, x in made.items()}
     else:
@@ -144,7 +144,7 @@ def score(
         fold_accuracy = runs["svm"].accuracy.tolist()
         chosen = [choice for repeat in runs["svm"].chosen for choice in repeat]
         tables = {k: (x.summary(), x.confusion) for k, x in runs.items()}
-    return Result(
+    return EvaluationResult(
         task=task,
         protocol=asdict(protocol),
         classes=items.classes,
@@ -162,7 +162,7 @@ def score(
     )
 
 
-def _split(items: Sentences, protocol: Protocol) -> Split:
+def _split(items: LabelledIntervals, protocol: EvaluationProtocol) -> Split:
     known = set(items.session.tolist())
     missing = (set(protocol.train_on) | set(protocol.test_on)) - known
     if missing:
@@ -219,7 +219,7 @@ def train(
     Raises:
         InputError: fewer than two classes, or a class with a single trial.
     """
-    items = sentences(recordings, task)
+    items = labelled_intervals(recordings, task)
     made = candidates(tracks, items, features)
     matrices = {name: found.values for name, (found, _) in made.items()}
     weights = {name: weight for name, (_, weight) in made.items()}

@@ -19,7 +19,7 @@ from rcbht_jax.errors import InputError
 Ints = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
 
-THRESHOLDS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
+CERTAINTY_LEVELS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
 INADMISSIBLE = 0.5  # below this a belief counts for nothing
 
 
@@ -165,7 +165,7 @@ class Certainty:
         return count / (self.avg_len / 3)
 
 
-def certainties(probabilities: Sequence[Floats], truth: Sequence[int], k: float = THRESHOLDS[0]) -> Certainty:
+def certainties(probabilities: Sequence[Floats], truth: Sequence[int], k: float = CERTAINTY_LEVELS[0]) -> Certainty:
     """Counts, AvgLen and m of a set of trials, each ``[step, class]`` with one true class.
 
     Trials too short to have a last third (three steps or fewer) count in the paper's m, as in the paper,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.scaling import KNOTS
@@ -107,7 +107,7 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
     """
     try:
         text = json.dumps(meta, allow_nan=False)
-        with whole_file(path) as draft, draft.open("wb") as out:
+        with atomic_write(path) as draft, draft.open("wb") as out:
             np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
     except (OSError, TypeError, ValueError) as error:
         raise InputError(f"the model cannot be written to {path}: {error}.") from error

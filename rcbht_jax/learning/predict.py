@@ -17,18 +17,18 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
-from rcbht_jax.learning.tasks import Spans, TaskSpec, describe, spans
+from rcbht_jax.learning.tasks import TaskSpec, UnlabelledIntervals, extract_features, unlabelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
 
 
 @dataclass(frozen=True)
-class Classified:
+class Classification:
     """What a model says of every sentence."""
 
     classes: tuple[str, ...]  # of the model
-    spans: Spans
+    items: UnlabelledIntervals
     said: NDArray[np.str_]  # [item]
     decision: NDArray[np.float64]  # [item, pair] > 0 votes for the first of the pair
     seen: NDArray[np.bool_]  # [item] the model was trained on this very data set, source and session
@@ -41,12 +41,12 @@ class Classified:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Items whose class the data set names, and the model knows ``[item]``."""
-        return np.isin(self.spans.name, self.classes)
+        return np.isin(self.items.name, self.classes)
 
     def accuracy(self, seen: bool = False) -> float | None:
         """Share right of the known sentences that were not trained on (or those that were); None without any."""
         those = self.known & (self.seen == seen)
-        return float((self.said == self.spans.name)[those].mean()) if those.any() else None
+        return float((self.said == self.items.name)[those].mean()) if those.any() else None
 
 
 def encoders_of(model: TrainedModel) -> dict[str, Mapping[str, Any]]:
@@ -102,7 +102,7 @@ def _difference(wanted: Any, found: Any) -> str:
 
 def classify(
     model: TrainedModel, recordings: Recordings, tracks: Mapping[str, LabelTracks], spec: TaskSpec
-) -> Classified:
+) -> Classification:
     """Apply a model.
 
     Args:
@@ -115,14 +115,14 @@ def classify(
     Raises:
         InputError: no sentence passes the filters, or the labels give other features than the model reads.
     """
-    found = spans(recordings, spec)
+    found = unlabelled_intervals(recordings, spec)
     if not len(found.row):
         why = (
             ", ".join(f"{count} trials: {reason}" for reason, count in found.dropped.items())
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")
-    made = describe(dict(tracks), found, model.feature_spec)
+    made = extract_features(dict(tracks), found, model.feature_spec)
     if made.names != model.feature_names:
         raise InputError(
             f"the labels give {len(made.names)} features and the model of version {model.version} reads "
@@ -130,7 +130,7 @@ def classify(
         )
     decision = model.svm.decision(made.values)
     said = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
-    return Classified(model.svm.classes, found, said, decision, _seen(model, recordings)[found.row])
+    return Classification(model.svm.classes, found, said, decision, _seen(model, recordings)[found.row])
 
 
 def _seen(model: TrainedModel, recordings: Recordings) -> NDArray[np.bool_]:

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import Features, FeatureSpec, Intervals, both_arms, features, side_by_side
+from rcbht_jax.features import (
+    Features,
+    FeatureSpec,
+    Intervals,
+    concatenate_arms,
+    concatenate_features,
+    interval_features,
+)
 from rcbht_jax.types import LabelTracks, Recordings
 
 TASKS = ("states", "outcome", "failure-type")
@@ -73,7 +80,7 @@ class TaskSpec:
 
 
 @dataclass(frozen=True)
-class Sentences:
+class LabelledIntervals:
     """The items of a task, in the order of the recordings and, within one, of the states."""
 
     classes: tuple[str, ...]  # [class] those that occur
@@ -90,7 +97,7 @@ class Sentences:
 
 
 @dataclass(frozen=True)
-class Spans:
+class UnlabelledIntervals:
     """Sentences whose class may be unknown, in the order of the recordings and, within one, of the states."""
 
     row: NDArray[np.int64]  # [item] recording, of the first arm
@@ -99,7 +106,7 @@ class Spans:
     dropped: dict[str, int]  # reason -> trials left out
 
 
-def spans(recordings: Recordings, spec: TaskSpec) -> Spans:
+def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIntervals:
     """Find what a trained model can be asked about: as :func:`sentences`, but nobody need know the answers.
 
     Trials of unknown outcome pass the task's own choice of outcomes (not one that ``spec`` names), and a whole trial of
@@ -116,10 +123,10 @@ def spans(recordings: Recordings, spec: TaskSpec) -> Spans:
         names, kept, _ = _known(recordings, rows, spec.task)
         names, edges = np.where(kept, names, "")[:, None], _records(recordings, rows)
     first = np.repeat(rows[:, 0], names.shape[1])
-    return Spans(first, names.ravel().astype(str), _intervals(rows, edges, recordings.dt), dict(dropped))
+    return UnlabelledIntervals(first, names.ravel().astype(str), _intervals(rows, edges, recordings.dt), dict(dropped))
 
 
-def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
+def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
     """Find the sentences of a task.
 
     Raises:
@@ -143,10 +150,12 @@ def sentences(recordings: Recordings, spec: TaskSpec) -> Sentences:
     intervals = _intervals(rows, edges, recordings.dt)
     first = np.repeat(rows[:, 0], names.shape[1])
     y = np.array([classes.index(c) for c in names.ravel().tolist()], np.int64)
-    return Sentences(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
+    return LabelledIntervals(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
 
 
-def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences | Spans, spec: FeatureSpec) -> Features:
+def extract_features(
+    tracks: LabelTracks | Mapping[str, LabelTracks], items: LabelledIntervals | UnlabelledIntervals, spec: FeatureSpec
+) -> Features:
     """Features of every item, both arms side by side where the task has two.
 
     Args:
@@ -155,9 +164,9 @@ def describe(tracks: LabelTracks | Mapping[str, LabelTracks], items: Sentences |
         spec: what to make of the labels.
     """
     if isinstance(tracks, LabelTracks):
-        arms = [features(tracks, intervals, spec) for intervals in items.intervals]
-        return arms[0] if len(arms) == 1 else both_arms(arms[0], arms[1])
-    return side_by_side({name: describe(one, items, spec) for name, one in tracks.items()})
+        arms = [interval_features(tracks, intervals, spec) for intervals in items.intervals]
+        return arms[0] if len(arms) == 1 else concatenate_arms(arms[0], arms[1])
+    return concatenate_features({name: extract_features(one, items, spec) for name, one in tracks.items()})
 
 
 def _intervals(rows: NDArray[np.int64], edges: NDArray[np.int64], dt: float) -> tuple[Intervals, ...]:

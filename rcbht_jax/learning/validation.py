@@ -20,8 +20,8 @@ from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds, predictio
 
 Ints = NDArray[np.integer[Any]]
 Matrix = NDArray[np.floating[Any]]
-Answer = tuple[NDArray[np.int64], dict[str, Any]]
-Learner = Callable[[NDArray[np.int64], NDArray[np.int64], int], Answer]
+Prediction = tuple[NDArray[np.int64], dict[str, Any]]
+Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
 
 _TREES = 50
 _RESAMPLES = 2000
@@ -33,7 +33,7 @@ def nested_svm(
     groups: NDArray[Any],
     grid: Grid,
     weights: Mapping[str, Weight] | None = None,
-) -> Learner:
+) -> Estimator:
     """SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
@@ -54,7 +54,7 @@ def nested_svm(
                 "finite values."
             )
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         inside = {name: x[train] for name, x in doubles.items()}
         spec = select(inside, y[train], groups[train], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
@@ -64,20 +64,20 @@ def nested_svm(
     return learn
 
 
-def forest(x: Matrix, y: Ints) -> Learner:
+def forest(x: Matrix, y: Ints) -> Estimator:
     """Random forest on ``[item, feature]``: the baseline that shows what a few plain numbers give away."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         trees = RandomForestClassifier(_TREES, random_state=seed).fit(x[train], y[train])
         return trees.predict(x[test]).astype(np.int64), {}
 
     return learn
 
 
-def majority(y: Ints) -> Learner:
+def majority(y: Ints) -> Estimator:
     """Always the most frequent class of the training rows."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Answer:
+    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         return np.full(len(test), np.bincount(y[train]).argmax(), np.int64), {}
 
     return learn
@@ -112,7 +112,7 @@ def repeated_folds(y: Ints, groups: NDArray[Any], folds: int, repeats: int, seed
     return [grouped_folds(y, groups, folds, seed + repeat) for repeat in range(repeats)]
 
 
-def cross_validate(learner: Learner, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:
+def cross_validate(learner: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:
     """Score a learner on ``splits`` (``[repeat][fold]``, the same number of folds in each repeat).
 
     Args:
@@ -136,7 +136,7 @@ def cross_validate(learner: Learner, y: Ints, splits: Sequence[Sequence[Split]],
 
 
 @dataclass(frozen=True)
-class Transfer:
+class HoldoutScore:
     """Scores of one learner trained on some items and tested on others."""
 
     accuracy: float
@@ -154,7 +154,7 @@ class Transfer:
         }
 
 
-def transfer(learner: Learner, y: Ints, groups: NDArray[Any], split: Split, seed: int = 0) -> Transfer:
+def holdout_score(learner: Estimator, y: Ints, groups: NDArray[Any], split: Split, seed: int = 0) -> HoldoutScore:
     """Train on one side of ``split`` and test on the other.
 
     Args:
@@ -168,7 +168,7 @@ def transfer(learner: Learner, y: Ints, groups: NDArray[Any], split: Split, seed
     said, choice = learner(train, test, 1000 * seed)
     low, high = bootstrap(y[test] == said, groups[test], seed)
     truth, classes = y[test], int(y.max()) + 1
-    return Transfer(
+    return HoldoutScore(
         accuracy=metrics.accuracy(truth, said),
         balanced_accuracy=metrics.balanced_accuracy(truth, said),
         low=low,

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
@@ -91,7 +91,7 @@ def save(figure: Figure, path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose another name for the figure.")
     try:
-        with whole_file(path) as draft:
+        with atomic_write(path) as draft:
             figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         if error.errno == errno.ENOSPC:

@@ -1,4 +1,4 @@
-"""Thresholds over the gradients that they cut: a panel per axis and state."""
+"""GradientThresholds over the gradients that they cut: a panel per axis and state."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots.canvas import new_figure
 
@@ -15,7 +15,9 @@ _NAMES = ("impulse", "big", "medium", "small")
 _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
 
 
-def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | None = None) -> Figure:
+def threshold_figure(
+    data: CalibrationData, thresholds: GradientThresholds, base: GradientThresholds | None = None
+) -> Figure:
     """Histograms of the windows' absolute slopes on a logarithmic scale, with the limits as lines.
 
     Args:
@@ -61,7 +63,7 @@ def threshold_figure(data: Corpus, thresholds: Thresholds, base: Thresholds | No
     return figure
 
 
-def _inside(data: Corpus, label: int, slopes: NDArray[np.floating]) -> NDArray[np.floating]:
+def _inside(data: CalibrationData, label: int, slopes: NDArray[np.floating]) -> NDArray[np.floating]:
     """Slopes of all windows that begin in a sentence of the class, over the recordings."""
     found = []
     window = _window(data)
@@ -79,5 +81,5 @@ def _zones(slopes: NDArray[np.floating], limits: NDArray[np.floating]) -> str:
     return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *_NAMES[::-1]), strict=True))
 
 
-def _window(data: Corpus) -> int:
+def _window(data: CalibrationData) -> int:
     return -(-data.wrench.shape[1] // data.windows.slope.shape[1])

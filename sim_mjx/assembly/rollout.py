@@ -37,7 +37,7 @@ class TrialParams:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Loop:
+class ControllerState:
     """What the controller remembers between control periods."""
 
     task: TaskState
@@ -47,7 +47,7 @@ class Loop:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Reading:
+class LogRow:
     """What is logged each control period."""
 
     wrench: Array  # [6K] N and Nm, world frame, as the robot logs it; K = wrist sensors
@@ -63,7 +63,7 @@ class Program:
     """
 
     begin: Callable[[Any, Array], Any]  # parameters, first readings [6K] -> loop state
-    control: Callable[[Any, Any, Array, Array], tuple[Any, Array, Reading]]  # see ``control``
+    control: Callable[[Any, Any, Array, Array], tuple[Any, Array, LogRow]]  # see ``control``
     home: Callable[[Any], Array]  # parameters -> joint angles at time zero [..., J], rad
     timeout: Callable[[Any], Array]  # parameters -> longest time of a trial [...], s
 
@@ -80,13 +80,15 @@ class Rollouts:
     diverged: NDArray[np.bool_]  # [trial] the physics gave a value that is not finite; not data
 
 
-def begin(params: TrialParams, raw: Array) -> Loop:
+def begin(params: TrialParams, raw: Array) -> ControllerState:
     """Loop state before the first period; ``raw`` [6] is the first sensor reading, wrist frame."""
     commands = jnp.broadcast_to(params.task.home, (LONGEST_DELAY, 6))
-    return Loop(task.start(params.task), sensor.begin(params.sensor, raw), commands)
+    return ControllerState(task.start(params.task), sensor.begin(params.sensor, raw), commands)
 
 
-def control(params: TrialParams, loop: Loop, joints: Array, raw: Array) -> tuple[Loop, Array, Reading]:
+def control(
+    params: TrialParams, loop: ControllerState, joints: Array, raw: Array
+) -> tuple[ControllerState, Array, LogRow]:
     """One control period.
 
     Args:
@@ -105,7 +107,7 @@ def control(params: TrialParams, loop: Loop, joints: Array, raw: Array) -> tuple
     commands = jnp.concatenate([state.command[None], loop.commands[:-1]])
     # a servo interpolates: a reference that jumped every 5 ms would shake the tool by its own weight
     between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
-    return Loop(state, read, commands), between, Reading(wrench, joints, loop.task.phase)
+    return ControllerState(state, read, commands), between, LogRow(wrench, joints, loop.task.phase)
 
 
 ONE_ARM = Program(begin, control, lambda params: params.task.home, lambda params: params.task.timeout)

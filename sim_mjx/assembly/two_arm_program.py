@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from sim_mjx.assembly import kinematics, sensor, task
 from sim_mjx.assembly.controllers import force_law
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.assembly.rollout import Program, Reading
+from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
 from sim_mjx.assembly.task import TaskState
 from sim_mjx.presets.sessions import TaskParams
@@ -73,7 +73,7 @@ def begin(params: TwoArmParams, raw: Array) -> TwoArmLoop:
     return TwoArmLoop(task.start(params.task), right, left, raw, commands)
 
 
-def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -> tuple[TwoArmLoop, Array, Reading]:
+def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -> tuple[TwoArmLoop, Array, LogRow]:
     """One control period.
 
     Args:
@@ -100,7 +100,7 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
     held = hold(params.hold, loop.commands[0, 6:], joints[6:], left - params.offset[6:], state.phase)
     commands = jnp.concatenate([jnp.concatenate([state.command, held])[None], loop.commands[:-1]])
     between = jnp.stack([commands[params.command_delay + 1], commands[params.command_delay]])
-    log = Reading(jnp.concatenate([right, left]), joints, loop.task.phase)
+    log = LogRow(jnp.concatenate([right, left]), joints, loop.task.phase)
     return TwoArmLoop(state, read, left_read, loop.rest, commands), between, log
 
 

@@ -14,8 +14,8 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.command import Command
 from sim_mjx.randomization import overrides as physical
-from sim_mjx.randomization.trials import Randomisation
-from sim_mjx.synthesis.pipeline import SHARD, Progress, Synthesis, synthesise
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.synthesis.pipeline import SHARD, SynthesisConfig, SynthesisProgress, synthesise
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Simulate(Command):
 
     def run(self) -> dict[str, Any]:
         values = () if self.physical is None else physical.read(self.physical)
-        spec = Randomisation(nominal_share=self.nominal_share, longest=self.longest, physical=values)
+        spec = DomainRandomization(nominal_share=self.nominal_share, longest=self.longest, physical=values)
         shard = SHARD[self.engine] if self.shard is None else self.shard
-        job = Synthesis(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
+        job = SynthesisConfig(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
         start = time.perf_counter()
@@ -83,7 +83,7 @@ class Simulate(Command):
         return "\n".join(lines)
 
 
-def _show(bar: Any, now: Progress) -> None:
+def _show(bar: Any, now: SynthesisProgress) -> None:
     """Progress on standard error, silent where that is not a terminal."""
     if now.seconds_left is None:
         bar.initial = bar.n = now.done  # done by an earlier run: no part of the rate

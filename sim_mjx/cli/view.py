@@ -15,7 +15,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 from rcbht_jax.cli.command import Command
 from rcbht_jax.cli.plot import find_recording
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -24,7 +24,7 @@ from rcbht_jax.io.store import read_attrs, read_recordings
 from rcbht_jax.plots import save
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.plots import animation
-from sim_mjx.plots.trial_overview import story
+from sim_mjx.plots.trial_overview import trial_overview
 from sim_mjx.validation.replay import Replay, moments, recorded, simulated
 
 WINDOW = 5  # samples, of the encoder that labels a store without labels
@@ -73,7 +73,7 @@ class View(Command):
             with tqdm(desc="film", unit=" pictures", file=sys.stderr, disable=None) as bar:
                 animation.film(out, replay, recordings, row, speed=self.speed, progress=lambda n, of: _show(bar, n, of))
         else:
-            save(story(replay, *self._labelled(recordings, row), found), out)
+            save(trial_overview(replay, *self._labelled(recordings, row), found), out)
         return {**result, "moments": found}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -87,7 +87,7 @@ class View(Command):
             return recordings, choose_tracks(self.store, self.tracks)[1], row
         alone = _only(recordings, row)
         config = EncoderConfig(WINDOW, recordings.dt)
-        return alone, encode_recordings(config, preset("hiro"), alone.wrench, alone.length), 0
+        return alone, encode_batch(config, preset("hiro"), alone.wrench, alone.length), 0
 
     def _check(self, out: Path | None) -> None:
         if not 0.01 <= self.speed <= 100.0:

@@ -22,7 +22,7 @@ from mujoco import mjx
 from numpy.typing import NDArray
 
 from sim_mjx.assembly import task
-from sim_mjx.assembly.rollout import Program, Reading, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.rollout import LogRow, Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
 from sim_mjx.presets.sessions import CONTROL_PERIOD
@@ -126,7 +126,7 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
     layout, fixed = _layout(scene), _fixed(scene, params, impl)
     start, stretch, seated = _programs(jax.default_backend())
     state = start(layout, fixed)
-    logs: list[Reading] = []
+    logs: list[LogRow] = []
     settling = -(-SETTLING // scene.substeps)
     limit = settling + int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
     for _ in range(-(-limit // STRETCH)):
@@ -140,9 +140,9 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _outcome(settling: int, count: int, logs: list[Reading], seated: Array) -> Outcome:
+def _outcome(settling: int, count: int, logs: list[LogRow], seated: Array) -> Outcome:
     """The stretches as one log of the trials from time zero."""
-    whole: Reading = jax.tree.map(lambda *pieces: jnp.concatenate(pieces)[settling:, :count].swapaxes(0, 1), *logs)
+    whole: LogRow = jax.tree.map(lambda *pieces: jnp.concatenate(pieces)[settling:, :count].swapaxes(0, 1), *logs)
     return Outcome(whole.wrench, whole.joints, whole.phase, seated[:count])
 
 
@@ -209,7 +209,7 @@ def _begin(layout: _Layout, fixed: _Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
-def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, Reading]:
+def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, LogRow]:
     """``STRETCH`` control periods; the log leads with time.
 
     Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
@@ -219,7 +219,7 @@ def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, Rea
     shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
     unroll = fixed.model.impl == mjx.Impl.WARP  # quick to compile, and a loop would copy its buffers
 
-    def period(state: _State, _: None) -> tuple[_State, Reading]:
+    def period(state: _State, _: None) -> tuple[_State, LogRow]:
         body, settling = state.body, state.tick < 0
         loop = _chosen(state.tick > 0, state.loop, _begin(layout, fixed, body))
         joints = home + body.qpos[:, jnp.array(layout.joints)]

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots.canvas import new_figure
@@ -62,7 +62,7 @@ def film(
     rate = RATE[path.suffix.lower()]
     samples = np.arange(0, len(replay.qpos), max(speed / rate / replay.dt, 1.0)).astype(int)
     pictures = _pictures(replay, recordings, row, samples, progress)
-    with whole_file(path) as draft:
+    with atomic_write(path) as draft:
         (_write_gif if rate == RATE[".gif"] else _write_mp4)(draft, pictures, rate)
     return len(samples)
 

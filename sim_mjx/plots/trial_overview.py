@@ -28,7 +28,7 @@ TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # ri
 LETTERS = "abcdef"
 
 
-def story(
+def trial_overview(
     replay: Replay, recordings: Recordings, tracks: LabelTracks, row: int, moments: Mapping[str, float]
 ) -> Figure:
     """The figure of one trial.

@@ -44,7 +44,7 @@ def check(physical: Physical) -> None:
             raise InputError(f"The physical parameter {name} is {value}; expected a finite number.")
 
 
-def changed(group: Group, prefix: str, physical: Physical) -> Group:
+def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
     """Parameters of one trial with the named ones replaced; whole-numbered ones are rounded.
 
     Args:

@@ -33,7 +33,7 @@ PATTERNS = {"x": 31, "y": 44, "r": 55, "xy": 59, "xr": 58, "yr": 72, "xyr": 79}
 
 
 @dataclass(frozen=True)
-class Randomisation:
+class DomainRandomization:
     """What varies between trials; ranges are uniform distributions (lowest, highest).
 
     Sources: "audit", "CAD", "controller" are sections of the design page "HIRO task"; "chosen" is ours.
@@ -111,7 +111,7 @@ class _Values:
     failure_type: str = ""
 
 
-def check(spec: Randomisation) -> None:
+def check(spec: DomainRandomization) -> None:
     """Refuse distributions that no trial could be drawn from.
 
     Raises:
@@ -174,7 +174,7 @@ def setup(preset: str) -> Setup:
     )
 
 
-def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TrialParams, Fault]:
+def sample(preset: str, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
     """One trial.
 
     Args:
@@ -189,10 +189,10 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[Trial
     Raises:
         InputError: unknown preset, negative seed or index, or impossible distributions.
     """
-    return vary(setup(preset), seed, index, spec)
+    return sample_trial(setup(preset), seed, index, spec)
 
 
-def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[TrialParams, Fault]:
+def sample_trial(base: Setup, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
     """One trial of a setup; see :func:`draw`."""
     check(spec)
     if spec.sensor is not None:
@@ -224,9 +224,11 @@ def vary(base: Setup, seed: int, index: int, spec: Randomisation) -> tuple[Trial
     return params, Fault(kind, values.failure_type, values.hand - [*values.part, 0.0])
 
 
-def draw_batch(preset: str, seed: int, indices: Sequence[int], spec: Randomisation) -> tuple[TrialParams, list[Fault]]:
+def sample_batch(
+    preset: str, seed: int, indices: Sequence[int], spec: DomainRandomization
+) -> tuple[TrialParams, list[Fault]]:
     """Several trials as one batch; see :func:`draw`, which it equals trial by trial."""
-    drawn = [draw(preset, seed, index, spec) for index in indices]
+    drawn = [sample(preset, seed, index, spec) for index in indices]
     return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
@@ -247,7 +249,9 @@ def _draw(rng: np.random.Generator, span: Range, size: int | None = None) -> Any
     return rng.uniform(span[0], span[1], size)
 
 
-def _mild(base: Setup, spec: Randomisation, rng: np.random.Generator) -> tuple[TaskParams, SensorParams, PartParams]:
+def _mild(
+    base: Setup, spec: DomainRandomization, rng: np.random.Generator
+) -> tuple[TaskParams, SensorParams, PartParams]:
     """What differs between any two trials: controller, sensor and the materials of the parts."""
     task = base.task
     speed, force_gain, moment_gain = _draw(rng, spec.speed), _draw(rng, spec.gain), _draw(rng, spec.gain)
@@ -264,10 +268,10 @@ def _mild(base: Setup, spec: Randomisation, rng: np.random.Generator) -> tuple[T
         [_draw(rng, spec.force_bias, 3), _draw(rng, spec.moment_bias, 3)]
     )  # fmt: skip
     tare = _draw(rng, spec.tare)
-    touch = physical.changed(base.sensor, "sensor", spec.physical)
+    touch = physical.apply_overrides(base.sensor, "sensor", spec.physical)
     if base.drifts:
         touch = replace(touch, noise=touch.noise * noise, bias=touch.bias + bias, tared=np.asarray(touch.tared * tare))
-    part = physical.changed(base.parts, "parts", spec.physical)
+    part = physical.apply_overrides(base.parts, "parts", spec.physical)
     part = replace(
         part,
         tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
@@ -276,7 +280,7 @@ def _mild(base: Setup, spec: Randomisation, rng: np.random.Generator) -> tuple[T
     return task, touch, part
 
 
-def _with_task(base: Setup, task: TaskParams, values: _Values, spec: Randomisation) -> TaskParams:
+def _with_task(base: Setup, task: TaskParams, values: _Values, spec: DomainRandomization) -> TaskParams:
     """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limits."""
     mating_begins = float(task.way_time[-1]) + base.mating_begins - float(base.task.way_time[-1])
     stop = None if values.stop is None else values.stop * mating_begins
@@ -306,7 +310,7 @@ def _with_parts(part: PartParams, values: _Values) -> PartParams:
     )
 
 
-def _pose(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _pose(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The hand arrives beside or turned, in one to three directions."""
     weights = np.array(list(PATTERNS.values()), float)
     axes = list(PATTERNS)[int(rng.choice(len(weights), p=weights / weights.sum()))]
@@ -317,24 +321,24 @@ def _pose(values: _Values, spec: Randomisation, rng: np.random.Generator) -> Non
             values.failure_type += ("+" if value >= 0 else "-") + axis
 
 
-def _jamming(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _jamming(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
     values.friction *= _draw(rng, spec.jam_friction)
     values.hooks = _draw(rng, spec.jam_overlap, 4)
 
 
-def _wedging(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _wedging(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The part is turned and tilted in the hand, a little more than the slots allow."""
     values.hand[2] = _draw(rng, spec.wedge_roll) * rng.choice((-1.0, 1.0))
     values.tilt = float(_draw(rng, spec.wedge_tilt) * rng.choice((-1.0, 1.0)))
 
 
-def _missing_tab(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _missing_tab(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """One tab has broken off; by convention of PartParams its overlap is negative."""
     values.overlap[int(rng.integers(len(TABS)))] *= -1.0
 
 
-def _moved_part(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _moved_part(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The female part stands farther off than any pose fault, along x or along y."""
     axis = int(rng.integers(2))
     values.part[axis] = _draw(rng, spec.moved_by) * rng.choice((-1.0, 1.0))
@@ -342,12 +346,12 @@ def _moved_part(values: _Values, spec: Randomisation, rng: np.random.Generator) 
     values.failure_type = ("-" if values.part[axis] > 0 else "+") + "xy"[axis]
 
 
-def _early_stop(values: _Values, spec: Randomisation, rng: np.random.Generator) -> None:
+def _early_stop(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The robot stops before mating begins."""
     values.stop = float(_draw(rng, spec.stop_at))
 
 
-FAULTS: dict[str, Callable[[_Values, Randomisation, np.random.Generator], None]] = {
+FAULTS: dict[str, Callable[[_Values, DomainRandomization, np.random.Generator], None]] = {
     "pose": _pose,
     "jamming": _jamming,
     "wedging": _wedging,

@@ -10,13 +10,13 @@ from sim_mjx.assembly.two_arm_program import TwoArmParams
 from sim_mjx.assembly.two_arm_scene import ARMS
 from sim_mjx.presets import two_arm
 from sim_mjx.randomization import trials
-from sim_mjx.randomization.trials import Fault, Randomisation, Range, Setup
+from sim_mjx.randomization.trials import DomainRandomization, Fault, Range, Setup
 
 MATING_BEGINS = 15.67  # s, median of the recordings
 MATING_TIME: Range = (0.15, 0.96)  # s, recorded after mating begins: lowest and highest of 13 trials
 CHATTER: Range = (0.8, 1.2)  # factor on the contact's chatter; chosen
 # The recorded trials repeat one pose with the same gains: what is left is chosen small.
-REPEATED = Randomisation(
+REPEATED = DomainRandomization(
     nominal_share=1.0, shift=(-1e-4, 1e-4), turn=(-1e-3, 1e-3), stiffness=(1.0, 1.0), overlap=(1.0, 1.0),
     friction=(1.0, 1.0), mount=(1.0, 1.0), gain=(1.0, 1.0), goal=(1.0, 1.0), speed=(1.0, 1.0),
 )  # fmt: skip
@@ -38,7 +38,7 @@ def setup() -> Setup:
     )
 
 
-def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoArmParams, Fault]:
+def draw(preset: str, seed: int, index: int, spec: DomainRandomization) -> tuple[TwoArmParams, Fault]:
     """One two-arm trial.
 
     Args:
@@ -55,7 +55,7 @@ def draw(preset: str, seed: int, index: int, spec: Randomisation) -> tuple[TwoAr
         InputError: unknown preset, negative seed or index, or impossible distributions.
     """
     hold = two_arm.hold(preset)
-    right, fault = trials.vary(setup(), seed, index, spec)
+    right, fault = trials.sample_trial(setup(), seed, index, spec)
     rng = trials.stream(seed, index, branch=1)
     hold = replace(
         hold,

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.calibration.on_device import device_corpus
-from rcbht_jax.calibration.search import evaluate
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.on_device import device_calibration_data
+from rcbht_jax.calibration.search import score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import task
@@ -52,10 +52,10 @@ def simulated_scores(
     Raises:
         InputError: no trial was completed.
     """
-    return evaluate(states_corpus(device.run(scene, params, impl, progress=progress), config), config, limits)
+    return score_candidates(states_corpus(device.run(scene, params, impl, progress=progress), config), config, limits)
 
 
-def states_corpus(out: device.Outcome, config: EncoderConfig) -> Corpus:
+def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData:
     """The completed trials with a sentence for each of their four states, on the device.
 
     A completed trial went through all states, seated all its tabs and felt nothing impossible.
@@ -69,7 +69,7 @@ def states_corpus(out: device.Outcome, config: EncoderConfig) -> Corpus:
 
 def whole_corpus(
     out: device.Outcome, y: NDArray[np.integer], classes: tuple[str, ...], config: EncoderConfig
-) -> Corpus:
+) -> CalibrationData:
     """The trials that did not seat all tabs and felt nothing impossible, one sentence each, on the device.
 
     Args:
@@ -87,13 +87,13 @@ def whole_corpus(
 
 def _corpus(
     config: EncoderConfig, wrench: Array, edges: Array, y: Array, usable: Array, classes: tuple[str, ...]
-) -> Corpus:
+) -> CalibrationData:
     order, count = _first(usable)
     kept = int(jax.device_get(count))
     if not kept:
         raise InputError(f"none of the {len(wrench)} simulated trials can be used; nothing to calibrate on.")
     wrench, edges, y = _rows(kept, order, (wrench, edges, y))
-    return device_corpus(config, wrench, edges, y, classes)
+    return device_calibration_data(config, wrench, edges, y, classes)
 
 
 @jax.jit

@@ -34,8 +34,8 @@ from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.engines.common import blocks
 from sim_mjx.presets.sessions import CONTROL_PERIOD, STATES
-from sim_mjx.randomization.trials import Fault, Randomisation
-from sim_mjx.registry import kind
+from sim_mjx.randomization.trials import DomainRandomization, Fault
+from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import labelled, records, shards
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
@@ -47,7 +47,7 @@ CREATED = "undated"  # a date would make every store different
 
 
 @dataclass(frozen=True)
-class Synthesis:
+class SynthesisConfig:
     """What is to be simulated."""
 
     preset: str
@@ -55,12 +55,12 @@ class Synthesis:
     seed: int = 0
     engine: str = "native"
     shard: int = 256  # trials per shard: what a kill costs at most
-    spec: Randomisation = field(default_factory=Randomisation)
+    spec: DomainRandomization = field(default_factory=DomainRandomization)
     window: int | None = None  # samples per line of the labels; None = no labels
 
 
 @dataclass(frozen=True)
-class Progress:
+class SynthesisProgress:
     """How far a synthesis is."""
 
     done: int  # trials, with those of earlier runs
@@ -70,7 +70,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Report:
+class SynthesisReport:
     """What a synthesis came to."""
 
     stored: int  # trials
@@ -82,12 +82,12 @@ class Report:
 
 def synthesise(
     target: Path,
-    job: Synthesis,
+    job: SynthesisConfig,
     *,
     overwrite: bool = False,
     simulate: Simulate | None = None,
-    progress: Callable[[Progress], None] | None = None,
-) -> Report:
+    progress: Callable[[SynthesisProgress], None] | None = None,
+) -> SynthesisReport:
     """Simulate a set of trials into a store; a run that was interrupted goes on where it stopped.
 
     Args:
@@ -117,7 +117,7 @@ def synthesise(
     return _report(target, job, resumed)
 
 
-def check(job: Synthesis) -> None:
+def check(job: SynthesisConfig) -> None:
     """Refuse what cannot be simulated.
 
     Raises:
@@ -129,19 +129,19 @@ def check(job: Synthesis) -> None:
     engines.check(job.engine)
     if job.window is not None:
         _encoder(job)
-    kind(job.preset).draw(job.preset, job.seed, 0, job.spec)
+    get_scenario(job.preset).draw(job.preset, job.seed, 0, job.spec)
 
 
 def engine(name: str, preset: str) -> Simulate:
     """A preset's scene in an engine, one of ``engines.ENGINES``."""
-    return partial(engines.simulate, kind(preset).scene(), engine=name)
+    return partial(engines.simulate, get_scenario(preset).scene(), engine=name)
 
 
-def _encoder(job: Synthesis) -> EncoderConfig:
+def _encoder(job: SynthesisConfig) -> EncoderConfig:
     return EncoderConfig(window=job.window or 0, dt=CONTROL_PERIOD)
 
 
-def _manifest(job: Synthesis) -> dict[str, Any]:
+def _manifest(job: SynthesisConfig) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
     versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
     return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
@@ -175,12 +175,12 @@ def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
     return found is not None and shards.as_json(found) == shards.as_json(wanted)
 
 
-def _indices(job: Synthesis, shard: int) -> range:
+def _indices(job: SynthesisConfig, shard: int) -> range:
     return range(shard * job.shard, min((shard + 1) * job.shard, job.trials))
 
 
 def _simulate_missing(
-    folder: Path, job: Synthesis, simulate: Simulate | None, progress: Callable[[Progress], None] | None
+    folder: Path, job: SynthesisConfig, simulate: Simulate | None, progress: Callable[[SynthesisProgress], None] | None
 ) -> dict[int, Drawn]:
     """Simulate the shards that are not there; returns what was drawn for them, by number."""
     count = -(-job.trials // job.shard)
@@ -190,7 +190,7 @@ def _simulate_missing(
     drawn: dict[int, Drawn] = {}
     start = time.perf_counter()
     if progress is not None:
-        progress(Progress(done, job.trials, 0.0, None))
+        progress(SynthesisProgress(done, job.trials, 0.0, None))
     for shard in missing:
         indices = _indices(job, shard)
         drawn[shard] = _draw(job, indices)
@@ -198,21 +198,21 @@ def _simulate_missing(
         done += len(indices)
         if progress is not None:
             rate = (done - resumed) / (time.perf_counter() - start)
-            progress(Progress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
+            progress(SynthesisProgress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
     return drawn
 
 
-def _draw(job: Synthesis, indices: range) -> Drawn:
-    return kind(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
+def _draw(job: SynthesisConfig, indices: range) -> Drawn:
+    return get_scenario(job.preset).draw_batch(job.preset, job.seed, indices, job.spec)
 
 
-def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.Arrays:
+def _shard_of(job: SynthesisConfig, params: Any, simulate: Simulate | None) -> shards.Arrays:
     """Simulate a batch and label it, if that is wanted."""
     if job.window is None:
         return records.of_trials((simulate or engine(job.engine, job.preset))(params))
     limits = np.asarray(thresholds.preset(ROBOT).limits)
     if simulate is None:
-        scene = kind(job.preset).scene()
+        scene = get_scenario(job.preset).scene()
         out, tracks = labelled.simulate_labelled(scene, params, job.engine, _encoder(job), limits)
     else:
         out = simulate(params)
@@ -220,7 +220,9 @@ def _shard_of(job: Synthesis, params: Any, simulate: Simulate | None) -> shards.
     return records.of_trials(out) | records.of_labels(tracks, len(out.length))
 
 
-def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, Any], drawn: dict[int, Drawn]) -> None:
+def _assemble(
+    folder: Path, target: Path, job: SynthesisConfig, manifest: dict[str, Any], drawn: dict[int, Drawn]
+) -> None:
     """Turn the shards into the store and put it in its place; what was ``drawn`` in this run is not drawn again."""
     loaded = [shards.load(folder, shard) for shard in range(-(-job.trials // job.shard))]
     parts = [part for part in loaded if part is not None]
@@ -250,7 +252,7 @@ def _assemble(folder: Path, target: Path, job: Synthesis, manifest: dict[str, An
     draft.rename(target)
 
 
-def _write_labels(draft: Path, job: Synthesis, parts: list[shards.Arrays], kept: NDArray[np.int64]) -> None:
+def _write_labels(draft: Path, job: SynthesisConfig, parts: list[shards.Arrays], kept: NDArray[np.int64]) -> None:
     """Add the labels of the kept trials to the store, under the name and with the attributes of ``rcbht encode``."""
 
     def joined(name: str) -> NDArray[Any]:
@@ -271,13 +273,13 @@ def _write_labels(draft: Path, job: Synthesis, parts: list[shards.Arrays], kept:
     write_tracks(draft, f"online-W{config.window}", LabelTracks(**layers), how, created=CREATED)
 
 
-def _report(target: Path, job: Synthesis, resumed: int) -> Report:
+def _report(target: Path, job: SynthesisConfig, resumed: int) -> SynthesisReport:
     """What the finished store holds."""
-    arms = len(kind(job.preset).arms)
+    arms = len(get_scenario(job.preset).arms)
     simulation = {name: rows[::arms] for name, rows in store.read_simulation(target).items()}
     seated, kinds = np.asarray(simulation["seated"].all(1)), simulation["fault"]
     faults = {str(k): (int((kinds == k).sum()), int(seated[kinds == k].sum())) for k in np.unique(kinds)}
-    return Report(len(seated), int(seated.sum()), store.read_attrs(target)["diverged"], resumed, faults)
+    return SynthesisReport(len(seated), int(seated.sum()), store.read_attrs(target)["diverged"], resumed, faults)
 
 
 def _wrench(parts: list[shards.Arrays], kept: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -302,9 +304,13 @@ def _kept_of(parts: list[shards.Arrays], kept: NDArray[np.int64]) -> Iterator[tu
 
 
 def _recordings(
-    job: Synthesis, rows: shards.Arrays, wrench: NDArray[np.float32], index: NDArray[np.int64], faults: list[Fault]
+    job: SynthesisConfig,
+    rows: shards.Arrays,
+    wrench: NDArray[np.float32],
+    index: NDArray[np.int64],
+    faults: list[Fault],
 ) -> Recordings:
-    arms = kind(job.preset).arms
+    arms = get_scenario(job.preset).arms
     count, samples = wrench.shape[:2]
 
     def each(values: Any) -> NDArray[Any]:
@@ -328,11 +334,11 @@ def _recordings(
 
 
 def _simulation(
-    job: Synthesis, rows: shards.Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
+    job: SynthesisConfig, rows: shards.Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
 ) -> shards.Arrays:
     """The arrays of the group ``simulation/``."""
     last = np.array(STATES)[np.isfinite(rows["onset"]).sum(1) - 1]
-    of_kind = kind(job.preset)
+    of_kind = get_scenario(job.preset)
     drawn = {
         f"{group}_{name}" if group == "hold" else name: getattr(getattr(params, group) if group else params, name)
         for group, name in of_kind.parameters

@@ -27,7 +27,7 @@ from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import sessions as presets
 from sim_mjx.randomization import trials as randomize
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.validation import sessions, signature
 from sim_mjx.validation.engine_parity import FORCE_LIMIT as FORCE
 from sim_mjx.validation.engine_parity import LABELS_LIMIT, OUTCOME_LIMIT, reference
@@ -53,8 +53,8 @@ OTHER_POSE = ("ERROR-14", "20120426")
 def mixed_trials(count: int, seed: int, longest: float | None) -> TrialParams:
     """Randomised trials with and without faults, of all one-arm presets in turn."""
     names = list(presets.PRESETS)
-    spec = Randomisation(longest=longest)
-    drawn = [randomize.draw(names[index % len(names)], seed, index, spec)[0] for index in range(count)]
+    spec = DomainRandomization(longest=longest)
+    drawn = [randomize.sample(names[index % len(names)], seed, index, spec)[0] for index in range(count)]
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *drawn)
 
 

@@ -28,8 +28,8 @@ from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
 from sim_mjx.presets import sessions
 from sim_mjx.presets import two_arm as two_arm_presets
-from sim_mjx.randomization.trials import Randomisation
-from sim_mjx.registry import kind
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation import snaps
 
 Floats = NDArray[np.float64]
@@ -99,13 +99,13 @@ def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
         InputError: the store was not simulated, or by a version whose options are unknown here.
     """
     preset, params = stored_trial(path, row)
-    scene = kind(preset).scene()
+    scene = get_scenario(preset).scene()
     recorder = Recorder(scene, 1)
     run = native.simulate(scene, jax.tree.map(lambda leaf: np.asarray(leaf)[None], params), watch=recorder.watch)
     qpos = _as_long_as(recorder.qpos(0), int(run.length[0]))
     model = native.model_of(scene, params.parts)
     past, height = tab_states(scene, model, qpos)
-    columns = slice(6 * kind(preset).arms.index(str(recordings.arm[row])), None)
+    columns = slice(6 * get_scenario(preset).arms.index(str(recordings.arm[row])), None)
     how = _likeness(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
     return Replay(model, qpos, recordings.dt, past, height, how)
 
@@ -121,8 +121,8 @@ def stored_trial(path: Path, row: int) -> tuple[str, Any]:
         raise InputError(f'{path} was not made by "rcbht simulate"; its trials cannot be simulated again.')
     job, index = made["job"], int(store.read_simulation(path)["index"][row])
     try:
-        spec = Randomisation(**{name: _tuples(value) for name, value in job["spec"].items()})
-        return job["preset"], kind(job["preset"]).draw(job["preset"], job["seed"], index, spec)[0]
+        spec = DomainRandomization(**{name: _tuples(value) for name, value in job["spec"].items()})
+        return job["preset"], get_scenario(job["preset"]).draw(job["preset"], job["seed"], index, spec)[0]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
 
@@ -162,7 +162,7 @@ def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:
         raise InputError(f"{folder} holds no trial {source}/{trial}; give the folder that was imported: --data DIR.")
     same = (recordings.trial == trial) & (recordings.source == source)
     preset = "two" if "L" in recordings.arm[same] else preset_of(str(recordings.session[row]))
-    scene, arms = kind(preset).scene(), kind(preset).arms
+    scene, arms = get_scenario(preset).scene(), get_scenario(preset).arms
     angles = [_angles(places[0], arm, str(recordings.session[row])) for arm in arms]
     samples = int(recordings.length[row])
     qpos = np.zeros((samples, scene.model.nq))

@@ -25,7 +25,7 @@ from sim_mjx.engines import native
 from sim_mjx.presets import sessions
 from sim_mjx.randomization import trials
 from sim_mjx.randomization.overrides import Physical
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.validation import signature, snaps
 from sim_mjx.validation.replay import Recorder, seated_snaps
 from sim_mjx.validation.system_id import Values
@@ -68,8 +68,8 @@ def trials_of(
     spec: dict[str, Any] = {"A": REPEATED, "B": IN_PLACE}.get(session, {})
     longest = None if whole else trials.MATING_BEGINS[session] + SLACK
     count = count or (len(GRID) if session == "B" else REPEATS)
-    distribution = Randomisation(nominal_share=1.0, longest=longest, physical=physical, **spec)
-    drawn = [trials.draw(session, seed, index, distribution)[0] for index in range(count)]
+    distribution = DomainRandomization(nominal_share=1.0, longest=longest, physical=physical, **spec)
+    drawn = [trials.sample(session, seed, index, distribution)[0] for index in range(count)]
     if session == "B":
         if count > len(GRID):
             raise InputError(f"Session B has {len(GRID)} cells; {count} trials are too many.")

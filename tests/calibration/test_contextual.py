@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from rcbht_jax.calibration import contextual
-from rcbht_jax.calibration.dataset import corpus
-from rcbht_jax.calibration.nested import CalibratedSvm, Library, fixed
+from rcbht_jax.calibration.dataset import calibration_data
+from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, fixed
 from rcbht_jax.calibration.objective import Objective
-from rcbht_jax.calibration.search import Space
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.calibration.search import SearchSpace
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import nested_svm
 from rcbht_jax.types import LabelTrack, Recordings
 
@@ -123,16 +123,16 @@ def test_context_of_recordings_and_of_none():
 
 def test_poisoned_test_folds_change_no_threshold_and_no_training():
     clean = recordings()
-    items = sentences(clean, TaskSpec())
+    items = labelled_intervals(clean, TaskSpec())
     train = np.flatnonzero(np.isin(items.trial, ["t0", "t1", "t2", "t4", "t6", "t7"]))
     test = np.setdiff1d(np.arange(len(items.y)), train)
     poison = clean.wrench.copy()
     poison[[3, 5]] = np.random.default_rng(9).normal(size=(2, 400, 6)) * 1e3
-    limits = Space(groups=(0,) * 6).limits(np.random.default_rng(1).random((8, 4)))
+    limits = SearchSpace(groups=(0,) * 6).limits(np.random.default_rng(1).random((8, 4)))
     answers = []
     for wrench in (clean.wrench, poison):
         data = replace(clean, wrench=wrench)
-        library = Library.make(corpus(data, items, CONFIG), CONFIG, limits, chunk=8)
+        library = CandidateBank.make(calibration_data(data, items, CONFIG), CONFIG, limits, chunk=8)
         choose = library.chooser(Objective(), top=2)
 
         def by_context(rows, seed, data=data):
@@ -150,14 +150,14 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
 def test_any_features_and_scaling_inside_the_folds():
     """Ranks and balanced families: the same answers as the SVM on the features themselves."""
     data = recordings()
-    items = sentences(data, TaskSpec())
+    items = labelled_intervals(data, TaskSpec())
     train = np.flatnonzero(np.isin(items.trial, ["t0", "t1", "t2", "t4", "t6", "t7"]))
     test = np.setdiff1d(np.arange(len(items.y)), train)
     spec = FeatureSpec(families=("histogram", "spread", "levels"), balance=True)
     grid = replace(QUICK, scalings=(True,), ranks=True)
     said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset().limits), grid, spec).learner()(train, test, 0)
-    tracks = encode_recordings(CONFIG, preset(), data.wrench, data.length)
-    made = describe(tracks, items, spec)
+    tracks = encode_batch(CONFIG, preset(), data.wrench, data.length)
+    made = extract_features(tracks, items, spec)
     assert made.weights(spec) is not None
     learner = nested_svm({"0": made.values}, items.y, items.trial, grid, {"0": made.weights(spec)})
     expected, same = learner(train, test, 0)

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from rcbht_jax.calibration.cma import Cma
-from rcbht_jax.calibration.dataset import Corpus
-from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.label_durations import label_durations
 from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
-from rcbht_jax.calibration.on_device import device_corpus
-from rcbht_jax.calibration.search import SearchOptions, Space, evaluate, search
+from rcbht_jax.calibration.on_device import device_calibration_data
+from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.calibration.windows import fit_windows
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.features.spans import Intervals, clip, tally
+from rcbht_jax.features.spans import Intervals, clip, weighted_counts
 from rcbht_jax.labels import LAYER_SIZES, LAYERS
 
 CONFIG = EncoderConfig(window=5, dt=0.005)
 LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1 and 2 samples
-SMALL = SearchOptions(candidates=6, generations=2, population=4, space=Space(groups=(0, 0, 0, 1, 1, 1)))
+SMALL = SearchOptions(candidates=6, generations=2, population=4, space=SearchSpace(groups=(0, 0, 0, 1, 1, 1)))
 
 
 def random_limits(count: int, seed: int = 0) -> np.ndarray:
@@ -42,28 +42,32 @@ def wrench() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def made(wrench) -> Corpus:
+def made(wrench) -> CalibrationData:
     edges = np.array([[0, 100, 101, 300, n] for n in LENGTHS], np.int32)
     edges[1] = [5, 50, 60, 200, 245]  # does not cover its recording
     y = np.tile(np.arange(4, dtype=np.int32), (4, 1))
-    return Corpus(wrench, fit_windows(CONFIG, wrench, LENGTHS), edges, y, tuple("abcd"), np.array(list("wxyz")))
+    return CalibrationData(
+        wrench, fit_windows(CONFIG, wrench, LENGTHS), edges, y, tuple("abcd"), np.array(list("wxyz"))
+    )
 
 
 def times_by_grammar(wrench: np.ndarray, edges: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    tracks = encode_recordings(CONFIG, Thresholds(limits.astype(np.float32)), wrench, LENGTHS)
+    tracks = encode_batch(CONFIG, GradientThresholds(limits.astype(np.float32)), wrench, LENGTHS)
     rows = np.repeat(np.arange(4), 4)
     spans = Intervals(rows, edges[:, :-1].ravel(), edges[:, 1:].ravel(), CONFIG.dt)
     parts = []
     for layer, size in zip(LAYERS, LAYER_SIZES, strict=True):
         words = clip(getattr(tracks, layer), spans, layer)
-        parts.append(tally(words.code, words.duration, size))
+        parts.append(weighted_counts(words.code, words.duration, size))
     return np.concatenate(parts, -1).reshape(4, 4, 6, -1)
 
 
 @pytest.mark.parametrize("group", [1, 3])
 def test_times_per_label_are_those_of_the_published_tracks(wrench, made, group):
     limits = random_limits(4)
-    times = label_times(CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group)
+    times = label_durations(
+        CONFIG, jnp.asarray(limits, jnp.float32), made.windows, jnp.asarray(made.edges), group=group
+    )
     for candidate, one in enumerate(limits):
         np.testing.assert_array_equal(times[candidate], times_by_grammar(wrench, made.edges, one))
 
@@ -118,7 +122,7 @@ def test_cma_finds_the_maximum_of_a_tilted_bowl():
 
 
 def test_space_keeps_limits_ordered_and_finds_the_way_back():
-    space = Space(groups=(0, 0, 0, 1, 1, 1))
+    space = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
     limits = space.limits(np.random.default_rng(0).random((50, space.dimensions)))
     assert (np.diff(limits, axis=-1) <= 0).all()
     assert (limits >= space.base[:, 3:] * space.low * (1 - 1e-9)).all()
@@ -131,7 +135,7 @@ def test_search_does_not_depend_on_the_chunk_and_starts_with_the_base(made):
     pieces = search(made, CONFIG, SMALL, chunk=4)
     np.testing.assert_array_equal(whole.thresholds.limits, pieces.thresholds.limits)
     assert [h[2] for h in whole.history] == [h[2] for h in pieces.history]
-    base = evaluate(made, CONFIG, preset().limits[None], chunk=4)[0]
+    base = score_candidates(made, CONFIG, preset().limits[None], chunk=4)[0]
     assert whole.start_value == pytest.approx(float(base @ SMALL.objective.weights()), abs=1e-6)
     assert whole.value >= whole.start_value
     assert whole.evaluations == 6 + 2 * 4
@@ -165,21 +169,21 @@ def test_successive_halving_scores_survivors_on_all_trials(made):
     options = SearchOptions(candidates=8, rungs=(0.5, 1.0), keep=0.25, space=SMALL.space)
     found = search(made, CONFIG, options, chunk=4)
     assert found.evaluations in (8 + 2, 8 + 3)  # two survivors, and the base if it is not one of them
-    alone = evaluate(made, CONFIG, found.thresholds.limits[None], chunk=4)[0]
+    alone = score_candidates(made, CONFIG, found.thresholds.limits[None], chunk=4)[0]
     assert found.value == pytest.approx(float(alone @ options.objective.weights()), abs=1e-6)
 
 
 def test_trials_on_the_device_are_searched_like_any_others_and_nothing_is_copied(wrench, made):
     whole = made.edges.copy()
     whole[:, -1] = LENGTHS
-    corpus = Corpus(wrench, made.windows, whole, made.y, made.classes, made.trial)
+    corpus = CalibrationData(wrench, made.windows, whole, made.y, made.classes, made.trial)
     beyond = np.where(np.arange(wrench.shape[1])[:, None] < LENGTHS[:, None, None], wrench, np.nan)  # must not matter
     arrays = jax.device_put((beyond, whole, made.y))
     with jax.transfer_guard("disallow"):
-        there = device_corpus(CONFIG, *arrays, made.classes)
+        there = device_calibration_data(CONFIG, *arrays, made.classes)
         found = search(there, CONFIG, SMALL)
-        values = evaluate(there, CONFIG, random_limits(4), chunk=4, group=1)
-    np.testing.assert_allclose(values, evaluate(corpus, CONFIG, random_limits(4), chunk=4), atol=2e-5)
+        values = score_candidates(there, CONFIG, random_limits(4), chunk=4, group=1)
+    np.testing.assert_allclose(values, score_candidates(corpus, CONFIG, random_limits(4), chunk=4), atol=2e-5)
     np.testing.assert_allclose(found.thresholds.limits, search(corpus, CONFIG, SMALL).thresholds.limits)
 
 
@@ -187,9 +191,9 @@ def test_errors_are_sentences(made):
     with pytest.raises(InputError, match="positive weights"):
         Objective.of({"speed": 1.0})
     with pytest.raises(InputError, match="six numbers"):
-        Space(groups=(0, 0, 0, 0, 0, 7))
+        SearchSpace(groups=(0, 0, 0, 0, 0, 7))
     with pytest.raises(InputError, match="increase to 1"):
         SearchOptions(rungs=(0.5,))
-    one = Corpus(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
+    one = CalibrationData(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
     with pytest.raises(InputError, match="two classes"):
         search(one, CONFIG, SMALL)

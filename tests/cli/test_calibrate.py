@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.threshold_file import read_thresholds, write_thresholds
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import write_recordings
@@ -68,12 +68,12 @@ def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
 
 def test_thresholds_survive_the_file_to_the_last_bit(tmp_path):
     limits = np.sort(np.random.default_rng(0).random((6, 4)) + 1e-3)[:, ::-1] / 3
-    write_thresholds(tmp_path / "t.json", Thresholds(limits), {"seed": 1})
+    write_thresholds(tmp_path / "t.json", GradientThresholds(limits), {"seed": 1})
     thresholds, provenance = read_thresholds(tmp_path / "t.json")
     np.testing.assert_array_equal(thresholds.limits, limits)
     assert provenance == {"seed": 1}
     with pytest.raises(InputError, match=r"\[6, 4\]"):
-        write_thresholds(tmp_path / "t.json", Thresholds(limits[:3]), {})
+        write_thresholds(tmp_path / "t.json", GradientThresholds(limits[:3]), {})
 
 
 def test_limits_out_of_order_are_refused(tmp_path):

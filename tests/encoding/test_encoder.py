@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 
 from rcbht_jax.encoding import encoder
-from rcbht_jax.encoding.batch import encode_recordings, plan
+from rcbht_jax.encoding.batch import encode_batch, plan
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.stream import Stream
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTrack, LabelTracks
 from tests.support import oracle
@@ -111,7 +111,7 @@ def test_data_set_equals_its_recordings_one_by_one(seed: int, lengths: list[int]
     rng = np.random.default_rng(seed)
     wrench = np.cumsum(rng.normal(size=(len(lengths), 700, 6)) * 0.2, 1).astype(np.float32)
     limits = preset().limits * rng.uniform(0.5, 2, (len(lengths), 6, 1))
-    together = encode_recordings(config, Thresholds(limits), wrench, length)
+    together = encode_batch(config, GradientThresholds(limits), wrench, length)
     for index in range(len(lengths)):
         alone = encode(
             config, jnp.asarray(limits[index], jnp.float32), wrench[index : index + 1], length[index : index + 1]
@@ -150,8 +150,8 @@ def test_recordings_before_and_after_each_other_do_not_mix() -> None:
     # more recordings than slots, so that slots are reused
     length = np.full(300, 50, np.int32)
     wrench = np.random.default_rng(0).normal(size=(300, 50, 6)).astype(np.float32)
-    tracks = encode_recordings(EncoderConfig(), preset(), wrench, length)
-    single = encode_recordings(EncoderConfig(), preset(), wrench[299:], length[299:])
+    tracks = encode_batch(EncoderConfig(), preset(), wrench, length)
+    single = encode_batch(EncoderConfig(), preset(), wrench[299:], length[299:])
     for axis in range(6):
         assert published(tracks.primitive, (299, axis)) == published(single.primitive, (0, axis))
 
@@ -185,7 +185,7 @@ def test_bad_samples_are_refused_and_nothing_is_consumed() -> None:
 )
 def test_bad_data_sets_are_refused(wrench: np.ndarray, length: np.ndarray) -> None:
     with pytest.raises(InputError):
-        encode_recordings(EncoderConfig(), preset(), wrench, length)
+        encode_batch(EncoderConfig(), preset(), wrench, length)
 
 
 def test_what_lies_beyond_the_length_does_not_matter() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rcbht_jax import labels
 from rcbht_jax.encoding import composition, encoder, pipe
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.types import Item
+from rcbht_jax.types import Segment
 from tests.support import oracle
 
 W, DT = 20, 0.005
@@ -34,7 +34,7 @@ def feed(spans: list[tuple[str, int, float]], options: EncoderConfig = config) -
     for name, windows, amp in spans:
         for _ in range(windows):
             values = [jnp.full(1, v, jnp.float32) for v in (amp / 2, -amp / 2, 0.0, 0.0)]
-            x = Item(jnp.full(1, CODES[name], jnp.int32), state.time, state.time + W, *values)
+            x = Segment(jnp.full(1, CODES[name], jnp.int32), state.time, state.time + W, *values)
             state, out = advance(options, state, x, jnp.full(1, W, jnp.int32))
             keep(encoder.unpack(out))
     keep(jax.jit(encoder.drain, static_argnums=0)(options, state))
@@ -95,10 +95,10 @@ RULES = {
 items = st.lists(st.tuples(st.integers(1, 8), st.integers(1, 12), st.integers(0, 12)), min_size=1, max_size=24)
 
 
-def run_pipe(rules: pipe.PipeRules, arrivals: Item) -> tuple[Item, Item]:
+def run_pipe(rules: pipe.PipeRules, arrivals: Segment) -> tuple[Segment, Segment]:
     empty = jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), arrivals)
 
-    def body(held: tuple[Item, Item], x: Item) -> tuple[tuple[Item, Item], Item]:
+    def body(held: tuple[Segment, Segment], x: Segment) -> tuple[tuple[Segment, Segment], Segment]:
         a, b, out = pipe.push(*held, x, rules)
         return (a, b), out
 
@@ -123,7 +123,7 @@ def test_pipe_rules_equal_brute_force(name: str, spans: list[tuple[int, int, int
     table[:, : len(rows)] = np.array(
         [(r.label, r.t0, r.t1, r.vmax, r.vmin, r.avg * r.dur, r.grad * r.dur) for r in rows]
     ).T
-    arrivals = Item(*(jnp.asarray(column, jnp.int32) for column in table[:3]), *jnp.asarray(table[3:], jnp.float32))
+    arrivals = Segment(*(jnp.asarray(column, jnp.int32) for column in table[:3]), *jnp.asarray(table[3:], jnp.float32))
     got = []
     for part in run_pipe(rules, arrivals):
         used = np.asarray(part.label) > 0
@@ -134,9 +134,9 @@ def test_pipe_rules_equal_brute_force(name: str, spans: list[tuple[int, int, int
     ]
 
 
-def one(label: int, duration: int, amp: float) -> Item:
+def one(label: int, duration: int, amp: float) -> Segment:
     values = [jnp.float32(v) for v in (amp, 0.0, 0.0, 0.0)]
-    return Item(jnp.int32(label), jnp.int32(0), jnp.int32(duration), *values)
+    return Segment(jnp.int32(label), jnp.int32(0), jnp.int32(duration), *values)
 
 
 @pytest.mark.parametrize("first", range(1, 10))

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.hiro.dat import read_table
@@ -52,7 +52,7 @@ def ordered(table: np.ndarray) -> np.ndarray:
 
 
 def encoded_rows(window: int, wrench: np.ndarray, length: np.ndarray) -> np.ndarray:
-    tracks = encode_recordings(EncoderConfig(window=window, dt=DT), preset(), wrench, length)
+    tracks = encode_batch(EncoderConfig(window=window, dt=DT), preset(), wrench, length)
     tables = []
     for layer, track in enumerate((tracks.primitive, tracks.mc, tracks.llb)):
         recording, axis, slot = np.nonzero(track.label)

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.compact import WIDTH, encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -20,7 +20,7 @@ def test_labels_are_those_of_the_schedule() -> None:
     length = np.array([250, 3, 0, 101, 249, 25, 7, 200], np.int32)
     config, thresholds = EncoderConfig(window=5), preset("hiro")
     found = encode_on_device(config, thresholds.limits, wrench, length, together=4)
-    expected = encode_recordings(config, thresholds, wrench, length)
+    expected = encode_batch(config, thresholds, wrench, length)
     for layer in ("primitive", "mc", "llb"):
         ours, theirs = getattr(found, layer), getattr(expected, layer)
         slots = theirs.label.shape[2]

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration.dataset import Corpus
+from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.gradient import GradientOptions, _orders, calibrate
-from rcbht_jax.calibration.label_durations import label_times
+from rcbht_jax.calibration.label_durations import label_durations
 from rcbht_jax.calibration.objective import shares
 from rcbht_jax.calibration.windows import fit_windows
 from rcbht_jax.encoding.encoder import EncoderConfig, encode
 from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares, soft_windows
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 
 CONFIG = EncoderConfig(window=5, dt=0.005)
@@ -78,7 +78,7 @@ def test_cold_shares_are_the_shares_of_the_search():
     wrench = signal().astype(np.float32)
     windows = fit_windows(CONFIG, wrench, LENGTH)
     limits = jnp.asarray(LIMITS, jnp.float32)
-    times = label_times(CONFIG, limits[None], windows, jnp.asarray(EDGES))[0]
+    times = label_durations(CONFIG, limits[None], windows, jnp.asarray(EDGES))[0]
     made = soft(CONFIG, limits, jnp.asarray(wrench), jnp.asarray(LENGTH), 1e-3, True)
     weights = overlaps(jnp.asarray(EDGES), 61, 5)
     np.testing.assert_array_equal(weights.sum(-1), np.diff(EDGES))
@@ -153,7 +153,7 @@ def test_windows_are_even_at_a_boundary_and_symmetric():
     np.testing.assert_allclose(up, down[jnp.array([3, 4, 5, 0, 1, 2, 6, 8, 7])], atol=1e-6)
 
 
-def two_class_corpus(trials: int, seed: int) -> Corpus:
+def two_class_corpus(trials: int, seed: int) -> CalibrationData:
     """Sentences whose classes differ by slopes on one axis that the preset calls by one name."""
     rng = np.random.default_rng(seed)
     # N/s per window; both are "small positive", and the rests between keep them from merging into one item.
@@ -166,7 +166,7 @@ def two_class_corpus(trials: int, seed: int) -> Corpus:
     edges = np.tile(np.array([0, 150, 300], np.int32), (trials, 1))
     y = np.tile(np.array([0, 1], np.int32), (trials, 1))
     names = np.array([f"t{k}" for k in range(trials)])
-    return Corpus(wrench, fit_windows(CONFIG, wrench, length), edges, y, ("slow", "fast"), names)
+    return CalibrationData(wrench, fit_windows(CONFIG, wrench, length), edges, y, ("slow", "fast"), names)
 
 
 @pytest.mark.parametrize(("kind", "batch"), [("logistic", 0), ("hinge", 4), ("fit", 0)])
@@ -193,4 +193,4 @@ def test_training_needs_a_strictly_ordered_start():
     flat = np.asarray(preset().limits).copy()
     flat[2, 1] = flat[2, 0]
     with pytest.raises(InputError, match="strictly ordered"):
-        calibrate(two_class_corpus(2, 0), CONFIG, Thresholds(flat), GradientOptions(steps=1))
+        calibrate(two_class_corpus(2, 0), CONFIG, GradientThresholds(flat), GradientOptions(steps=1))

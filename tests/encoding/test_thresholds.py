@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from rcbht_jax import labels
 from rcbht_jax.encoding import thresholds
-from rcbht_jax.encoding.thresholds import Thresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.errors import InputError
 from tests.support import oracle
 
@@ -51,7 +51,7 @@ def test_free_parameters_always_give_ordered_thresholds(free: np.ndarray) -> Non
 
 def test_free_parameters_round_trip() -> None:
     limits = thresholds.preset().limits.astype(np.float32)
-    back = thresholds.from_free(thresholds.to_free(Thresholds(limits))).limits
+    back = thresholds.from_free(thresholds.to_free(GradientThresholds(limits))).limits
     np.testing.assert_allclose(back, limits, rtol=1e-5)
 
 
@@ -61,7 +61,7 @@ def test_free_parameters_round_trip() -> None:
 )
 def test_bad_thresholds_are_refused(limits: np.ndarray) -> None:
     with pytest.raises(InputError):
-        Thresholds(limits)
+        GradientThresholds(limits)
 
 
 def test_unknown_robot_is_refused() -> None:

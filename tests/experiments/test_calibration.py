@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.calibration.bank import BANK, METHODS, Bank, filled_in
-from rcbht_jax.learning.tasks import TaskSpec, sentences
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from tests.calibration.test_contextual import recordings
 
 Y = np.repeat(np.arange(3), 10)
@@ -54,7 +54,7 @@ def test_nothing_is_chosen_on_the_test_side(method):
 
 def test_marks_filled_in_by_hand():
     some = recordings(trials=3)
-    items = sentences(some, TaskSpec())
+    items = labelled_intervals(some, TaskSpec())
     end = some.length * some.dt
     onset = np.stack([0 * end, 0.1 * end, 0.2 * end, 0.2 * end + [1.0, 0.3, 0.4]], 1)
     onset[1, 3] = end[1] - 1.005

@@ -20,7 +20,7 @@ from experiments.classification.grammar import (
     of_both,
 )
 from rcbht_jax.features import ABSOLUTE, Intervals
-from rcbht_jax.learning.tasks import Sentences
+from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Recordings
 
 
@@ -29,7 +29,7 @@ def test_only_classes_of_both_batches_are_left():
     session = np.array([AT_REST] * 4 + [LOADED] * 7)
     rows = np.arange(11)
     spans = Intervals(rows, rows * 0, rows + 1, 0.005)
-    items = Sentences(tuple("abcd"), y, rows.astype(str), session, (spans,), {"no arm R": 1})
+    items = LabelledIntervals(tuple("abcd"), y, rows.astype(str), session, (spans,), {"no arm R": 1})
     made = of_both(items, (AT_REST, LOADED))
     assert made.classes == ("c",)
     assert made.y.tolist() == [0, 0, 0, 0]

@@ -16,19 +16,19 @@ from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import Benchmark, segments
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.tasks import Sentences, TaskSpec
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
 
 SIGNALS = hnp.arrays(np.float64, st.tuples(st.integers(1, 40), st.just(2)), elements=st.floats(-50, 50))
 
 
-def items(lengths: list[int], classes: int = 2, dt: float = 0.005) -> Sentences:
+def items(lengths: list[int], classes: int = 2, dt: float = 0.005) -> LabelledIntervals:
     """One item per trial, classes in turn."""
     count = len(lengths)
     y = np.arange(count) % classes
     trial = np.array([f"t{i // classes}" for i in range(count)])
     end = np.array(lengths)
     spans = Intervals(np.arange(count), np.zeros(count, int), end, dt)
-    return Sentences(tuple("abcd"[:classes]), y, trial, np.where(y < 0, "", "A"), (spans,), {})
+    return LabelledIntervals(tuple("abcd"[:classes]), y, trial, np.where(y < 0, "", "A"), (spans,), {})
 
 
 def walks(count: int, samples: int = 300, seed: int = 0) -> list[np.ndarray]:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import FAMILIES, FeatureSpec, Intervals, both_arms, features, longest
+from rcbht_jax.features import FAMILIES, FeatureSpec, Intervals, concatenate_arms, interval_features, longest
 from rcbht_jax.labels import LAYER_SIZES, LAYERS, PRIMITIVE_GROUP
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -98,7 +98,7 @@ sentences = st.tuples(st.integers(0, 1), st.integers(0, 39), st.integers(1, 40))
 @given(st.integers(0, 10_000), st.lists(sentences, min_size=1, max_size=4), st.booleans())
 def test_sentence_histogram_and_bigrams_equal_painting(seed, rows, dense):
     tracks = make_tracks(seed, dense=dense)
-    made = features(tracks, intervals(*rows), ALL)
+    made = interval_features(tracks, intervals(*rows), ALL)
     for number, (recording, start, end) in enumerate(rows):
         for layer, size, slots in zip(LAYERS, LAYER_SIZES, ALL.slots, strict=True):
             words = spans(getattr(tracks, layer), (recording, 2), start, end)
@@ -120,7 +120,7 @@ def test_sentence_histogram_and_bigrams_equal_painting(seed, rows, dense):
 @given(st.integers(0, 10_000), sentences)
 def test_durations_attributes_and_offsets_equal_plain_sums(seed, row):
     tracks = make_tracks(seed)
-    made = features(tracks, intervals(row), ALL)
+    made = interval_features(tracks, intervals(row), ALL)
     words = spans(tracks.primitive, (row[0], 4), row[1], row[2])
 
     def log(x):  # My: unit 0.01 Nm
@@ -161,16 +161,16 @@ def one_lane(*words: tuple[int, int, int]) -> LabelTracks:
 def test_a_tie_goes_to_the_smaller_code_and_a_gap_to_nobody():
     tracks = one_lane((5, 0, 2), (3, 2, 4), (7, 9, 10))
     spec = FeatureSpec(families=("sentence",), layers=("mc",), slots=(1, 5, 1))
-    said = features(tracks, intervals((0, 0, 4)), replace(spec, slots=(1, 1, 1)))
+    said = interval_features(tracks, intervals((0, 0, 4)), replace(spec, slots=(1, 1, 1)))
     assert said.values[0].tolist() == [3.0] * 6
-    said = features(tracks, intervals((0, 0, 10)), spec)
+    said = interval_features(tracks, intervals((0, 0, 10)), spec)
     assert said.values[0, :5].tolist() == [5, 3, 0, 0, 7]
 
 
 def test_a_span_is_clipped_at_the_boundary():
     tracks = one_lane((1, 0, 10), (2, 10, 40))
     spec = FeatureSpec(families=("histogram",), layers=("llb",))
-    made = features(tracks, intervals((0, 8, 16)), spec)
+    made = interval_features(tracks, intervals((0, 8, 16)), spec)
     assert column(made, "histogram.llb.Fx.time.FX")[0] == 0.25
     assert column(made, "histogram.llb.Fx.time.CT")[0] == 0.75
 
@@ -178,8 +178,8 @@ def test_a_span_is_clipped_at_the_boundary():
 def test_one_hot_says_the_same_as_codes():
     tracks = make_tracks(3)
     rows = intervals((0, 0, 40), (1, 5, 21))
-    code = features(tracks, rows, replace(ALL, families=("sentence",)))
-    hot = features(tracks, rows, replace(ALL, families=("sentence",), one_hot=True))
+    code = interval_features(tracks, rows, replace(ALL, families=("sentence",)))
+    hot = interval_features(tracks, rows, replace(ALL, families=("sentence",), one_hot=True))
     at = 0
     for layer, size, slots in zip(LAYERS, LAYER_SIZES, ALL.slots, strict=True):
         block = hot.values[:, at : at + 6 * slots * size].reshape(2, 6 * slots, size)
@@ -192,8 +192,8 @@ def test_one_hot_says_the_same_as_codes():
 def test_chunks_of_sentences_do_not_change_the_features():
     tracks = make_tracks(5, recordings=3)
     rows = [(i % 3, i % 20, 20 + i % 17) for i in range(150)]
-    together = features(tracks, intervals(*rows), ALL).values
-    alone = np.concatenate([features(tracks, intervals(r), ALL).values for r in rows[::10]])
+    together = interval_features(tracks, intervals(*rows), ALL).values
+    alone = np.concatenate([interval_features(tracks, intervals(r), ALL).values for r in rows[::10]])
     np.testing.assert_array_equal(together[::10], alone)
 
 
@@ -207,11 +207,13 @@ def test_dense_and_compact_tracks_give_the_same_features():
 
     packed = LabelTracks(*(compact(getattr(tracks, layer)) for layer in LAYERS))
     rows = intervals((0, 3, 30), (1, 0, 40))
-    np.testing.assert_array_equal(features(tracks, rows, ALL).values, features(packed, rows, ALL).values)
+    np.testing.assert_array_equal(
+        interval_features(tracks, rows, ALL).values, interval_features(packed, rows, ALL).values
+    )
 
 
 def test_every_column_has_a_unique_name_a_family_and_a_meaning():
-    made = features(make_tracks(1), intervals((0, 0, 40)), ALL)
+    made = interval_features(make_tracks(1), intervals((0, 0, 40)), ALL)
     assert len(set(made.names)) == made.values.shape[1] == len(made.families) == len(made.meanings)
     assert set(made.families) == set(FAMILIES)
     assert made.meaning(made.names.index("histogram.mc.Fz.time.pc")) == (
@@ -232,21 +234,25 @@ def test_without_offset_and_duration_a_constant_bias_changes_nothing():
     moved = LabelTracks(*(biased(getattr(tracks, layer)) for layer in LAYERS))
     rows = intervals((0, 0, 40), (1, 4, 22))
     spec = replace(ALL, families=("sentence", "histogram", "ngram", "attributes"))
-    np.testing.assert_allclose(features(tracks, rows, spec).values, features(moved, rows, spec).values, atol=1e-5)
+    np.testing.assert_allclose(
+        interval_features(tracks, rows, spec).values, interval_features(moved, rows, spec).values, atol=1e-5
+    )
     spec = replace(ALL, families=("offset",))
-    assert not np.allclose(features(tracks, rows, spec).values, features(moved, rows, spec).values, atol=1e-2)
+    assert not np.allclose(
+        interval_features(tracks, rows, spec).values, interval_features(moved, rows, spec).values, atol=1e-2
+    )
 
 
 def test_two_arms_stand_side_by_side():
     tracks = make_tracks(2)
     spec = FeatureSpec(families=("histogram",))
-    right, left = (features(tracks, intervals((arm, 0, 40)), spec) for arm in (0, 1))
-    both = both_arms(right, left)
+    right, left = (interval_features(tracks, intervals((arm, 0, 40)), spec) for arm in (0, 1))
+    both = concatenate_arms(right, left)
     np.testing.assert_array_equal(both.values, np.concatenate([right.values, left.values], 1))
     assert both.names[0] == "R." + right.names[0]
     assert both.meaning(len(right.names)) == "left arm, " + left.meaning(0)
     with pytest.raises(InputError, match="one per trial"):
-        both_arms(right, features(tracks, intervals((0, 0, 40), (1, 0, 40)), spec))
+        concatenate_arms(right, interval_features(tracks, intervals((0, 0, 40), (1, 0, 40)), spec))
 
 
 def test_longest_counts_labels_inside_the_sentences_only():
@@ -263,7 +269,7 @@ def test_a_specification_survives_json():
 @pytest.mark.parametrize("row", [(0, 5, 5), (0, 6, 5), (0, -1, 5), (2, 0, 5), (-1, 0, 5)])
 def test_bad_intervals_are_refused(row):
     with pytest.raises(InputError, match="sentence"):
-        features(make_tracks(1), intervals(row), ALL)
+        interval_features(make_tracks(1), intervals(row), ALL)
 
 
 @pytest.mark.parametrize("bad", [{"families": ("words",)}, {"layers": ()}, {"slots": (0, 1, 1)}, {"ngram": 4}])

@@ -13,16 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcbht_jax.cli.benchmark import signal
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, features
+from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, interval_features
 from rcbht_jax.features import signal_families as drawn
 from rcbht_jax.features.online import _two_sum, check_online, names
 from rcbht_jax.features.online_signal import READINGS, moments, stride_of
-from rcbht_jax.features.spans import Words
-from rcbht_jax.introspection.chain import Sight, observe, observe_all
+from rcbht_jax.features.spans import ClippedSpans
+from rcbht_jax.introspection.chain import FeatureView, online_features, online_features_batch
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 CONFIG = EncoderConfig()
@@ -34,7 +34,7 @@ NOW = np.array([5, 7, 100, 303, 413, 414, 416, 433, 500, 922, 1077, 1100, 1201, 
 CLOSE = {"rtol": 0.0, "atol": 2e-4}
 
 
-def nearest_readings(words: Words, dt: float) -> drawn.Lines:
+def nearest_readings(words: ClippedSpans, dt: float) -> drawn.ResampledSignal:
     """The oracle of what a stream reads: moments moved to the nearest multiple of the stride."""
     moments = []
     for length in words.length.tolist():
@@ -49,19 +49,19 @@ def nearest_readings(words: Words, dt: float) -> drawn.Lines:
 def cut_off(wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec) -> np.ndarray:
     """The oracle: label each recording as if it had ended at ``now``, then describe."""
     copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_recordings(CONFIG, preset(), copies, now.astype(np.int32))
+    tracks = encode_batch(CONFIG, preset(), copies, now.astype(np.int32))
     return described(tracks, Intervals(np.arange(len(now)), begin, now, CONFIG.dt), spec)
 
 
 def described(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> np.ndarray:
     with patch.object(drawn, "read_back", nearest_readings):
-        return features(tracks, intervals, spec).values
+        return interval_features(tracks, intervals, spec).values
 
 
 def blanked(wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec) -> np.ndarray:
     """The oracle without provisional labels: those of the whole recording that were published by ``now``."""
     copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_recordings(CONFIG, preset(), copies, np.full(len(now), len(wrench), np.int32))
+    tracks = encode_batch(CONFIG, preset(), copies, np.full(len(now), len(wrench), np.int32))
 
     def published(track: LabelTrack) -> LabelTrack:
         late = track.emit > now[:, None, None]
@@ -74,13 +74,13 @@ def blanked(wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: Featur
 @pytest.mark.parametrize("seed", [0, 1])
 def test_equals_the_grammar_of_the_recording_cut_off(seed):
     wrench = signal(1, 1400, seed)[0]
-    said = observe(CONFIG, preset(), Sight(EVERYTHING), wrench, BEGIN, NOW)
+    said = online_features(CONFIG, preset(), FeatureView(EVERYTHING), wrench, BEGIN, NOW)
     np.testing.assert_allclose(said, cut_off(wrench, BEGIN, NOW, EVERYTHING), **CLOSE)
 
 
 def test_without_provisional_labels_only_published_ones_count():
     wrench = signal(1, 1400, 2)[0]
-    said = observe(CONFIG, preset(), Sight(EVERYTHING, provisional=False), wrench, BEGIN, NOW)
+    said = online_features(CONFIG, preset(), FeatureView(EVERYTHING, provisional=False), wrench, BEGIN, NOW)
     np.testing.assert_allclose(said, blanked(wrench, BEGIN, NOW, EVERYTHING), **CLOSE)
 
 
@@ -90,7 +90,7 @@ def test_recorded_trials(hiro_recordings):
         wrench = hiro_recordings.wrench[row, : hiro_recordings.length[row]]
         now = np.linspace(50, len(wrench), 8).astype(int)
         begin = np.repeat([0, now[3]], 4)
-        said = observe(CONFIG, preset(), Sight(EVERYTHING), wrench, begin, now)
+        said = online_features(CONFIG, preset(), FeatureView(EVERYTHING), wrench, begin, now)
         off = np.abs(said - cut_off(wrench, begin, now, EVERYTHING))
         # A level within rounding of a mark may fall on either side of it, which moves a share by one moment.
         assert (off > 3e-5).mean() < 5e-4
@@ -121,10 +121,10 @@ def test_readings_are_near_the_moments(hiro_recordings):
 def test_readings_depend_on_the_samples_alone():
     """Whether the stream was asked often or once, also in windows longer than the readings reach."""
     config = EncoderConfig(window=300)
-    wrench, sight = signal(1, 1400, 7)[0], Sight(FeatureSpec(tuple(drawn.FAMILIES), ("primitive",)))
+    wrench, sight = signal(1, 1400, 7)[0], FeatureView(FeatureSpec(tuple(drawn.FAMILIES), ("primitive",)))
     begin = np.array([0, 7, 7, 7, 7, 7])
-    often = observe(config, preset(), sight, wrench, begin, np.array([7, 9, 290, 603, 1205, 1400]))
-    once = observe(config, preset(), sight, wrench, begin[-1:], np.array([1400]))
+    often = online_features(config, preset(), sight, wrench, begin, np.array([7, 9, 290, 603, 1205, 1400]))
+    once = online_features(config, preset(), sight, wrench, begin[-1:], np.array([1400]))
     np.testing.assert_array_equal(often[-1], once[0])
 
 
@@ -136,18 +136,19 @@ def test_the_future_changes_nothing(data):
     begin = np.array([0, 0, data.draw(st.integers(now[1], now[2] - 1))])
     other = wrench.copy()
     other[now[-1] :] = 1e3
-    sight = Sight(EVERYTHING)
+    sight = FeatureView(EVERYTHING)
     np.testing.assert_array_equal(
-        observe(CONFIG, preset(), sight, wrench, begin, now), observe(CONFIG, preset(), sight, other, begin, now)
+        online_features(CONFIG, preset(), sight, wrench, begin, now),
+        online_features(CONFIG, preset(), sight, other, begin, now),
     )
 
 
 def test_looks_do_not_disturb_each_other():
     wrench = signal(1, 1400, 4)[0]
-    sight = Sight(EVERYTHING)
-    together = observe(CONFIG, preset(), sight, wrench, BEGIN, NOW)
+    sight = FeatureView(EVERYTHING)
+    together = online_features(CONFIG, preset(), sight, wrench, BEGIN, NOW)
     for k in range(len(NOW)):
-        alone = observe(CONFIG, preset(), sight, wrench, BEGIN[k : k + 1], NOW[k : k + 1])
+        alone = online_features(CONFIG, preset(), sight, wrench, BEGIN[k : k + 1], NOW[k : k + 1])
         np.testing.assert_array_equal(alone[0], together[k])
 
 
@@ -155,10 +156,12 @@ def test_many_recordings_in_any_order():
     wrench = signal(3, 500, 5)
     recording, begin, now = np.array([2, 0, 2, 1]), np.array([100, 0, 0, 7]), np.array([200, 499, 90, 311])
     done = []
-    said = observe_all(CONFIG, preset(), Sight(EVERYTHING), wrench, recording, begin, now, done.append)
+    said = online_features_batch(CONFIG, preset(), FeatureView(EVERYTHING), wrench, recording, begin, now, done.append)
     assert sum(done) == 4
     for k in range(4):
-        one = observe(CONFIG, preset(), Sight(EVERYTHING), wrench[recording[k]], begin[k : k + 1], now[k : k + 1])
+        one = online_features(
+            CONFIG, preset(), FeatureView(EVERYTHING), wrench[recording[k]], begin[k : k + 1], now[k : k + 1]
+        )
         np.testing.assert_array_equal(one[0], said[k])
 
 
@@ -173,7 +176,7 @@ def test_many_recordings_in_any_order():
 )
 def test_parts_of_the_specification(spec):
     wrench = signal(1, 1400, 6)[0]
-    said = observe(CONFIG, preset(), Sight(spec), wrench, BEGIN, NOW)
+    said = online_features(CONFIG, preset(), FeatureView(spec), wrench, BEGIN, NOW)
     np.testing.assert_allclose(said, cut_off(wrench, BEGIN, NOW, spec), **CLOSE)
     assert len(names(spec)) == said.shape[1]
 
@@ -197,4 +200,4 @@ def test_errors():
     wrench = np.zeros((100, 6), np.float32)
     for begin, now in [([0, 0], [10, 10]), ([5], [5]), ([0], [101]), ([0, 9], [10, 20]), ([-1], [3])]:
         with pytest.raises(InputError, match="in order"):
-            observe(CONFIG, preset(), Sight(EVERYTHING), wrench, np.array(begin), np.array(now))
+            online_features(CONFIG, preset(), FeatureView(EVERYTHING), wrench, np.array(begin), np.array(now))

@@ -9,11 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import Thresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import ABSOLUTE, WHOLE, Features, FeatureSpec, features, side_by_side, signal_families
+from rcbht_jax.features import (
+    ABSOLUTE,
+    WHOLE,
+    Features,
+    FeatureSpec,
+    concatenate_features,
+    interval_features,
+    signal_families,
+)
 from rcbht_jax.labels import AXES, PRIMITIVE_GROUP
 from rcbht_jax.types import LabelTrack, LabelTracks
 from tests.features.test_features import column, intervals, make_tracks, one_lane, spans
@@ -50,7 +58,7 @@ def log(x: float, unit: float) -> float:
 @given(st.integers(0, 2**32 - 1), st.integers(0, 20), st.integers(1, 20))
 def test_columns_equal_a_plain_loop(seed, start, length):
     tracks, row = make_tracks(seed), (1, start, start + length)
-    made = features(tracks, intervals(row), SPEC)
+    made = interval_features(tracks, intervals(row), SPEC)
     drawn = [read(tracks, axis, row, 0.5) for axis in range(6)]
     sign, level, slope = (np.array([[m[i] for m in axis] for axis in drawn]) for i in range(3))
     mean, top, bottom = level[2].mean(), level[2].max(), level[2].min()
@@ -99,7 +107,7 @@ def changed(tracks: LabelTracks, factor: float, bias: float) -> LabelTracks:
 @given(st.integers(0, 2**32 - 1), st.floats(-50, 50))
 def test_a_constant_bias_changes_levels_only(seed, bias):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
-    plain, moved = (features(t, rows, SPEC) for t in (tracks, changed(tracks, 1, bias)))
+    plain, moved = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, 1, bias)))
     for family in FREE_OF_OFFSET:
         a, b = (x.select([family]).values for x in (plain, moved))
         np.testing.assert_allclose(a, b, atol=1e-4, err_msg=family)
@@ -111,7 +119,7 @@ def test_a_constant_bias_changes_levels_only(seed, bias):
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
 def test_scaling_wrench_and_thresholds_changes_no_order_and_nothing_between_axes(seed, factor):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
-    plain, scaled = (features(t, rows, SPEC) for t in (tracks, changed(tracks, factor, 0)))
+    plain, scaled = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, factor, 0)))
     free = [i for i, name in enumerate(plain.names) if ".share." in name or plain.families[i] in FREE_OF_SCALE]
     np.testing.assert_allclose(plain.values[:, free], scaled.values[:, free], atol=1e-5)
     assert sum(".share." in plain.names[i] for i in free) == 6 * (3 + 8 + 11)
@@ -122,8 +130,10 @@ def test_the_encoder_itself_scales_with_its_thresholds():
     length, limits = np.array([400, 333], np.int32), np.asarray(preset().limits)
     rows = intervals((0, 0, 400), (1, 17, 300))
     made = [
-        features(
-            encode_recordings(EncoderConfig(5, 0.005), Thresholds(limits * factor), wrench * factor, length), rows, SPEC
+        interval_features(
+            encode_batch(EncoderConfig(5, 0.005), GradientThresholds(limits * factor), wrench * factor, length),
+            rows,
+            SPEC,
         ).select(FREE_OF_SCALE)
         for factor in (1, np.float32(8))
     ]
@@ -135,7 +145,7 @@ def test_a_word_that_is_cut_keeps_its_line():
     tracks = one_lane((1, 0, 40))
     track = replace(tracks.primitive, avg=np.full((1, 6, 1), 10.0), grad=np.full((1, 6, 1), 0.5))
     track = replace(track, vmax=np.full((1, 6, 1), 15.0), vmin=np.full((1, 6, 1), 5.0))
-    made = features(LabelTracks(track, track, track), intervals((0, 20, 40)), SPEC)
+    made = interval_features(LabelTracks(track, track, track), intervals((0, 20, 40)), SPEC)
     # 0.5 N/s and 0.5 s a sample: from 10 N at sample 20 to 15 N at sample 40.
     assert column(made, "levels.primitive.Fx.mean.0of3")[0] == pytest.approx(log(10 + 5 / 6, 0.1), rel=1e-5)
     assert column(made, "levels.primitive.Fx.highest")[0] == pytest.approx(log(15, 0.1), rel=1e-3)
@@ -145,13 +155,13 @@ def test_a_word_that_is_cut_keeps_its_line():
 
 def test_silence_is_described_by_finite_numbers():
     tracks = one_lane((0, 0, 0))
-    made = features(tracks, intervals((0, 0, 1), (0, 3, 9)), SPEC)
+    made = interval_features(tracks, intervals((0, 0, 1), (0, 3, 9)), SPEC)
     assert np.isfinite(made.values).all()
     assert not made.select(["parts", "spread", "levels"]).values.any()
 
 
 def test_names_are_unique_and_cover_axes_or_pairs():
-    made = features(make_tracks(0), intervals((0, 0, 40)), SPEC)
+    made = interval_features(make_tracks(0), intervals((0, 0, 40)), SPEC)
     assert len(set(made.names)) == len(made.names) == made.values.shape[1]
     assert {name.split(".")[2] for name in made.select(["together"]).names} == set(signal_families.PAIRS)
     assert {name.split(".")[2] for name in made.select(FAMILIES[:2]).names} == set(AXES)
@@ -161,7 +171,7 @@ def test_names_are_unique_and_cover_axes_or_pairs():
 
 def test_absolute_families_weigh_as_much_as_the_others():
     spec = FeatureSpec(families=("histogram", "parts", "levels", "edges"), balance=True)
-    made = features(make_tracks(0), intervals((0, 0, 40)), spec)
+    made = interval_features(make_tracks(0), intervals((0, 0, 40)), spec)
     weight = made.weights(spec)
     absolute = np.isin(made.families, ABSOLUTE)
     assert np.sum(weight[absolute] ** 2) == pytest.approx(np.sum(weight[~absolute] ** 2))
@@ -173,7 +183,7 @@ def test_absolute_families_weigh_as_much_as_the_others():
 
 def test_elapsed_time_weighs_as_much_as_where_the_force_is_and_how_it_moves():
     spec = FeatureSpec(families=("histogram", "parts", "levels", "elapsed"), balance=True)
-    made = features(make_tracks(0), intervals((0, 5, 40)), spec)
+    made = interval_features(make_tracks(0), intervals((0, 5, 40)), spec)
     assert made.names[-1] == "elapsed"
     assert made.values[0, -1] == pytest.approx(35 * 0.5)
     weight = made.weights(spec)
@@ -190,13 +200,13 @@ def test_lines_need_primitives():
 
 def test_grammars_stand_side_by_side():
     rows = intervals((0, 0, 40), (1, 0, 30))
-    coarse, fine = (features(make_tracks(seed), rows, FeatureSpec(("histogram",))) for seed in (0, 1))
-    both = side_by_side({"W5": coarse, "fine": fine})
+    coarse, fine = (interval_features(make_tracks(seed), rows, FeatureSpec(("histogram",))) for seed in (0, 1))
+    both = concatenate_features({"W5": coarse, "fine": fine})
     np.testing.assert_array_equal(both.values, np.concatenate([coarse.values, fine.values], 1))
     assert both.names[0] == "W5." + coarse.names[0]
     assert both.meaning(len(coarse.names)) == "fine, " + fine.meaning(0)
-    assert side_by_side({"W5": coarse}).names == coarse.names
+    assert concatenate_features({"W5": coarse}).names == coarse.names
     short = Features(fine.values[:1], fine.names, fine.families, fine.meanings)
     for bad in ({"W5": coarse, "fine": short}, {}):
         with pytest.raises(InputError, match="side by side"):
-            side_by_side(bad)
+            concatenate_features(bad)

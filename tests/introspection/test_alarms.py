@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyRaised
-from rcbht_jax.introspection.alarms import conformal_level, held_out, held_peak, peaks
+from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks, sustained_peak
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.levels import Alarm
 from rcbht_jax.introspection.model import IntrospectionModel
@@ -28,7 +28,7 @@ from tests.support.introspection_models import CONFIG, trial
 def test_a_peak_is_where_an_alarm_stops(values, looks):
     """An alarm just below the peak is raised, one at the peak is not."""
     said = np.array(values)
-    peak = held_peak(said, looks)
+    peak = sustained_peak(said, looks)
     runs = [min(values[k : k + looks]) for k in range(len(values) - looks + 1)]
     assert peak == max(runs, default=0.0)
 
@@ -44,17 +44,17 @@ def test_a_peak_is_where_an_alarm_stops(values, looks):
 def test_the_promise_holds():
     rng = np.random.default_rng(0)
     for share, count in itertools.product((0.02, 0.1, 0.25), (49, 60, 199)):
-        false = [np.mean(rng.beta(2, 5, 400) > conformal_level(rng.beta(2, 5, count), share)) for _ in range(300)]
+        false = [np.mean(rng.beta(2, 5, 400) > conformal_threshold(rng.beta(2, 5, count), share)) for _ in range(300)]
         # The mean over training sets is between share - 1 / (n + 1) and share; here with its sampling error.
         assert share - 1 / (count + 1) - 0.004 < np.mean(false) < share + 0.004
 
 
 def test_too_few_trials_promise_nothing():
     with pytest.raises(InputError, match="it takes 49"):
-        conformal_level(np.zeros(48), 0.02)
-    assert conformal_level(np.linspace(0, 1, 49), 0.02) == 1.0
+        conformal_threshold(np.zeros(48), 0.02)
+    assert conformal_threshold(np.linspace(0, 1, 49), 0.02) == 1.0
     with pytest.raises(InputError, match="between 0 and 1"):
-        conformal_level(np.zeros(9), 0.0)
+        conformal_threshold(np.zeros(9), 0.0)
 
 
 def test_peaks_are_held_out():

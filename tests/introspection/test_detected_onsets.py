@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, SubtaskStarted
 from rcbht_jax.introspection.introspector import PHASE, Introspector
-from rcbht_jax.introspection.levels import LEAST, Phases
+from rcbht_jax.introspection.levels import LEAST, PhaseFilter
 from rcbht_jax.introspection.model import IntrospectionModel
-from rcbht_jax.introspection.training import HeadSpec, from_the_beginning, streamed
+from rcbht_jax.introspection.training import HeadSpec, from_the_beginning, regular_snapshots
 from rcbht_jax.learning.tasks import TaskSpec
 from tests.support.introspection_models import head, model, trial
 
@@ -40,7 +40,7 @@ LOOKS = st.lists(
 @given(LOOKS)
 def test_the_filter_sums_over_all_ways_to_go_forwards(looks):
     stay, memory = 0.7, 0.15
-    phases, time = Phases(("a", "b", "c"), stay, memory), 0.0
+    phases, time = PhaseFilter(("a", "b", "c"), stay, memory), 0.0
     for passed, p in looks:
         time += passed
         phases.update(p, time)
@@ -59,7 +59,7 @@ def test_the_filter_sums_over_all_ways_to_go_forwards(looks):
 
 
 def test_phases_go_forwards_and_no_single_look_decides():
-    phases, time, began = Phases(("a", "b", "c", "d")), 0.0, []
+    phases, time, began = PhaseFilter(("a", "b", "c", "d")), 0.0, []
     for wanted in [*"aaaaa", "c", *"aaa", *"bbb", *"aaaaaaaa", *"ddddd", *"ccc"]:
         time += 0.1
         began.append(phases.update([0.85 if name == wanted else 0.05 for name in "abcd"], time))
@@ -72,7 +72,7 @@ def test_phases_go_forwards_and_no_single_look_decides():
     assert phases.current == 0
     for stay, memory in ((0.0, 0.1), (1.0, -1.0), (np.inf, 0.1)):
         with pytest.raises(InputError, match="positive"):
-            Phases(("a", "b"), stay, memory)
+            PhaseFilter(("a", "b"), stay, memory)
 
 
 @pytest.mark.parametrize("cuts", [[], [7, 300, 301, 555]])
@@ -86,7 +86,7 @@ def test_noticed_is_as_good_as_told(cuts):
     assert all(e.detected and e.begin == e.sample for e in starts)
 
     # What the beliefs of the head say, by the rule.
-    phases, expected = Phases(("calm", "push", "shake")), []
+    phases, expected = PhaseFilter(("calm", "push", "shake")), []
     for e in events:
         if isinstance(e, Belief) and e.head == PHASE and phases.update(e.probabilities, e.time):
             expected.append(e.sample)
@@ -120,7 +120,7 @@ def test_a_phase_is_seen_from_the_beginning_of_its_trial():
     assert (HeadSpec(TaskSpec()).name, HeadSpec(TaskSpec()).scope) == ("states", "subtask")
     from tests.introspection.test_training import sentences_of
 
-    looks = streamed(sentences_of([200, 300, 100, 400]), 20)
+    looks = regular_snapshots(sentences_of([200, 300, 100, 400]), 20)
     whole = from_the_beginning(looks)
     assert (whole.begin == 0).all()
     assert sorted(zip(whole.recording, whole.now, whole.sentence, strict=True)) == list(

@@ -25,7 +25,7 @@ from rcbht_jax.events import (
     SubtaskStarted,
 )
 from rcbht_jax.introspection import model as model_files
-from rcbht_jax.introspection.chain import observe
+from rcbht_jax.introspection.chain import online_features
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.levels import Alarm, Confidence
 from rcbht_jax.learning.model_io import write_archive
@@ -64,7 +64,7 @@ def test_equals_the_batch(rate):
     for head, begin in zip(model().heads, (starts[np.searchsorted(starts, now) - 1], 0 * now, 0 * now), strict=True):
         mine = [b for b in beliefs if b.head == head.name]
         assert [b.sample for b in mine] == now.tolist()
-        x = observe(CONFIG, preset(), SIGHT, signal, begin, now)
+        x = online_features(CONFIG, preset(), SIGHT, signal, begin, now)
         np.testing.assert_allclose([b.probabilities for b in mine], head.machine.probability(x), atol=1e-4)
         assert all(b.label == b.classes[int(np.argmax(b.probabilities))] for b in mine)
 

@@ -14,26 +14,26 @@ from rcbht_jax.introspection.training import (
     TRIAL_RELATIVE,
     HeadSpec,
     learn,
-    picked,
-    streamed,
+    regular_snapshots,
+    training_snapshots,
 )
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import Sentences, TaskSpec
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec
 
 
-def sentences_of(lengths: list[int]) -> Sentences:
+def sentences_of(lengths: list[int]) -> LabelledIntervals:
     count = len(lengths)
     start = np.arange(count) * 7
     where = Intervals(np.arange(count) % 2, start, start + lengths, 0.005)
     names = np.array([f"t{k}" for k in range(count)])
-    return Sentences(("a", "b"), np.arange(count) % 2, names, names, (where,), {})
+    return LabelledIntervals(("a", "b"), np.arange(count) % 2, names, names, (where,), {})
 
 
 @pytest.mark.parametrize("early", [False, True])
 def test_picked_looks(early):
     items = sentences_of([10_000, 200, 21, 5])
-    looks, every = picked(items, 20, 12, early), streamed(items, 20)
+    looks, every = training_snapshots(items, 20, 12, early), regular_snapshots(items, 20)
     for k, length in enumerate([10_000, 200, 21, 5]):
         mine, all_of_it = looks.sentence == k, every.sentence == k
         steps = looks.now[mine] - looks.begin[mine]
@@ -52,7 +52,7 @@ def test_picked_looks(early):
 @pytest.mark.parametrize("time_alone", [False, True])
 def test_a_complete_sentence_counts_several_times(time_alone):
     items = sentences_of([400] * 12)
-    looks = picked(items, 20, 4)
+    looks = training_snapshots(items, 20, 4)
     spec = FeatureSpec(families=("elapsed",) if time_alone else ("levels", "elapsed"), balance=True)
     x = np.random.default_rng(0).normal(size=(len(looks), len(names(spec))))
     grid = Grid(kernels=("rbf",), costs=(1.0,), scalings=(True,), ranks=True)

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Notice, SubtaskStarted
 from rcbht_jax.introspection.introspector import Introspector
-from rcbht_jax.introspection.resampling import Regulator
+from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.session import Session, paced
 from rcbht_jax.io.live import read_live
 from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines
@@ -93,7 +93,7 @@ def test_a_line_without_end_is_one_malformed_message():
 
 def fed(readings: list[tuple[float | None, float]], **options: float) -> tuple[np.ndarray, list[str], int]:
     """First axis of the grid samples, kinds of reports, and how often everything started anew."""
-    regulator, out, kinds, anew = Regulator(DT, **options), [], [], 0
+    regulator, out, kinds, anew = Resampler(DT, **options), [], [], 0
     for stamp, value in readings:
         regular = regulator.feed(Sample((value,) * 6, stamp))
         out.append(regular.samples[:, 0])
@@ -142,7 +142,7 @@ def test_long_gaps_and_jumps_start_anew():
     assert kinds == ["gap", "gap"]
     assert anew == 2
     with pytest.raises(InputError):
-        Regulator(DT, bridge=DT)
+        Resampler(DT, bridge=DT)
 
 
 def test_jitter_is_reported_once_per_second():
@@ -158,7 +158,7 @@ anything = st.floats() | st.sampled_from([0.0, DT, 2 * DT, 3 * DT, 1.0, -1e308, 
 
 @given(st.lists(st.tuples(st.none() | anything, anything), max_size=60))
 def test_any_readings_give_few_finite_samples(readings):
-    regulator = Regulator(DT)
+    regulator = Resampler(DT)
     for stamp, value in readings:
         regular = regulator.feed(Sample((value,) * 6, stamp))
         assert len(regular.samples) <= 12

@@ -11,9 +11,9 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
-from rcbht_jax.learning.evaluation import Protocol, data_hash, evaluate, score, train
+from rcbht_jax.learning.evaluation import EvaluationProtocol, data_hash, evaluate, score, train
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, nested_svm, repeated_folds
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
@@ -70,7 +70,7 @@ def recordings() -> Recordings:
 
 
 def test_states_cover_the_record_and_incomplete_trials_are_counted(recordings):
-    items = sentences(recordings, TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded"))
     assert items.classes == ("approach", "rotation", "insertion", "mating")
     assert items.dropped == {"a state is missing": 1}
     good = 2 * (TRIALS - 2) - 1
@@ -85,9 +85,9 @@ def test_states_cover_the_record_and_incomplete_trials_are_counted(recordings):
 
 
 def test_boundaries_can_be_harmonised_or_merged(recordings):
-    harmonised = sentences(recordings, TaskSpec(boundaries="harmonised")).intervals[0]
+    harmonised = labelled_intervals(recordings, TaskSpec(boundaries="harmonised")).intervals[0]
     assert harmonised.end[:4].tolist() == [10, 15, 20, 40]
-    merged = sentences(recordings, TaskSpec(boundaries="merged"))
+    merged = labelled_intervals(recordings, TaskSpec(boundaries="merged"))
     assert merged.classes == ("approach", "rotation+insertion", "mating")
     assert merged.intervals[0].start[:3].tolist() == [0, 10, 20]
     assert merged.y[:3].tolist() == [0, 1, 2]
@@ -97,22 +97,22 @@ def test_merging_needs_no_rotation_mark(recordings):
     onset = recordings.onset.copy()
     onset[:, 2] = np.nan
     without = replace(recordings, onset=onset)
-    assert len(sentences(without, TaskSpec(boundaries="merged")).y) > 0
+    assert len(labelled_intervals(without, TaskSpec(boundaries="merged")).y) > 0
     with pytest.raises(InputError, match="finds 0 classes"):
-        sentences(without, TaskSpec(boundaries="recorded"))
+        labelled_intervals(without, TaskSpec(boundaries="recorded"))
 
 
 @pytest.mark.parametrize("bad", [5.0, 1.0, 0.95])
 def test_marks_beyond_the_record_or_out_of_order_drop_the_trial(recordings, bad):
     onset = recordings.onset.copy()
     onset[0, 2] = bad
-    items = sentences(replace(recordings, onset=onset), TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(replace(recordings, onset=onset), TaskSpec(boundaries="recorded"))
     assert items.dropped["a state is missing"] == 2
     assert "A0" not in items.trial
 
 
 def test_two_arms_are_paired_by_trial(recordings):
-    items = sentences(recordings, TaskSpec(arms="both", sources=("SET_A",)))
+    items = labelled_intervals(recordings, TaskSpec(arms="both", sources=("SET_A",)))
     assert sorted(set(items.trial.tolist())) == ["A0", "A1", "A2"]  # A3 lacks a state of its right arm
     assert items.dropped == {"no arm R and L": 6, "a state is missing": 1}
     right, left = items.intervals
@@ -120,19 +120,21 @@ def test_two_arms_are_paired_by_trial(recordings):
     assert set(recordings.arm[left.recording]) == {"L"}
     np.testing.assert_array_equal(recordings.trial[right.recording], recordings.trial[left.recording])
     tracks = make_tracks(recordings, wrong=0.5)
-    made = describe(tracks, items, FeatureSpec(families=("histogram",)))
-    alone = describe(tracks, sentences(recordings, TaskSpec(arms="L", sources=("SET_A",))), FeatureSpec(("histogram",)))
+    made = extract_features(tracks, items, FeatureSpec(families=("histogram",)))
+    alone = extract_features(
+        tracks, labelled_intervals(recordings, TaskSpec(arms="L", sources=("SET_A",))), FeatureSpec(("histogram",))
+    )
     np.testing.assert_array_equal(made.values[:, made.values.shape[1] // 2 :], alone.values[: len(items.y)])
     assert made.names[0].startswith("R.histogram")
 
 
 def test_outcome_and_failure_type_use_whole_records(recordings):
-    items = sentences(recordings, TaskSpec("outcome"))
+    items = labelled_intervals(recordings, TaskSpec("outcome"))
     assert items.classes == ("failure", "success")
     assert np.bincount(items.y).tolist() == [4, 20]
     assert set(items.intervals[0].start.tolist()) == {0}
     assert set(items.intervals[0].end.tolist()) == {40}
-    items = sentences(recordings, TaskSpec("failure-type"))
+    items = labelled_intervals(recordings, TaskSpec("failure-type"))
     assert items.classes == ("+x", "-y")
     assert np.bincount(items.y).tolist() == [2, 1]
     assert items.dropped == {"same record under two names": 1}
@@ -143,10 +145,10 @@ def test_rare_failure_types_are_left_out(recordings):
     types[20] = "+x-y"  # a listed type, on a success: the outcome filter hides it
     types[TRIALS - 2] = "-r"
     types[2 * TRIALS - 1] = "-y"
-    items = sentences(replace(recordings, failure_type=types), TaskSpec("failure-type"))
+    items = labelled_intervals(replace(recordings, failure_type=types), TaskSpec("failure-type"))
     assert items.classes == ("+x", "-y", "-r")
     types[TRIALS - 2] = "+x+y-r"
-    items = sentences(replace(recordings, failure_type=types), TaskSpec("failure-type"))
+    items = labelled_intervals(replace(recordings, failure_type=types), TaskSpec("failure-type"))
     assert items.classes == ("+x", "-y")
     assert items.dropped["class not in the list"] == 1
     assert len(FAILURE_TYPES) == 13
@@ -158,7 +160,7 @@ def test_evaluation_finds_what_the_labels_say(recordings):
         make_tracks(recordings),
         TaskSpec(),
         FeatureSpec(("histogram",)),
-        Protocol(folds=3, repeats=2, grid=QUICK),
+        EvaluationProtocol(folds=3, repeats=2, grid=QUICK),
         {"window": 5},
     )
     assert made.score["accuracy"]["mean"] == 1
@@ -174,7 +176,7 @@ def test_evaluation_finds_what_the_labels_say(recordings):
 
 def test_the_duration_baseline_sees_durations_only(recordings):
     # Labels are noise, and all durations are equal per state: the baseline is perfect, the labels are not.
-    task, protocol = TaskSpec(boundaries="recorded"), Protocol(folds=3, repeats=1, grid=QUICK)
+    task, protocol = TaskSpec(boundaries="recorded"), EvaluationProtocol(folds=3, repeats=1, grid=QUICK)
     noise = make_tracks(recordings, wrong=1.0)
     made = evaluate(recordings, noise, task, FeatureSpec(("histogram",)), protocol)
     assert made.duration_baseline["accuracy"]["mean"] == 1
@@ -184,7 +186,7 @@ def test_the_duration_baseline_sees_durations_only(recordings):
 def test_the_same_seed_gives_the_same_result_and_folds_are_shared(recordings):
     tracks, spec = make_tracks(recordings, wrong=0.7), FeatureSpec(("histogram",))
     results = [
-        evaluate(recordings, tracks, TaskSpec(), spec, Protocol(folds=3, repeats=2, seed=s, grid=QUICK))
+        evaluate(recordings, tracks, TaskSpec(), spec, EvaluationProtocol(folds=3, repeats=2, seed=s, grid=QUICK))
         for s in (0, 0, 1)
     ]
     assert results[0] == results[1]
@@ -194,7 +196,7 @@ def test_the_same_seed_gives_the_same_result_and_folds_are_shared(recordings):
 def test_the_best_feature_specification_is_chosen_inside_the_folds(recordings):
     tracks = make_tracks(recordings)
     specs = {"levels": FeatureSpec(("offset",)), "words": FeatureSpec(("histogram",))}
-    made = evaluate(recordings, tracks, TaskSpec(), specs, Protocol(folds=3, repeats=1, grid=QUICK))
+    made = evaluate(recordings, tracks, TaskSpec(), specs, EvaluationProtocol(folds=3, repeats=1, grid=QUICK))
     assert all(line.startswith("words linear") for line in made.chosen)
 
 
@@ -205,7 +207,7 @@ def test_sessions_can_be_held_out(recordings):
     label[recordings.session == "B"] = label[recordings.session == "B"] % 4 + 1
     odd = replace(tracks.mc, label=label)
     swapped = LabelTracks(odd, odd, odd)
-    protocol = Protocol(grid=QUICK, train_on=("A",), test_on=("B",))
+    protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("B",))
     same = evaluate(recordings, tracks, TaskSpec(), FeatureSpec(("histogram",)), protocol)
     other = evaluate(recordings, swapped, TaskSpec(), FeatureSpec(("histogram",)), protocol)
     assert same.score["accuracy"] == {"mean": 1.0, "low": 1.0, "high": 1.0}
@@ -217,20 +219,20 @@ def test_sessions_can_be_held_out(recordings):
 def test_bad_protocols_and_filters_are_refused(recordings):
     tracks, spec = make_tracks(recordings), FeatureSpec(("histogram",))
     with pytest.raises(InputError, match="belong together"):
-        Protocol(train_on=("A",))
+        EvaluationProtocol(train_on=("A",))
     with pytest.raises(InputError, match="one only"):
-        Protocol(train_on=("A", "B"), test_on=("B",))
+        EvaluationProtocol(train_on=("A", "B"), test_on=("B",))
     with pytest.raises(InputError, match="repeats"):
-        Protocol(repeats=0)
+        EvaluationProtocol(repeats=0)
     with pytest.raises(InputError, match="session Z has no sentence"):
-        evaluate(recordings, tracks, TaskSpec(), spec, Protocol(train_on=("A",), test_on=("Z",)))
+        evaluate(recordings, tracks, TaskSpec(), spec, EvaluationProtocol(train_on=("A",), test_on=("Z",)))
     with pytest.raises(InputError, match="at most 1"):
-        evaluate(recordings, tracks, TaskSpec("failure-type"), spec, Protocol())
+        evaluate(recordings, tracks, TaskSpec("failure-type"), spec, EvaluationProtocol())
     with pytest.raises(InputError, match="source"):
-        sentences(recordings, TaskSpec(sources=("SET_Z",)))
+        labelled_intervals(recordings, TaskSpec(sources=("SET_Z",)))
     with pytest.raises(InputError, match="not a choice"):
         TaskSpec("weather")
-    only_one = Protocol(train_on=("A",), test_on=("B",))
+    only_one = EvaluationProtocol(train_on=("A",), test_on=("B",))
     alike = replace(recordings, outcome=np.where(recordings.session == "A", "success", recordings.outcome))
     with pytest.raises(InputError, match="only one class"):
         evaluate(alike, tracks, TaskSpec("outcome"), spec, only_one)
@@ -241,8 +243,8 @@ def test_a_trained_model_is_saved_and_says_the_same(recordings, tmp_path):
     model = train(recordings, tracks, TaskSpec(), spec, QUICK, {"window": 5})
     model_io.save(tmp_path / "m", model)
     back = model_io.load(tmp_path / "m")
-    items = sentences(recordings, TaskSpec())
-    made = describe(tracks, items, back.feature_spec)
+    items = labelled_intervals(recordings, TaskSpec())
+    made = extract_features(tracks, items, back.feature_spec)
     assert made.names == back.feature_names
     said = back.svm.predict(made.values)
     np.testing.assert_array_equal(said, model.svm.predict(made.values))
@@ -261,9 +263,9 @@ def test_the_data_hash_notices_a_single_sample_or_name(recordings):
 
 
 def test_any_features_can_be_scored_beside_the_baselines(recordings):
-    items = sentences(recordings, TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded"))
     known = np.eye(4)[items.y]
-    made = score(items, {"raw": known}, Protocol(folds=3, repeats=1, grid=QUICK), {"task": "states"}, {})
+    made = score(items, {"raw": known}, EvaluationProtocol(folds=3, repeats=1, grid=QUICK), {"task": "states"}, {})
     assert made.score["accuracy"]["mean"] == 1
     assert forest(items.seconds, items.y)(np.arange(40), np.arange(40, 44), 0)[0].tolist() == items.y[40:44].tolist()
 

@@ -106,7 +106,7 @@ def test_the_papers_m_exceeds_one_for_a_long_trial_and_the_own_window_does_not()
 def test_counts_fall_as_the_threshold_rises(seed, lengths):
     trials = [beliefs(seed + i, n) for i, n in enumerate(lengths)]
     truth = [i % 4 for i in range(len(lengths))]
-    made = [metrics.certainties(trials, truth, k) for k in metrics.THRESHOLDS]
+    made = [metrics.certainties(trials, truth, k) for k in metrics.CERTAINTY_LEVELS]
     for low, high in itertools.pairwise(made):
         assert np.all((low.count_mean >= high.count_mean) | np.isnan(low.count_mean))
         assert np.all((low.m_own >= high.m_own) | np.isnan(low.m_own))

@@ -18,7 +18,7 @@ from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.learning.evaluation import candidates
 from rcbht_jax.learning.model_io import load, save
 from rcbht_jax.learning.predict import classify, task_of
-from rcbht_jax.learning.tasks import TaskSpec, sentences, spans
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, unlabelled_intervals
 from tests.cli.test_commands import synthetic
 
 RICH = ("--features", "histogram", "parts", "levels", "--ranks", "--balance", "--kernels", "linear", "--costs", "1")
@@ -54,7 +54,7 @@ def test_it_says_what_the_machine_says(
     out = tmp_path / "classes.csv"
     result = run(capsys, place / "set.zarr", "--session", "B", "--model", place / f"{name}.model", "-o", out)
     model, recordings = load(place / f"{name}.model"), read_recordings(place / "set.zarr")
-    items = sentences(recordings, TaskSpec(sessions=("B",), outcomes=()))
+    items = labelled_intervals(recordings, TaskSpec(sessions=("B",), outcomes=()))
     grammar = {track: read_tracks(place / "set.zarr", track)[0] for track in model.svm.spec.features.split("+")}
     features = FeatureSpec(families=("histogram", "parts", "levels"), balance=True)
     ((made, _),) = candidates({"": grammar}, items, features).values()
@@ -94,7 +94,7 @@ def test_other_names_of_the_same_labels(place: Path, tmp_path: Path, capsys: pyt
 
 def test_spans_are_the_sentences_where_all_is_known() -> None:
     recordings = synthetic()
-    items, found = sentences(recordings, TaskSpec()), spans(recordings, TaskSpec())
+    items, found = labelled_intervals(recordings, TaskSpec()), unlabelled_intervals(recordings, TaskSpec())
     assert found.name.tolist() == [items.classes[k] for k in items.y]
     np.testing.assert_array_equal(found.intervals[0].start, items.intervals[0].start)
     np.testing.assert_array_equal(recordings.trial[found.row], items.trial)
@@ -105,10 +105,10 @@ def test_whole_trials_need_no_class() -> None:
     kind = np.array(["", "+x", "elsewhere"] * 4)
     note = np.where(np.arange(12) == 1, "contradictory-duplicate", "")
     recordings = replace(synthetic(), outcome=outcome, failure_type=kind, note=note)
-    found = spans(recordings, TaskSpec("outcome"))
+    found = unlabelled_intervals(recordings, TaskSpec("outcome"))
     assert found.name.tolist() == ["success", "failure", ""] * 4
     assert (found.intervals[0].end == recordings.length).all()
-    found = spans(recordings, TaskSpec("failure-type"))
+    found = unlabelled_intervals(recordings, TaskSpec("failure-type"))
     assert found.row.tolist() == [1, 2, 4, 5, 7, 8, 10, 11]  # failures, and what nobody judged
     assert found.name.tolist() == ["", "", "+x", "", "+x", "", "+x", ""]
 

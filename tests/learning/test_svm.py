@@ -13,7 +13,7 @@ from sklearn.svm import SVC
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, fit, gram, grouped_folds, predictions, select, vote
-from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds, transfer
+from rcbht_jax.learning.validation import cross_validate, forest, holdout_score, majority, nested_svm, repeated_folds
 
 NAMES = ("a", "b", "c", "d", "e")
 
@@ -198,11 +198,11 @@ def test_fold_extremes_are_those_of_one_run():
 def test_transfer_resamples_trials_not_items():
     y = np.array([0, 1] + [0, 1] * 20)
     groups = np.array([0, 0] + [1] * 20 + [2] * 20)
-    made = transfer(majority(y), y, groups, (np.array([0, 1]), np.arange(2, 42)))
+    made = holdout_score(majority(y), y, groups, (np.array([0, 1]), np.arange(2, 42)))
     assert made.accuracy == 0.5
     assert (made.low, made.high) == (0.5, 0.5)  # both trials are half right, so no resample differs
     uneven = np.array([0, 1] + [0] * 20 + [1] * 20)
-    made = transfer(majority(uneven), uneven, groups, (np.array([0, 1]), np.arange(2, 42)))
+    made = holdout_score(majority(uneven), uneven, groups, (np.array([0, 1]), np.arange(2, 42)))
     assert (made.low, made.accuracy, made.high) == (0.0, 0.5, 1.0)
 
 

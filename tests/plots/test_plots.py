@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from rcbht_jax.cli.main import main
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -365,7 +365,7 @@ def test_a_recorded_trial(hiro_recordings: Recordings, tmp_path: Path) -> None:
     keep = np.flatnonzero(hiro_recordings.session == "B")[:2]
     per_row = [field.name for field in dataclasses.fields(Recordings) if field.name != "dt"]
     few = dataclasses.replace(hiro_recordings, **{key: getattr(hiro_recordings, key)[keep] for key in per_row})
-    labels = encode_recordings(EncoderConfig(), preset(), few.wrench, few.length)
+    labels = encode_batch(EncoderConfig(), preset(), few.wrench, few.length)
     figure = trial_figure(few, labels, 0, window=5)
     _check_bands(figure, labels, 0)
     for axis in range(len(AXES)):

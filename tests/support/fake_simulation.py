@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
-from sim_mjx.randomization.trials import Randomisation
-from sim_mjx.synthesis.pipeline import Synthesis, synthesise
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 
-JOB = Synthesis("B", 60, seed=5, shard=5)
+JOB = SynthesisConfig("B", 60, seed=5, shard=5)
 SMALL = replace(JOB, trials=12, shard=5)
 
 
@@ -44,9 +44,9 @@ def tree(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
 
 
-def short(**changes: object) -> Randomisation:
+def short(**changes: object) -> DomainRandomization:
     """Trials of a tenth of a second for the real engine."""
-    return Randomisation(**{"longest": 0.1, "speed": (10.0, 10.0), **changes})
+    return DomainRandomization(**{"longest": 0.1, "speed": (10.0, 10.0), **changes})
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
-from rcbht_jax.introspection.chain import Sight, observe
+from rcbht_jax.introspection.chain import FeatureView, online_features
 from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 
 CONFIG = EncoderConfig()
-SIGHT = Sight(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
+SIGHT = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
 def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
@@ -31,7 +31,7 @@ def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
 def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "") -> Head:
     now = np.arange(20, 401, 40)
     kinds = np.repeat(np.arange(len(classes)), 6)
-    x = [observe(CONFIG, preset(), SIGHT, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
+    x = [online_features(CONFIG, preset(), SIGHT, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
     y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
     spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
     machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(SIGHT.spec))

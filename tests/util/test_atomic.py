@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax._util.atomic import whole_file
+from rcbht_jax._util.atomic import atomic_write
 
 
 def test_the_old_file_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("old")
-    with whole_file(path) as draft:
+    with atomic_write(path) as draft:
         assert draft.suffix == ".csv"
         draft.write_text("new")
         assert path.read_text() == "old"
@@ -30,6 +30,6 @@ def test_a_failure_leaves_nothing_behind(tmp_path: Path) -> None:
 
 
 def fill_the_disk(path: Path) -> None:
-    with whole_file(path) as draft:
+    with atomic_write(path) as draft:
         draft.write_text("ne")
         raise OSError("disk full")

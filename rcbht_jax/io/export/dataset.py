@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -57,7 +57,7 @@ def load(store: Path, tracks: str = "", window: int | None = None) -> DataSet:
 
 def _encode(recordings: Recordings, window: int) -> tuple[LabelTracks, dict[str, Any]]:
     config, limits = EncoderConfig(window, recordings.dt), preset("hiro")
-    tracks = encode_recordings(config, limits, recordings.wrench, recordings.length)
+    tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
     how = {"semantics": "online", "window": window, "config": asdict(config), "thresholds": limits.limits.tolist()}
     return tracks, how
 

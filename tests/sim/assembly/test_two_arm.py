@@ -15,7 +15,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation
-from rcbht_jax.learning.tasks import TaskSpec, describe, sentences
+from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import Recordings
 from sim_mjx import registry
@@ -26,10 +26,10 @@ from sim_mjx.assembly.waypoints import approach
 from sim_mjx.engines import native
 from sim_mjx.presets import two_arm as presets
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import FAULTS, Randomisation, draw
+from sim_mjx.randomization.trials import FAULTS, DomainRandomization, sample
 from sim_mjx.randomization.two_arm import REPEATED, setup
 from sim_mjx.registry import TWO_ARM
-from sim_mjx.synthesis.pipeline import Synthesis, synthesise
+from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 from sim_mjx.validation.solver_convergence import certify
 
 SOURCE = "SIM_HIRO_TWO_SA_SUCCESS"
@@ -37,7 +37,7 @@ SCENE = two_arm()
 ONSETS = [0.0, 4.005, 11.94, 15.67]  # s, recorded medians
 
 
-def trials(name: str, count: int = 2, spec: Randomisation = REPEATED) -> two_arm_program.TwoArmParams:
+def trials(name: str, count: int = 2, spec: DomainRandomization = REPEATED) -> two_arm_program.TwoArmParams:
     params: two_arm_program.TwoArmParams = TWO_ARM.draw_batch(name, 0, range(count), spec)[0]
     return params
 
@@ -215,12 +215,12 @@ def test_part_moves_in_the_axes_of_the_left_hand() -> None:
 
 @pytest.mark.parametrize("kind", sorted(FAULTS))
 def test_faults_are_those_of_one_arm_turned_sideways(kind: str) -> None:
-    spec = Randomisation(nominal_share=0.0, faults=(kind,))
+    spec = DomainRandomization(nominal_share=0.0, faults=(kind,))
     params, fault = TWO_ARM.draw("two", 5, 3, spec)
-    single, same = draw("openhrp", 5, 3, spec)
+    single, same = sample("openhrp", 5, 3, spec)
     assert (fault.kind, fault.failure_type) == (same.kind, same.failure_type)
     np.testing.assert_array_equal(fault.deviation, same.deviation)
-    base, one = setup(), draw("openhrp", 5, 3, Randomisation(nominal_share=0.0, faults=(kind,)))[0]
+    base, one = setup(), sample("openhrp", 5, 3, DomainRandomization(nominal_share=0.0, faults=(kind,)))[0]
     moved = params.task.way_position - base.task.way_position
     wanted = one.task.way_position - np.array([[0.326, -0.1726, 0.536], [0.331, -0.1726, 0.531]])
     np.testing.assert_allclose(moved[:, [0, 2]], wanted[:, [0, 1]], atol=1e-12)
@@ -229,7 +229,7 @@ def test_faults_are_those_of_one_arm_turned_sideways(kind: str) -> None:
 
 
 def test_a_trial_depends_on_seed_and_index_alone() -> None:
-    spec = Randomisation()
+    spec = DomainRandomization()
     batch, _ = TWO_ARM.draw_batch("two", 3, [4, 9], spec)
     single, _ = TWO_ARM.draw("two", 3, 9, spec)
     jax.tree.map(lambda rows, one: np.testing.assert_array_equal(rows[1], one), batch, single)
@@ -242,9 +242,9 @@ def test_a_trial_depends_on_seed_and_index_alone() -> None:
 
 def test_unknown_presets_are_refused() -> None:
     with pytest.raises(InputError, match="two-fixed"):
-        registry.kind("three")
+        registry.get_scenario("three")
     with pytest.raises(InputError, match="two-fixed"):
-        TWO_ARM.draw("A", 0, 0, Randomisation())
+        TWO_ARM.draw("A", 0, 0, DomainRandomization())
 
 
 def test_solver_has_converged() -> None:
@@ -257,7 +257,7 @@ def test_solver_has_converged() -> None:
 def test_store_is_like_the_imported_one(tmp_path: Path) -> None:
     """Two recordings per trial, right before left; grammar and tasks read both arms."""
     target = tmp_path / "two.zarr"
-    report = synthesise(target, Synthesis("two", trials=5, shard=2, spec=Randomisation(longest=0.4)))
+    report = synthesise(target, SynthesisConfig("two", trials=5, shard=2, spec=DomainRandomization(longest=0.4)))
     assert report.stored == 5
     assert sum(count for count, _ in report.faults.values()) == 5
     found, known = read_recordings(target), read_simulation(target)
@@ -268,7 +268,7 @@ def test_store_is_like_the_imported_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(known["index"], np.repeat(np.arange(5), 2))
     assert known["hold_force"].shape == (10, 4, 3)
     assert known["offset"].shape == (10, 12)
-    params, _ = TWO_ARM.draw_batch("two", 0, range(5), Randomisation(longest=0.4))
+    params, _ = TWO_ARM.draw_batch("two", 0, range(5), DomainRandomization(longest=0.4))
     run = native.simulate(SCENE, params)
     longest = found.wrench.shape[1]
     np.testing.assert_allclose(found.wrench[0::2], run.wrench[:, :longest, :6], atol=1e-6)
@@ -287,9 +287,9 @@ def test_grammar_of_both_arms(whole: dict[str, Rollouts]) -> None:
         outcome=np.full(2 * count, "success"), failure_type=blank, deviation=np.zeros((2 * count, 3)), note=blank,
     )  # fmt: skip
     tracks = encode_dataset(both)
-    items = sentences(both, TaskSpec(arms="both"))
+    items = labelled_intervals(both, TaskSpec(arms="both"))
     assert items.classes == ("approach", "rotation", "insertion", "mating")
-    single = describe(tracks, sentences(both, TaskSpec(arms="R")), FeatureSpec())
-    made = describe(tracks, items, FeatureSpec())
+    single = extract_features(tracks, labelled_intervals(both, TaskSpec(arms="R")), FeatureSpec())
+    made = extract_features(tracks, items, FeatureSpec())
     assert made.values.shape == (4 * count, 2 * single.values.shape[1])
     np.testing.assert_array_equal(made.values[:, : single.values.shape[1]], single.values)

@@ -19,7 +19,7 @@ from sim_mjx.engines import native as native_engine
 from sim_mjx.engines.common import past_lips
 from sim_mjx.engines.native import LANES
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import Randomisation, draw_batch
+from sim_mjx.randomization.trials import DomainRandomization, sample_batch
 from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT, parity, reference
 from sim_mjx.validation.solver_convergence import certify
 
@@ -28,7 +28,7 @@ SCENE = one_arm()
 
 def short_trials(count: int, longest: float = 1.8) -> TrialParams:
     """Session B's task with an approach of about a second, so that contact comes soon."""
-    params, _ = draw_batch("B", 0, range(count), Randomisation(nominal_share=1.0, longest=longest))
+    params, _ = sample_batch("B", 0, range(count), DomainRandomization(nominal_share=1.0, longest=longest))
     return replace(params, task=replace(params.task, way_time=params.task.way_time / 4))
 
 
@@ -82,7 +82,7 @@ def test_parity_sees_what_differs(native: Rollouts) -> None:
 
 def test_lanes_are_refilled_without_a_trace() -> None:
     count = LANES + 7
-    params, _ = draw_batch("A", 3, range(count), Randomisation(longest=0.2))
+    params, _ = sample_batch("A", 3, range(count), DomainRandomization(longest=0.2))
     timeout = 0.05 + 0.005 * (np.arange(count) * 13 % 30)
     params = replace(params, task=replace(params.task, timeout=timeout))
     out = engines.simulate(SCENE, params, "native")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration.search import evaluate
+from rcbht_jax.calibration.search import score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -71,7 +71,7 @@ def test_scores_of_rollouts_are_those_of_the_corpus(out: device.Outcome, monkeyp
     limits = np.asarray(preset().limits)[None]
     with jax.transfer_guard("disallow"):
         made = calibration_data.simulated_scores(object(), None, "jax", CONFIG, limits)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(made, evaluate(calibration_data.states_corpus(out, CONFIG), CONFIG, limits))
+    np.testing.assert_array_equal(made, score_candidates(calibration_data.states_corpus(out, CONFIG), CONFIG, limits))
     assert len(calibration_data.states_corpus(many, CONFIG)) == 6
     with pytest.raises(InputError, match="none of the"):
         calibration_data.states_corpus(replace(out, seated=jnp.zeros_like(out.seated)), CONFIG)

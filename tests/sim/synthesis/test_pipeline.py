@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray
 
-from rcbht_jax.encoding.batch import encode_recordings
+from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -22,9 +22,9 @@ from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation, wri
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots import hiro_kinematics
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
-from sim_mjx.randomization.trials import Randomisation, draw, draw_batch
+from sim_mjx.randomization.trials import DomainRandomization, sample, sample_batch
 from sim_mjx.synthesis import pipeline
-from sim_mjx.synthesis.pipeline import Progress, synthesise
+from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
 
 
@@ -56,7 +56,7 @@ def test_size_of_shards_does_not_matter(shard: int, whole: Path, tmp_path: Path)
 
 def test_store_holds_what_was_simulated(whole: Path) -> None:
     recordings, simulation = read_recordings(whole), read_simulation(whole)
-    params, faults = draw_batch("B", 5, range(60), JOB.spec)
+    params, faults = sample_batch("B", 5, range(60), JOB.spec)
     out = fake_engine(params)
     assert np.array_equal(recordings.wrench, out.wrench)
     assert np.array_equal(recordings.length, out.length)
@@ -134,7 +134,7 @@ def test_diverged_trials_are_listed_and_never_stored(how: str, tmp_path: Path) -
     assert read_simulation(target)["index"].tolist() == [0, 2, 3, 4, 5, 7, 8, 9, 10]
     recordings = read_recordings(target)
     assert recordings.trial[1] == "sim-B-000002"
-    params, _ = draw("B", 5, 2, job.spec)
+    params, _ = sample("B", 5, 2, job.spec)
     alone = fake_engine(jax.tree.map(lambda leaf: np.asarray(leaf)[None], params))
     assert np.array_equal(recordings.wrench[1, : recordings.length[1]], alone.wrench[0])
 
@@ -156,7 +156,7 @@ def test_nothing_is_stored_when_all_diverged(tmp_path: Path) -> None:
         ({"shard": 0}, "shard"),
         ({"seed": -1}, "seed"),
         ({"engine": "abacus"}, "native"),
-        ({"spec": Randomisation(nominal_share=2.0)}, "nominal share"),
+        ({"spec": DomainRandomization(nominal_share=2.0)}, "nominal share"),
     ],
 )
 def test_impossible_jobs_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_an_existing_store_is_only_replaced_when_asked(whole: Path, tmp_path: Pa
 
 
 def test_progress_counts_trials(tmp_path: Path) -> None:
-    seen: list[Progress] = []
+    seen: list[SynthesisProgress] = []
     synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine, progress=seen.append)
     assert [now.done for now in seen] == [0, 5, 10, 12]
     assert seen[0].seconds_left is None
@@ -192,7 +192,7 @@ def test_labels_are_those_of_the_stored_wrench_whatever_the_shards(tmp_path: Pat
     assert tree(tmp_path / "a") == tree(tmp_path / "b")
     found, how = read_tracks(tmp_path / "a", "online-W5")
     recordings = read_recordings(tmp_path / "a")
-    expected = encode_recordings(EncoderConfig(window=5), preset("hiro"), recordings.wrench, recordings.length)
+    expected = encode_batch(EncoderConfig(window=5), preset("hiro"), recordings.wrench, recordings.length)
     assert how["thresholds"] == preset("hiro").limits.tolist()
     for layer in LAYERS:
         theirs = getattr(expected, layer).label
@@ -202,7 +202,7 @@ def test_labels_are_those_of_the_stored_wrench_whatever_the_shards(tmp_path: Pat
 
 def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
     engine = pipeline.engine("native", "A")
-    whole_batch, _ = draw_batch("A", 4, range(32), short(longest=0.8))
+    whole_batch, _ = sample_batch("A", 4, range(32), short(longest=0.8))
     reference = engine(whole_batch)
     assert np.abs(reference.wrench).max() > 0.1
     for rows in ([30], [5, 17, 2], list(range(1, 20))):

@@ -19,9 +19,9 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
-from sim_mjx.randomization.trials import Randomisation
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline, shards
-from sim_mjx.synthesis.pipeline import Progress, Synthesis, synthesise
+from sim_mjx.synthesis.pipeline import SynthesisConfig, SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
 
 
@@ -101,11 +101,11 @@ def test_killed_while_tidying_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(tmp_path) == ["trials.zarr"]
 
 
-def interrupted(target: Path, job: Synthesis, after: int = 1) -> None:
+def interrupted(target: Path, job: SynthesisConfig, after: int = 1) -> None:
     """Leave a work folder with so many shards."""
     seen = [0]
 
-    def stop(_: Progress) -> None:
+    def stop(_: SynthesisProgress) -> None:
         seen[0] += 1
         if seen[0] == after + 1:
             raise KeyboardInterrupt
@@ -121,7 +121,7 @@ def interrupted(target: Path, job: Synthesis, after: int = 1) -> None:
         ({"trials": 13}, "job.trials 12, not 13"),
         ({"preset": "A"}, 'job.preset "B", not "A"'),
         ({"shard": 6}, "job.shard 5, not 6"),
-        ({"spec": Randomisation(friction=(0.5, 1.0))}, "job.spec.friction"),
+        ({"spec": DomainRandomization(friction=(0.5, 1.0))}, "job.spec.friction"),
     ],
 )
 def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: str, tmp_path: Path) -> None:

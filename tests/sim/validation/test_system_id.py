@@ -17,7 +17,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_attrs, read_simulation
 from sim_mjx.assembly import parts, sensor
 from sim_mjx.randomization import overrides
-from sim_mjx.randomization.trials import Randomisation, draw
+from sim_mjx.randomization.trials import DomainRandomization, sample
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, _mirrored, _share, _values, fit
 
 BOUNDS = {"a": Bound(-2.0, 5.0), "b": Bound(1e-3, 1e3, log=True), "c": Bound(0.0, 1.0), "d": Bound(-1.0, 1.0)}
@@ -127,7 +127,7 @@ def test_shares_and_values_are_inverse(share: float) -> None:
 
 def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
     exact = {"stiffness": (1.0, 1.0), "overlap": (1.0, 1.0), "friction": (1.0, 1.0), "mount": (1.0, 1.0)}
-    spec = Randomisation(nominal_share=1.0, **exact)
+    spec = DomainRandomization(nominal_share=1.0, **exact)
     chosen = (
         ("parts.hook_overlap", 4e-4),
         ("parts.hook_overlap[2:4]", 6e-4),
@@ -135,8 +135,8 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
         ("parts.friction", 0.3),
         ("sensor.delay", 5.6),
     )
-    before, _ = draw("B", 1, 2, spec)
-    after, _ = draw("B", 1, 2, replace(spec, physical=chosen))
+    before, _ = sample("B", 1, 2, spec)
+    after, _ = sample("B", 1, 2, replace(spec, physical=chosen))
     np.testing.assert_array_equal(after.parts.hook_overlap, [4e-4, 4e-4, 6e-4, 6e-4])
     np.testing.assert_array_equal(after.parts.mount_stiffness, [*before.parts.mount_stiffness[:2], 5e3])
     assert (float(after.parts.friction), int(after.sensor.delay)) == (0.3, 6)
@@ -159,7 +159,7 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
 )
 def test_wrong_parameters_are_one_sentence(pair: tuple[str, float], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
-        draw("A", 0, 0, Randomisation(physical=(pair,)))
+        sample("A", 0, 0, DomainRandomization(physical=(pair,)))
 
 
 def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,7 +168,7 @@ def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureF
     words = ["simulate", str(out), "--preset", "C", "--trials", "2", "--longest", "0.1", "--nominal-share", "1"]
     assert main.main([*words, "--physical", str(path)]) == 0
     simulation = read_simulation(out)
-    low, high = Randomisation().friction
+    low, high = DomainRandomization().friction
     assert ((simulation["friction"] >= 0.123 * low) & (simulation["friction"] <= 0.123 * high)).all()
     assert read_attrs(out)["simulated"]["job"]["spec"]["physical"] == [["parts.friction", 0.123]]
     path.write_text("{}")
