@@ -69,18 +69,41 @@ def test_the_tutorial_works_as_it_stands(
     assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_site_builds_and_fetches_nothing(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documentation, built."""
     pytest.importorskip("mkdocs")
-    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
     done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    pages = sorted((tmp_path / "site").rglob("*.html"))
+    return folder
+
+
+def test_the_site_fetches_nothing(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
     assert len(pages) > 15
     for page in pages:
         for kind, address in re.findall(r'<(script|link|img)\b[^>]*?(?:src|href)="([^"]*)"', page.read_text()):
             assert not address.startswith(("http", "//")), f"{page.name}: {kind} {address}"
     for result in (ROOT / "experiments" / "results").glob("*.json"):
-        assert (tmp_path / "site" / "results" / result.name).read_bytes() == result.read_bytes()
+        assert (site / "results" / result.name).read_bytes() == result.read_bytes()
+
+
+def test_the_site_can_be_searched_without_a_server(site: Path) -> None:
+    assert (site / "search" / "search_index.js").read_text().startswith("var __index = ")
+    assert 'src="assets/iframe-worker.js"' in (site / "index.html").read_text()
+
+
+def test_roles_of_docstrings_are_links_or_code(site: Path) -> None:
+    links = 0
+    for page in site.rglob("*.html"):
+        text = page.read_text()
+        left = re.search(r":(?:class|func|mod|meth|attr|data|exc|obj):", text)
+        assert left is None, f"{page.name}: {text[left.start() : left.end() + 40]}"
+        assert "<autoref" not in text
+        links += len(re.findall(r'<a class="autorefs[^>]*><code>', text))
+    assert links > 10
 
 
 def test_images_of_the_pages_are_there() -> None:
