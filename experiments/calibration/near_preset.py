@@ -1,4 +1,4 @@
-"""GradientThresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
+"""Thresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
 
 A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, each by a factor of at most eight: the
 small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no

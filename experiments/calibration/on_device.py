@@ -1,4 +1,4 @@
-"""GradientThresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
+"""Thresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
 
 Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). On a CPU, to see it work: --engine mjx
 --trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
@@ -24,11 +24,10 @@ import numpy as np
 
 from experiments._lib.results_io import write_result
 from rcbht_jax.calibration import contextual, gradient
-from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.objective import SCORES, Objective
-from rcbht_jax.calibration.on_device import device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
-from rcbht_jax.encoding.compact import encode_on_device
+from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec

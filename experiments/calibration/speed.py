@@ -19,9 +19,9 @@ import numpy as np
 from experiments._lib.results_io import write_result
 from rcbht_jax import reference
 from rcbht_jax.calibration.dataset import CalibrationData
+from rcbht_jax.calibration.label_durations import Windows
 from rcbht_jax.calibration.objective import SCORES, Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates
-from rcbht_jax.calibration.windows import Windows
 from rcbht_jax.encoding.encoder import EncoderConfig
 
 SOURCES = ("SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS")

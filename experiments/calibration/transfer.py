@@ -1,4 +1,4 @@
-"""GradientThresholds chosen on thousands of simulated failures, tried on the authors' failures, which they never saw.
+"""Thresholds chosen on thousands of simulated failures, tried on the authors' failures, which they never saw.
 
 The limits are those that experiments.calibration.on_device found by search and by gradients. The folds of the authors'
 trials are the same for all; an SVM on words alone, its cost and kernel chosen inside, features scaled by their

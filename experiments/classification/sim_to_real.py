@@ -2,7 +2,7 @@
 
 Nothing of the recorded trials is used but the mean of their first second, in free space, which is subtracted (tare).
 Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
-only one set is trained on, by grouped folds inside it. GradientThresholds are the authors' or chosen on simulated trials.
+only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
 
 Controllers are those of the recorded sessions; parts and sensor of presets A and B were fitted to the wrenches of those
 sessions, C has B's, and the OpenHRP preset wears A's sensor. What transfers without a session's own fit is said by the
@@ -137,7 +137,7 @@ class Experiment:
 
     @cache  # noqa: B019
     def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
-        """GradientThresholds chosen on the training sets; None = the preset's."""
+        """Thresholds chosen on the training sets; None = the preset's."""
         if spec.thresholds == "preset":
             return None
         trials, items = self.training(spec)

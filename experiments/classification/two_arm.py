@@ -21,9 +21,9 @@ from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly import kinematics
+from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
-from sim_mjx.assembly.waypoints import approach
 from sim_mjx.engines import native
 from sim_mjx.presets import two_arm as presets
 from sim_mjx.presets.sessions import CONTROL_PERIOD

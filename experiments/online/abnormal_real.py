@@ -35,8 +35,8 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
+from rcbht_jax.introspection.alarms import Alarm
 from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.introspection.levels import Alarm
 from rcbht_jax.introspection.training import (
     TRIAL_FAMILIES,
     TRIAL_RELATIVE,

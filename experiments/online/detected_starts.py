@@ -27,7 +27,7 @@ from experiments._lib.results_io import write_result
 from experiments.online.table2 import SETS, halves
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.introspection.levels import PhaseFilter
+from rcbht_jax.introspection.alarms import PhaseFilter
 from rcbht_jax.introspection.training import (
     HeadSpec,
     Snapshots,

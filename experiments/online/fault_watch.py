@@ -23,9 +23,8 @@ from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.introspection.alarms import conformal_threshold, held_out, sustained_peak
+from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, sustained_peak
 from rcbht_jax.introspection.chain import FeatureView, online_features_batch
-from rcbht_jax.introspection.levels import Alarm
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 

@@ -28,7 +28,7 @@ from sim_mjx.assembly.task import ENDED
 from sim_mjx.engines import device
 from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import labelled, pipeline
+from sim_mjx.synthesis import pipeline, records
 from sim_mjx.validation.engine_parity import parity, reference
 
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
@@ -129,8 +129,8 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
 class _stopwatch:
     """Seconds spent in the parts of a synthesis."""
 
-    PARTS = ((labelled, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
-             (labelled, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
+    PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
+             (records, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
              (pipeline, "_assemble"),
              (pipeline.store, "write_recordings"), (pipeline, "write_tracks"))  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""GradientThresholds from context: the authors' rule, which reads limits off the states of an assembly.
+"""Thresholds from context: the authors' rule, which reads limits off the states of an assembly.
 
 The impulse limit of an axis is a share of its steepest primitive during insertion, when the snaps engage; the
 constant limit a share of the mean slope during rotation, when the hand only leans on its edge. The limits in

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.windows import Windows, fit_windows
+from rcbht_jax.calibration.label_durations import Windows, device_lines, fit_windows
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import LabelledIntervals
@@ -20,7 +23,7 @@ from rcbht_jax.types import Array, Recordings
 class CalibrationData:
     """One row per recording; every recording has the same number of sentences, end to end.
 
-    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.on_device.device_calibration_data`).
+    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.dataset.device_calibration_data`).
     """
 
     wrench: Array  # float32 [recording, time, 6], N and Nm
@@ -76,3 +79,30 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: E
     windows = fit_windows(config, wrench, length)
     y = items.y.reshape(shape).astype(np.int32)
     return CalibrationData(wrench, windows, edges, y, items.classes, recordings.trial[rows])
+
+
+def device_calibration_data(
+    config: EncoderConfig, wrench: Array, edges: Array, y: Array, classes: tuple[str, ...]
+) -> CalibrationData:
+    """Windows fitted where the wrenches are; trials are named by their number.
+
+    Args:
+        config: static configuration.
+        wrench: float ``[trial, time, 6]`` on the device, N and Nm; after the last edge of a trial anything.
+        edges: int32 ``[trial, sentence + 1]`` on the device, samples; the last edge is the length of the trial.
+        y: int32 ``[trial, sentence]`` on the device, index into ``classes``.
+        classes: their names.
+    """
+    clean, windows = _fitted(config, wrench, edges)
+    return CalibrationData(clean, windows, edges, y, classes, np.arange(len(wrench)).astype(np.str_))
+
+
+@partial(jax.jit, static_argnums=0)
+def _fitted(config: EncoderConfig, wrench: Array, edges: Array) -> tuple[Array, Windows]:
+    """The wrench with zeros after its end, in whole windows, and their lines."""
+    length = edges[:, -1]
+    inside = jnp.arange(wrench.shape[1], dtype=jnp.int32)[None] < length[:, None]
+    short = -wrench.shape[1] % config.window
+    padded = jnp.pad(jnp.where(inside[..., None], wrench, 0), ((0, 0), (0, short), (0, 0)))
+    slope, vmax, vmin = device_lines(config, padded, length)
+    return padded, Windows(slope, vmax, vmin, length)

@@ -1,4 +1,4 @@
-"""GradientThresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
+"""Thresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
 
 from __future__ import annotations
 

@@ -20,8 +20,7 @@ from rcbht_jax.calibration.objective import SCORES, Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.cli.command import Command
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.threshold_file import LIMITS, write_thresholds
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import LIMITS, GradientThresholds, preset, write_thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.labels import AXES

@@ -16,8 +16,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 from rcbht_jax.cli.command import Command
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.threshold_file import read_thresholds
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import list_tracks, write_tracks
 from rcbht_jax.io.store import read_recordings

@@ -21,8 +21,7 @@ from rcbht_jax.events import Belief, Event
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
 from rcbht_jax.introspection.session import Session, paced
-from rcbht_jax.io.live import read_live
-from rcbht_jax.io.messages import Message, Sample
+from rcbht_jax.io.messages import Message, Sample, read_live
 from rcbht_jax.io.playback import read_folder, read_store
 from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
 

@@ -36,7 +36,7 @@ class Stream:
         self._config = config
         self._limits = jnp.asarray(np.asarray(thresholds.limits), dtype)
         if self._limits.ndim != 2:
-            raise InputError(f"GradientThresholds have shape {self._limits.shape}; a stream expects [axis, 4].")
+            raise InputError(f"Thresholds have shape {self._limits.shape}; a stream expects [axis, 4].")
         self._axes = self._limits.shape[0]
         self._state: EncoderState = init((self._axes,), dtype)
         self._rest: NDArray[np.floating] = np.zeros((config.window, self._axes), dtype)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
+from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
-from rcbht_jax.introspection.levels import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.learning.metrics import CERTAINTY_LEVELS
 from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
@@ -105,7 +105,7 @@ class Introspector:
         hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
             and below 0.5 before it is cleared.
         detect: nobody says when a sub-task begins; the model's head "phase" does (see
-            :class:`rcbht_jax.introspection.levels.PhaseFilter`). The sentence begins when it is noticed, not when it began.
+            :class:`rcbht_jax.introspection.alarms.PhaseFilter`). The sentence begins when it is noticed, not when it began.
 
     Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
     gives the same bits.

@@ -1,4 +1,4 @@
-"""GradientThresholds over the gradients that they cut: a panel per axis and state."""
+"""Thresholds over the gradients that they cut: a panel per axis and state."""
 
 from __future__ import annotations
 

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_mjx.assembly import kinematics
-from sim_mjx.assembly.controllers import force_law, goals_in_world
-from sim_mjx.assembly.waypoints import approach
+from sim_mjx.assembly.controllers import approach, force_law, goals_in_world
 from sim_mjx.presets.sessions import CONTROL_PERIOD, WORLD, TaskParams
 
 Array = Any

@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.calibration.dataset import CalibrationData
-from rcbht_jax.calibration.on_device import device_calibration_data
+from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError

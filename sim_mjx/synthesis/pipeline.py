@@ -36,7 +36,7 @@ from sim_mjx.engines.common import blocks
 from sim_mjx.presets.sessions import CONTROL_PERIOD, STATES
 from sim_mjx.randomization.trials import DomainRandomization, Fault
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis import labelled, records, shards
+from sim_mjx.synthesis import records, shards
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the preset's kind
 Drawn = tuple[Any, list[Fault]]  # parameters of a shard's trials, and what is wrong with each
@@ -213,10 +213,10 @@ def _shard_of(job: SynthesisConfig, params: Any, simulate: Simulate | None) -> s
     limits = np.asarray(thresholds.preset(ROBOT).limits)
     if simulate is None:
         scene = get_scenario(job.preset).scene()
-        out, tracks = labelled.simulate_labelled(scene, params, job.engine, _encoder(job), limits)
+        out, tracks = records.simulate_labelled(scene, params, job.engine, _encoder(job), limits)
     else:
         out = simulate(params)
-        tracks = labelled.label(out, _encoder(job), limits)
+        tracks = records.label(out, _encoder(job), limits)
     return records.of_trials(out) | records.of_labels(tracks, len(out.length))
 
 

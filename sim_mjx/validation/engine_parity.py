@@ -22,7 +22,7 @@ from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
 from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.synthesis.labelled import label
+from sim_mjx.synthesis.records import label
 
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm, until the first contact
 LABELS_LIMIT, OUTCOME_LIMIT = 0.95, 0.98  # shares of time and of trials

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from rcbht_jax.calibration.cma import Cma
-from rcbht_jax.calibration.dataset import CalibrationData
-from rcbht_jax.calibration.label_durations import label_durations
+from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
+from rcbht_jax.calibration.label_durations import fit_windows, label_durations
 from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
-from rcbht_jax.calibration.on_device import device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
-from rcbht_jax.calibration.windows import fit_windows
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.cli.main import main
-from rcbht_jax.encoding.threshold_file import read_thresholds, write_thresholds
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import write_recordings

@@ -6,8 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.compact import WIDTH, encode_on_device
+from rcbht_jax.encoding.batch import WIDTH, encode_batch, encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.types import LabelTrack

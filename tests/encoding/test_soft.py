@@ -9,9 +9,8 @@ import pytest
 
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.gradient import GradientOptions, _orders, calibrate
-from rcbht_jax.calibration.label_durations import label_durations
+from rcbht_jax.calibration.label_durations import fit_windows, label_durations
 from rcbht_jax.calibration.objective import shares
-from rcbht_jax.calibration.windows import fit_windows
 from rcbht_jax.encoding.encoder import EncoderConfig, encode
 from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares, soft_windows
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyRaised
-from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks, sustained_peak
+from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, peaks, sustained_peak
 from rcbht_jax.introspection.introspector import Introspector
-from rcbht_jax.introspection.levels import Alarm
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_head
 from rcbht_jax.learning.probability import ProbabilisticSvm

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, SubtaskStarted
+from rcbht_jax.introspection.alarms import LEAST, PhaseFilter
 from rcbht_jax.introspection.introspector import PHASE, Introspector
-from rcbht_jax.introspection.levels import LEAST, PhaseFilter
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, from_the_beginning, regular_snapshots
 from rcbht_jax.learning.tasks import TaskSpec

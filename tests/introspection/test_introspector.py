@@ -25,9 +25,9 @@ from rcbht_jax.events import (
     SubtaskStarted,
 )
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection.alarms import Alarm, Confidence
 from rcbht_jax.introspection.chain import online_features
 from rcbht_jax.introspection.introspector import Introspector
-from rcbht_jax.introspection.levels import Alarm, Confidence
 from rcbht_jax.learning.model_io import write_archive
 from tests.support.introspection_models import CONFIG, SIGHT, model, trial
 

@@ -22,8 +22,7 @@ from rcbht_jax.events import Belief, Notice, SubtaskStarted
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.session import Session, paced
-from rcbht_jax.io.live import read_live
-from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines
+from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines, read_live
 from rcbht_jax.io.playback import read_folder, read_store
 from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
 from tests.support.introspection_models import model, trial

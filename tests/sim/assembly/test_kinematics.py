@@ -14,7 +14,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat
 from sim_mjx.assembly import kinematics, robot
-from sim_mjx.assembly.waypoints import approach, half_cosine
+from sim_mjx.assembly.controllers import approach, half_cosine
 from sim_mjx.presets.sessions import preset
 
 SESSIONS = {

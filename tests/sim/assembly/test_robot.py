@@ -9,7 +9,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.robots import hiro_kinematics
 from sim_mjx.assembly import kinematics, robot
-from sim_mjx.assembly.waypoints import approach
+from sim_mjx.assembly.controllers import approach
 from sim_mjx.presets.sessions import preset
 
 TICK = 0.005

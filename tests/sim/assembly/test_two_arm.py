@@ -20,9 +20,9 @@ from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import Recordings
 from sim_mjx import registry
 from sim_mjx.assembly import kinematics, task, two_arm_program
+from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts, as_float32
 from sim_mjx.assembly.two_arm_scene import TURN, model_fields, two_arm
-from sim_mjx.assembly.waypoints import approach
 from sim_mjx.engines import native
 from sim_mjx.presets import two_arm as presets
 from sim_mjx.presets.sessions import CONTROL_PERIOD
