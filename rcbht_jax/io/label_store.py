@@ -14,7 +14,7 @@ import zarr
 
 import rcbht_jax
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.store import count_recordings, open_store
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
@@ -48,18 +48,18 @@ def write_tracks(
     own = {
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
-        "content_sha256": zarrio.content_hash(a for layer in arrays.values() for a in layer.values()),
+        "content_sha256": zarr_io.content_hash(a for layer in arrays.values() for a in layer.values()),
     }
     # Outside the store while it grows: readers list every folder inside it.
-    with zarrio.replacing(target, near=path) as draft:
-        group = zarrio.create_group(draft, {**attrs, **own})
+    with zarr_io.replacing(target, near=path) as draft:
+        group = zarr_io.create_group(draft, {**attrs, **own})
         for layer, by_field in arrays.items():
             sub = group.create_group(layer)
             for field_name, values in by_field.items():
-                zarrio.write_array(sub, field_name, values, DIMENSIONS, str(values.dtype), {})
+                zarr_io.write_array(sub, field_name, values, DIMENSIONS, str(values.dtype), {})
         if not (path / "labels" / "zarr.json").exists():
             zarr.create_group(path / "labels", zarr_format=3)
-    zarrio.consolidate(path)
+    zarr_io.consolidate(path)
 
 
 def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
@@ -73,12 +73,12 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     if not folder.is_dir():
         known = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {known}.")
-    group = zarrio.open_group(folder)
-    with zarrio.reading(folder):
+    group = zarr_io.open_group(folder)
+    with zarr_io.reading(folder):
         arrays = {layer: _read_layer(group, layer) for layer in LAYERS}
         expected = group.attrs["content_sha256"]
         by_layer = {layer: _checked(LabelTrack(**arrays[layer]), layer, count) for layer in LAYERS}
-    if zarrio.content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
+    if zarr_io.content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
         raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
     return LabelTracks(**{layer: LabelTrack(**arrays[layer]) for layer in LAYERS}), dict(group.attrs)
 
@@ -121,7 +121,7 @@ def _read_layer(group: zarr.Group, layer: str) -> dict[str, Any]:
     sub = group[layer]
     if not isinstance(sub, zarr.Group):
         raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
-    return {name: zarrio.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()}
+    return {name: zarr_io.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()}
 
 
 def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:

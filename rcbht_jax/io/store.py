@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 
@@ -57,7 +57,7 @@ def check_target(path: Path, overwrite: bool) -> None:
         InputError: the parent folder does not exist, or something is there that ``overwrite`` does not allow
             to replace; only a store is ever replaced.
     """
-    zarrio.check_target(path, FORMAT, overwrite)
+    zarr_io.check_target(path, FORMAT, overwrite)
 
 
 def write_recordings(
@@ -91,17 +91,17 @@ def write_recordings(
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "dt": recordings.dt,
-        "content_sha256": zarrio.content_hash([*arrays.values(), np.float64(recordings.dt)]),
+        "content_sha256": zarr_io.content_hash([*arrays.values(), np.float64(recordings.dt)]),
     }
-    with zarrio.replacing(path) as draft:
-        group = zarrio.create_group(draft, {**attrs, **own})
+    with zarr_io.replacing(path) as draft:
+        group = zarr_io.create_group(draft, {**attrs, **own})
         for variable, (_, dimensions, dtype, attributes) in VARIABLES.items():
-            zarrio.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
-        zarrio.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
-        zarrio.write_array(group, "axis", np.array(AXES), ("axis",), "string", {})
+            zarr_io.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
+        zarr_io.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
+        zarr_io.write_array(group, "axis", np.array(AXES), ("axis",), "string", {})
         if simulation is not None:
             _write_simulation(group, simulation, len(recordings))
-        zarrio.consolidate(draft)
+        zarr_io.consolidate(draft)
 
 
 def read_recordings(path: Path) -> Recordings:
@@ -111,11 +111,11 @@ def read_recordings(path: Path) -> Recordings:
         InputError: nothing there, not a store of this format, or damaged (a chunk missing, cut or altered).
     """
     group = open_store(path)
-    with zarrio.reading(path):
-        arrays = {variable: zarrio.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
-        dt = float(zarrio.read_array(group, "dt", "float64")[()])
+    with zarr_io.reading(path):
+        arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
+        dt = float(zarr_io.read_array(group, "dt", "float64")[()])
         expected = group.attrs["content_sha256"]
-    if zarrio.content_hash([*arrays.values(), np.float64(dt)]) != expected:
+    if zarr_io.content_hash([*arrays.values(), np.float64(dt)]) != expected:
         raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
     recordings = Recordings(dt=dt, **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()})
     try:
@@ -132,7 +132,7 @@ def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], cou
             raise InputError(f"{SIMULATION}/{name} has {len(values)} rows; expected {count}, one per recording.")
         dimensions = ("trial", *(f"{name}_{i}" for i in range(1, values.ndim)))
         dtype = "string" if values.dtype.kind == "U" else str(values.dtype)
-        zarrio.write_array(sub, name, values, dimensions, dtype, {})
+        zarr_io.write_array(sub, name, values, dimensions, dtype, {})
 
 
 def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
@@ -144,9 +144,9 @@ def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
     sub = open_store(path).get(SIMULATION)
     if not isinstance(sub, zarr.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
-    with zarrio.reading(path):
+    with zarr_io.reading(path):
         kinds = {name: None if array.dtype.kind in "biuf" else "string" for name, array in sub.arrays()}
-        arrays = {name: zarrio.read_array(sub, name, kind) for name, kind in kinds.items()}
+        arrays = {name: zarr_io.read_array(sub, name, kind) for name, kind in kinds.items()}
         expected = sub.attrs["content_sha256"]
     if _simulation_hash(arrays) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
@@ -154,7 +154,7 @@ def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _simulation_hash(arrays: Mapping[str, NDArray[Any]]) -> str:
-    return zarrio.content_hash(arrays[name] for name in sorted(arrays))
+    return zarr_io.content_hash(arrays[name] for name in sorted(arrays))
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
@@ -172,7 +172,7 @@ def open_store(path: Path) -> zarr.Group:
     Raises:
         InputError: nothing there, or not a store of this format and version.
     """
-    group = zarrio.open_group(path)
+    group = zarr_io.open_group(path)
     if group.attrs.get("format") != FORMAT:
         raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
     if group.attrs.get("format_version") != FORMAT_VERSION:
@@ -190,8 +190,8 @@ def count_recordings(path: Path) -> int:
         InputError: nothing there, not a store of this format, or damaged.
     """
     group = open_store(path)
-    with zarrio.reading(path):
-        return len(zarrio.read_array(group, "length", "int32"))
+    with zarr_io.reading(path):
+        return len(zarr_io.read_array(group, "length", "int32"))
 
 
 def validate(recordings: Recordings) -> None:

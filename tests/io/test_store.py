@@ -23,7 +23,7 @@ from hypothesis import given
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 from tests.support.store_cases import files, folder_is_clean, same, simple
@@ -154,7 +154,7 @@ def test_an_interrupted_write_leaves_no_half_store(
     path = tmp_path / "trials.zarr"
     if overwrite:
         store.write_recordings(path, simple(), {})
-    real = zarrio.write_array
+    real = zarr_io.write_array
     calls: list[str] = []
 
     def failing(group: Any, name: str, *rest: Any) -> None:
@@ -163,7 +163,7 @@ def test_an_interrupted_write_leaves_no_half_store(
             raise kind("stopped")
         real(group, name, *rest)
 
-    monkeypatch.setattr(zarrio, "write_array", failing)
+    monkeypatch.setattr(zarr_io, "write_array", failing)
     with pytest.raises(kind):
         store.write_recordings(path, simple(7), {}, overwrite=overwrite)
     folder_is_clean(tmp_path, *(["trials.zarr"] if overwrite else []))
@@ -177,18 +177,18 @@ import os, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from tests.io.test_store import simple
-from rcbht_jax.io import store, zarrio
-real, count = zarrio.write_array, []
+from rcbht_jax.io import store, zarr as zarr_io
+real, count = zarr_io.write_array, []
 def dying(*args):
     count.append(1)
     if len(count) == 5:
         os.kill(os.getpid(), 9)
     real(*args)
-zarrio.write_array = dying
+zarr_io.write_array = dying
 store.write_recordings(Path(sys.argv[1]), simple(), {})
 """
     path = tmp_path / "trials.zarr"
-    done = subprocess.run([sys.executable, "-c", code, str(path), str(Path(__file__).parent)], check=False)
+    done = subprocess.run([sys.executable, "-c", code, str(path), str(Path(__file__).parents[2])], check=False)
     assert done.returncode == -9
     assert not path.exists()
     store.write_recordings(path, simple(), {})
@@ -240,7 +240,7 @@ def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="not a Zarr group"):
         store.read_recordings(tmp_path / "empty")
-    zarrio.create_group(tmp_path / "other.zarr", {"title": "someone else's"})
+    zarr_io.create_group(tmp_path / "other.zarr", {"title": "someone else's"})
     with pytest.raises(InputError, match="not a store of recordings"):
         store.read_recordings(tmp_path / "other.zarr")
     shutil.copytree(path, tmp_path / "future.zarr")

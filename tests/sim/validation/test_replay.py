@@ -16,7 +16,7 @@ from PIL import Image
 from scipy.spatial import ConvexHull
 
 from rcbht_jax.cli.main import main
-from rcbht_jax.io import zarr as zarrio
+from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.types import Recordings
@@ -203,7 +203,7 @@ def test_wrong_stores_are_one_sentence(
     job = dict(attributes.attrs["simulated"])
     job["job"] = {**job["job"], "spec": {"colour": [1, 2]}}
     attributes.attrs["simulated"] = job
-    zarrio.consolidate(other)
+    zarr_io.consolidate(other)
     assert main.main(["view", str(other), TRIAL, "-o", str(tmp_path / "a.png")]) == 2
     assert "another version" in capsys.readouterr().err
 
