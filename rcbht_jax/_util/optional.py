@@ -13,7 +13,10 @@ _OURS = ("rcbht_jax", "sim_mjx")
 
 
 class MissingPackage(InputError, ImportError):
-    """A package of an extra is not installed."""
+    """A package of an extra is not installed: an :class:`InputError` and an ``ImportError`` in one sentence."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f'{package} is not installed: pip install "rcbht-jax[{extra}]".')
 
 
 @contextmanager
@@ -26,7 +29,7 @@ def needs_extra(name: str) -> Iterator[None]:
     rcbht_jax._util.optional.MissingPackage: missing is not installed: pip install "rcbht-jax[report]".
 
     Raises:
-        MissingPackage: a package is missing; an :class:`InputError` and an ``ImportError``.
+        MissingPackage: a package is missing.
     """
     try:
         yield
@@ -36,7 +39,7 @@ def needs_extra(name: str) -> Iterator[None]:
         package = (error.name or "").split(".")[0]
         if package in _OURS:
             raise
-        raise MissingPackage(f'{package} is not installed: pip install "rcbht-jax[{name}]".') from error
+        raise MissingPackage(package, name) from error
 
 
 def require(module: str, extra: str) -> ModuleType:

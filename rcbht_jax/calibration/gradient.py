@@ -11,9 +11,9 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import ridge_leave_one_out
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -22,6 +22,9 @@ from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array
+
+with needs_extra("learn"):
+    import optax  # type: ignore[import-untyped]
 
 _FEATURES = 6 * sum(LAYER_SIZES)
 _FLOOR = 1e-4  # of a share under the root, whose slope at 0 is infinite

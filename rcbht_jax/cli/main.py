@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import rcbht_jax
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.cli.command import Command
 from rcbht_jax.errors import InputError
 
@@ -115,10 +116,11 @@ def _parse(name: str, words: list[str]) -> Command | None:
     Raises:
         InputError: the options are wrong.
     """
-    import tyro
-
     module, _, kind = COMMANDS[name][0].partition(":")
-    described: Any = getattr(importlib.import_module(module), kind)
+    with needs_extra("all"):
+        import tyro
+
+        described: Any = getattr(importlib.import_module(module), kind)
     try:
         command: Command = tyro.cli(
             described,

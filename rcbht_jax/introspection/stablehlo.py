@@ -26,6 +26,7 @@ import numpy as np
 from jax import export
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
@@ -58,6 +59,7 @@ def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS
     begins = jax.ShapeDtypeStruct((len(chain.sights),), jnp.int32)
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     exported = export.export(jax.jit(run), platforms=tuple(platforms))(shapes, window, count, begins)
+    require("flatbuffers", "export")  # of jax.export, which does not install it
     return bytes(exported.serialize())
 
 

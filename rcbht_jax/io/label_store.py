@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 
 import rcbht_jax
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.store import count_recordings, open_store
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
+
+with needs_extra("store"):
+    import zarr
 
 DIMENSIONS = ("trial", "axis", "slot")
 INTEGERS = {"label": "int8", "t0": "int32", "t1": "int32", "emit": "int32"}

@@ -20,14 +20,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
+
+with needs_extra("store"):
+    import zarr
 
 FORMAT, FORMAT_VERSION = "rcbht-recordings", 1
 OUTCOMES = ("success", "failure", "unknown")

@@ -17,11 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+
+with needs_extra("store"):
+    import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
 
 CHUNK_BYTES = 2**20
 CHUNKS_PER_SHARD = 32

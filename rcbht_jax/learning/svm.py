@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.scaling import Scale, fit_scale
@@ -200,8 +201,9 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weigh
 def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterations: int, gamma: float = 1.0) -> Any:
     """A fitted ``SVC``; its ``fit_status_`` is 1 if it stopped at the bound on iterations (-1 = none)."""
     # Imported by those who train only: it takes longer to import than a stream may take to start.
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.svm import SVC
+    with needs_extra("learn"):
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.svm import SVC
 
     machine = SVC(
         C=cost,
@@ -235,7 +237,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int, seed: int) -> list[
     Raises:
         InputError: a class has fewer groups than there are folds.
     """
-    from sklearn.model_selection import StratifiedGroupKFold
+    with needs_extra("learn"):
+        from sklearn.model_selection import StratifiedGroupKFold
 
     fewest = _fewest_groups(y, groups)
     if folds < 2 or fewest < folds:

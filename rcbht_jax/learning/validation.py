@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import RandomForestClassifier
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.svm import Grid, Split, Weight, grouped_folds, predictions, select
+
+with needs_extra("learn"):
+    from sklearn.ensemble import RandomForestClassifier
 
 Ints = NDArray[np.integer[Any]]
 Matrix = NDArray[np.floating[Any]]

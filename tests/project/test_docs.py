@@ -110,10 +110,3 @@ def test_images_of_the_pages_are_there() -> None:
     for page in PAGES:
         for target in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", page.read_text()):
             assert (page.parent / target).is_file(), f"{page.name}: {target}"
-
-
-def test_citation_has_this_version() -> None:
-    text = (ROOT / "CITATION.cff").read_text()
-    version = re.search(r'^version = "([^"]+)"', (ROOT / "pyproject.toml").read_text(), re.M)
-    assert version is not None
-    assert f"\nversion: {version[1]}\n" in text
