@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.io.store import read_recordings, read_simulation
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
@@ -40,7 +41,6 @@ GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
         (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.5, 0.7, 0.85, 0.97)
     ),
 }
-NOMINAL = "none"
 TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still
 _SHARD = 256
 

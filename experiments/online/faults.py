@@ -1,7 +1,7 @@
 """Faults in simulation, recognised from the stream: detection, false alarms and delay by kind and severity.
 
-Half of the failures and two thirds of the nominal trials train (``experiments.online.fault_watch``), the others are streamed,
-several times with other halves. A failure is detected if an alarm is raised while it can still be helped: after
+Half of the failures and two thirds of the nominal trials train, the others are streamed, several times with other
+halves. A failure is detected if an alarm is raised while it can still be helped: after
 contact or after the robot stopped, and before the sub-task in which the trial failed ends. Mating ends when the
 controller planned it; a sub-task that never ends is waited for until the mating would have ended as planned. Every
 record goes on for three seconds after that, and an alarm in a nominal trial is a false one whenever it comes, there as
@@ -27,7 +27,8 @@ from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
 from experiments.online.fault_trials import GRADES, NOMINAL, TAIL, Trials
-from experiments.online.fault_watch import CLOCK, HOLDS, WORDS, Monitor, Watched, alarms, monitor, watched
+from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
+from rcbht_jax.introspection.fault_monitor import FaultMonitor
 from rcbht_jax.learning.metrics import corrected_interval
 
 TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
@@ -51,7 +52,7 @@ class Streamed:
 class Run(Streamed):
     """One repeat, with the monitor that learned from the others."""
 
-    monitor: Monitor
+    monitor: FaultMonitor
 
 
 def parts(those: Trials, seed: int) -> NDArray[np.bool_]:
@@ -242,20 +243,22 @@ def keep(done: dict[str, Any], args: argparse.Namespace, complete: bool) -> None
         "words": "machines on the sentence of the sub-task so far",
         "clock": "the sub-task lasts longer than it should",
         "recorded after the planned end, s": TAIL,
-        "hold times to choose from, s": HOLDS,
-        "false alarms promised per nominal trial": {"words": WORDS, "clock, approach and insertion each": CLOCK},
+        "hold times to choose from, s": CONFIG.holds,
+        "false alarms promised per nominal trial": {
+            "words": CONFIG.false_alarms, "clock, approach and insertion each": CONFIG.clock_false_alarms,
+        },
         "targets": TARGETS,
         "complete": complete,
         "presets": done,
-    }
-    keep_faults("faults_online", result, args)
+    }  # fmt: skip
+    keep_faults("faults_online", "faults", result, args)
 
 
-def keep_faults(name: str, result: dict[str, Any], args: argparse.Namespace) -> None:
+def keep_faults(name: str, module: str, result: dict[str, Any], args: argparse.Namespace) -> None:
     """Write a result with the command that makes it."""
     presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
     sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
-    command = f"python -m experiments.{name} --folder FOLDER --preset {presets} {sizes}"
+    command = f"python -m experiments.online.{module} --folder FOLDER --preset {presets} {sizes}"
     write_result(name, command, result, args.seed, show=result["complete"])
 
 

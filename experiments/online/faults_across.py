@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments.online.fault_trials import GRADES, Trials
-from experiments.online.fault_watch import Monitor, Watched, alarms, monitor, watched
+from experiments.online.fault_watch import Watched, alarms, monitor, watched
 from experiments.online.faults import Streamed, arguments, cell, false_alarms, keep_faults, parts
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax.introspection.fault_monitor import COLUMNS, FaultMonitor
 from rcbht_jax.types import Recordings
 
 Rows = NDArray[np.bool_]
@@ -44,12 +45,12 @@ WHAT = "failures with contact noticed in the stream of simulated trials, by what
 
 
 def chosen(w: Watched, rows: Rows) -> Watched:
-    """Some trials ``[trial]`` with their looks."""
+    """Some trials ``[trial]`` with their snapshots, numbered anew."""
     columns = {field.name: getattr(w.trials, field.name) for field in fields(Trials)}
     recordings = columns.pop("recordings").take(rows)
-    mine, place = rows[w.row], np.cumsum(rows) - 1
     trials = Trials(recordings, **{name: column[rows] for name, column in columns.items()})
-    return Watched(trials, place[w.row[mine]], w.begin[mine], w.now[mine], w.stage[mine], w.x[mine])
+    snapshots = w.snapshots.of_trials(rows)
+    return Watched(trials, replace(snapshots, trial=(np.cumsum(rows) - 1)[snapshots.trial]))
 
 
 def together(sets: list[Watched]) -> Watched:
@@ -58,10 +59,10 @@ def together(sets: list[Watched]) -> Watched:
     trials = Trials(
         Recordings.join(columns.pop("recordings")), **{name: np.concatenate(column) for name, column in columns.items()}
     )
-    first = np.cumsum([0, *(len(w.trials.kind) for w in sets)])
-    row = np.concatenate([w.row + begin for w, begin in zip(sets, first.tolist(), strict=False)])
-    looks = {name: np.concatenate([getattr(w, name) for w in sets]) for name in ("begin", "now", "stage", "x")}
-    return Watched(trials, row, **looks)
+    first = np.cumsum([0, *(len(w.trials.kind) for w in sets)]).tolist()
+    parts = [replace(w.snapshots, trial=w.snapshots.trial + begin) for w, begin in zip(sets, first, strict=False)]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+    return Watched(trials, replace(parts[0], **joined))
 
 
 def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
@@ -72,7 +73,7 @@ def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
     return out
 
 
-def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> Monitor:
+def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> FaultMonitor:
     """A monitor that saw faults of the other sessions; nominal trials are of this one (``calm``), or of those too.
 
     It learns from about as many trials as one of the session's own.
@@ -86,7 +87,7 @@ def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm
     return monitor(lessons, np.ones(len(lessons.trials.kind), bool), seed)
 
 
-def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, Monitor]:
+def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, FaultMonitor]:
     """The monitor of a way, or one for each kind of fault where it must not have seen that kind."""
     if way == UNSEEN:
         return {kind: monitor(w, inside & (w.trials.kind != kind), seed) for kind in GRADES}
@@ -146,7 +147,7 @@ def main() -> None:
             todo = {way: [pool.submit(one, preset, way, seed) for seed in seeds] for way in WAYS}
             done[preset] = measure(w.trials, {way: [job.result() for job in jobs] for way, jobs in todo.items()})
             complete = len(done) == len(sets)
-            keep_faults("faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
+            keep_faults("faults_across", "faults_across", {"what": WHAT, "complete": complete, "presets": done}, args)
 
 
 if __name__ == "__main__":

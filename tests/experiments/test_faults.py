@@ -1,4 +1,4 @@
-"""The experiment on simulated faults: what counts as noticed, and a monitor that learns from made-up looks."""
+"""The experiment on simulated faults: what counts as noticed, and a monitor that learns from synthetic snapshots."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import pytest
 
 from experiments.online import fault_watch as watch
 from experiments.online import faults as online
-from experiments.online.fault_trials import GRADES, NOMINAL, TAIL, Trials, batches, spec_of
-from experiments.online.fault_watch import APPROACH, INSERTION, MATING, SETTLED, Watched, alarms, looks, monitor
+from experiments.online.fault_trials import GRADES, TAIL, Trials, batches, spec_of
+from experiments.online.fault_watch import APPROACH, INSERTION, MATING, SETTLED, Watched, alarms, monitor, schedule
+from rcbht_jax.introspection.fault_monitor import NOMINAL, SubtaskSnapshots
 from rcbht_jax.types import Recordings
 from sim_mjx.randomization.trials import check
 
@@ -35,17 +36,18 @@ def made_up(nominal: int, jammed: int, stopped: int) -> Trials:
 
 
 def seen(those: Trials, wrong: float, seed: int = 0) -> Watched:
-    """Looks with one feature, whose mean is ``wrong`` while a trial is failing."""
-    row, begin, now, stage = looks(those, 1)
+    """Snapshots with one feature, whose mean is ``wrong`` while a trial is failing."""
+    row, stage, begin, now = schedule(those.recordings, 1)
     failing = those.failed[row] & (stage > APPROACH) & (now * DT >= np.where(those.stop < 1e3, those.stop, 0)[row])
     x = np.random.default_rng(seed).normal(size=(len(row), 1)) + wrong * failing[:, None]
-    return Watched(those, row, begin, now, stage, x.astype(np.float32))
+    return Watched(those, SubtaskSnapshots(row, stage, begin, now, x.astype(np.float32), DT))
 
 
-def test_looks_are_at_the_sub_task_that_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert SETTLED not in looks(made_up(2, 0, 1), 7)[3]  # the record is too short
+def test_snapshots_are_of_the_present_sub_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    recordings = made_up(2, 0, 1).recordings
+    assert SETTLED not in schedule(recordings, 7)[1]  # the record is too short
     monkeypatch.setattr(watch, "REST", 3.0)
-    row, begin, now, stage = looks(made_up(2, 0, 1), 7)
+    row, stage, begin, now = schedule(recordings, 7)
     mine = row == 0
     assert now[mine].tolist() == [7, 10, 17, 24, 30, 37, 44, 51, 58, 60, 67, 74, 80]
     assert stage[mine].tolist() == [APPROACH] * 2 + [INSERTION] * 3 + [MATING] * 5 + [SETTLED] * 3
@@ -92,8 +94,10 @@ def test_a_monitor_finds_what_differs_and_keeps_calm_otherwise() -> None:
 
 def test_a_sub_task_that_no_nominal_trial_shows_has_no_machine() -> None:
     w = seen(made_up(600, 20, 0), 6.0)
-    kept = ~((w.stage == MATING) & w.trials.nominal[w.row])
-    some = Watched(w.trials, *(getattr(w, name)[kept] for name in ("row", "begin", "now", "stage", "x")))
+    old = w.snapshots
+    mask = ~((old.subtask == MATING) & w.trials.nominal[old.trial])
+    columns = (getattr(old, name)[mask] for name in ("trial", "subtask", "begin", "now", "features"))
+    some = Watched(w.trials, SubtaskSnapshots(*columns, DT))
     assert list(monitor(some, online.parts(w.trials, 0), 0).machines) == [INSERTION]
 
 

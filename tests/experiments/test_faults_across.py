@@ -1,4 +1,4 @@
-"""The experiment on faults of another session: what each way learns from, on made-up looks."""
+"""The experiment on faults of another session: what each way learns from, on synthetic snapshots."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def sessions(monkeypatch: pytest.MonkeyPatch) -> tuple[Watched, Watched]:
     """Two sessions, in each of which a fault raises the feature by 6; nominal trials of the second are at 6."""
     monkeypatch.setattr(across, "GRADES", KINDS)
     first, second = seen(made_up(600, 20, 20), 6.0), seen(made_up(600, 20, 20), 6.0, seed=1)
-    return first, replace(second, x=second.x + 6)
+    return first, replace(second, snapshots=replace(second.snapshots, features=second.snapshots.features + 6))
 
 
-def test_chosen_trials_keep_their_looks_and_sets_become_one(sessions: tuple[Watched, Watched]) -> None:
+def test_chosen_trials_keep_their_snapshots_and_sets_become_one(sessions: tuple[Watched, Watched]) -> None:
     first, second = sessions
     both = across.together([first, second])
     rows = np.arange(len(both.trials.kind)) >= len(first.trials.kind)
     found = across.chosen(both, rows)
-    for name in ("row", "begin", "now", "stage", "x"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(second, name))
+    for name in ("trial", "subtask", "begin", "now", "features"):
+        np.testing.assert_array_equal(getattr(found.snapshots, name), getattr(second.snapshots, name))
     assert found.trials.kind.tolist() == second.trials.kind.tolist()
     assert len(found.trials.recordings) == rows.sum()
 

@@ -1,0 +1,289 @@
+"""Detection of faults in a stream: one classifier per sub-task and a time limit, both with few false alarms.
+
+A linear SVM per sub-task tells nominal trials from each cause of failure, from features of the sub-task so far; the
+probability that the trial is not nominal raises the alarm of the *words*. The *clock* raises the alarm when a sub-task
+lasts longer than it should. All alarm levels are split-conformal thresholds (Angelopoulos and Bates 2023, section 1) of
+nominal training trials, each streamed through a classifier that was not trained on it: a new nominal trial raises a
+false alarm with at most the chosen probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, sustained_peak
+from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.learning.svm import SvmSpec
+
+NOMINAL = "none"  # the cause of a trial without a fault
+COLUMNS = ("trial", "subtask", "begin", "now", "features")  # of snapshots
+
+
+@dataclass(frozen=True)
+class SubtaskSnapshots:
+    """Features of streams at successive moments; those of a trial stand together, in the order of time.
+
+    Raises:
+        InputError: the rows are not in that order.
+    """
+
+    trial: Int[np.ndarray, " snapshot"]  # number of the trial, from 0
+    subtask: Int[np.ndarray, " snapshot"]  # number of the present sub-task, from 0
+    begin: Int[np.ndarray, " snapshot"]  # first sample of the sub-task
+    now: Int[np.ndarray, " snapshot"]  # samples received since the trial began, > begin
+    features: Float[np.ndarray, "snapshot feature"]  # of the sub-task so far
+    dt: float  # s between samples
+
+    def __post_init__(self) -> None:
+        later = np.diff(self.now) > 0
+        if (
+            not (self.now > self.begin).all()
+            or not ((np.diff(self.trial) > 0) | (np.diff(self.trial) == 0) & later).all()
+        ):
+            raise InputError("snapshots must be sorted by trial and time, each after the beginning of its sub-task.")
+
+    @property
+    def time(self) -> Float[np.ndarray, " snapshot"]:
+        """Seconds since the trial began."""
+        return self.now * self.dt
+
+    @property
+    def elapsed(self) -> Float[np.ndarray, " snapshot"]:
+        """Seconds since the sub-task began."""
+        return (self.now - self.begin) * self.dt
+
+    def of_trials(self, mask: Bool[np.ndarray, " trial"]) -> SubtaskSnapshots:
+        """The snapshots of some trials, which keep their numbers."""
+        rows = mask[self.trial]
+        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
+
+    def by_trial(self, subtask: int) -> dict[int, Int[np.ndarray, " row"]]:
+        """Rows of a sub-task, by trial."""
+        rows = np.flatnonzero(self.subtask == subtask)
+        parts = np.split(rows, np.flatnonzero(np.diff(self.trial[rows])) + 1)
+        return {int(self.trial[part[0]]): part for part in parts if len(part)}
+
+
+def schedule_snapshots(
+    begins: Int[np.ndarray, "trial subtask"], length: Int[np.ndarray, " trial"], every: int
+) -> tuple[Int[np.ndarray, " snapshot"], ...]:
+    """When to look at each trial: every ``every`` samples since its sub-task began, and at the end of the sub-task.
+
+    Args:
+        begins: first sample of each sub-task, increasing; -1 where the trial did not reach it.
+        length: samples in each trial.
+        every: samples between snapshots.
+
+    Returns:
+        ``trial``, ``subtask``, ``begin`` and ``now`` of :class:`SubtaskSnapshots`.
+
+    >>> schedule_snapshots(np.array([[0, 4], [0, -1]]), np.array([7, 4]), 3)[3]
+    array([3, 4, 7, 3, 4])
+    """
+    parts = []
+    for row, (starts, end) in enumerate(zip(begins, length.tolist(), strict=True)):
+        reached = np.flatnonzero(starts >= 0)
+        for subtask, begin, stop in zip(reached, starts[reached], [*starts[reached[1:]], end], strict=True):
+            now = np.append(np.arange(begin + every, stop, every), stop)
+            parts.append(np.stack([np.full_like(now, value) for value in (row, subtask, begin)] + [now]))
+    return tuple(np.concatenate(parts, 1))
+
+
+@dataclass(frozen=True)
+class FaultMonitorConfig:
+    """How a monitor learns."""
+
+    rate: float = 10.0  # snapshots per second
+    false_alarms: float = 0.01  # of the words, per nominal trial
+    clock_false_alarms: float = 0.0025  # of the clock, per nominal trial and timed sub-task
+    holds: tuple[float, ...] = (0.3, 0.5, 1.0, 2.0, 4.0)  # s for which an alarm must last; one of them is chosen
+    cost: float = 0.1  # of the linear SVM
+    snapshots: int = 8  # of a sub-task of a trial that train, evenly spaced
+    fewest: int = 3  # trials of a cause; rarer causes do not train
+
+
+@dataclass(frozen=True)
+class FaultMonitor:
+    """Classifiers, alarm levels and time limits, by sub-task.
+
+    >>> rng = np.random.default_rng(0)
+    >>> cause = np.array(["none"] * 120 + ["jamming"] * 20)
+    >>> begins, length = np.zeros((140, 1), int), np.full(140, 20)
+    >>> trial, subtask, begin, now = schedule_snapshots(begins, length, every=1)
+    >>> features = rng.normal(size=(len(trial), 1)) + 6.0 * (cause[trial] == "jamming")[:, None]
+    >>> snapshots = SubtaskSnapshots(trial, subtask, begin, now, features, dt=0.1)
+    >>> monitor = FaultMonitor.fit(snapshots, cause)
+    >>> first = monitor.alarms(snapshots, 140)["words"]  # s, inf = none
+    >>> int(np.isfinite(first[120:]).sum()), int(np.isfinite(first[:120]).sum()) <= 3
+    (20, True)
+    """
+
+    machines: dict[int, ProbabilisticSvm]
+    levels: dict[int, float]  # probability of a fault above which the words raise the alarm
+    hold: float  # s for which it must stay there
+    limits: dict[int, float]  # s that a sub-task may last
+    detected: float  # share of the training failures that the words detect, held out; mean over the kinds
+
+    @staticmethod
+    def fit(
+        snapshots: SubtaskSnapshots,
+        cause: Shaped[np.ndarray, " trial"],
+        *,
+        subtasks: Sequence[int] | None = None,
+        durations: Mapping[int, Float[np.ndarray, " trial"]] | None = None,
+        kind: Shaped[np.ndarray, " trial"] | None = None,
+        visible: Float[np.ndarray, " trial"] | None = None,
+        deadline: Float[np.ndarray, " trial"] | None = None,
+        config: FaultMonitorConfig | None = None,
+        seed: int = 0,
+    ) -> FaultMonitor:
+        """Learn from streamed trials; the hold time is the one with which most failures are detected, held out.
+
+        Args:
+            snapshots: of the training trials; trials without a snapshot are left out. Folds are grouped by trial.
+            cause: class of each trial, NOMINAL or why it failed.
+            subtasks: that get a classifier, if both nominal and faulty trials reach them; None = all.
+            durations: s that a timed sub-task lasted, NaN where it did not end; none = no clock.
+            kind: over which the share of detected failures is averaged; None = ``cause``.
+            visible: s since the trial began, before which a fault cannot show and snapshots do not train; None = 0.
+            deadline: s; later alarms do not count as detection. NaN = the trial does not count. None = no deadline.
+            config: None = the defaults.
+            seed: of the folds.
+
+        Raises:
+            InputError: no sub-task has both nominal and faulty trials, or there are too few nominal trials for so few
+                false alarms.
+        """
+        config = config or FaultMonitorConfig()
+        nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)
+        visible = np.zeros(len(cause)) if visible is None else visible
+        deadline = np.full(len(cause), np.inf) if deadline is None else deadline
+        limits = {
+            subtask: conformal_threshold(lasted[streamed & nominal], config.clock_false_alarms)
+            for subtask, lasted in (durations or {}).items()
+        }
+        shown = snapshots.time >= visible[snapshots.trial]
+        machines, probability = {}, np.zeros(len(snapshots.trial))
+        for subtask in np.unique(snapshots.subtask).tolist() if subtasks is None else subtasks:
+            here = snapshots.subtask == subtask
+            rows = _training_rows(snapshots, np.flatnonzero(here & shown), cause, config)
+            causes = set(cause[snapshots.trial[rows]].tolist())
+            if NOMINAL in causes and len(causes) > 1:
+                machines[subtask] = _classifier(snapshots, here, rows, cause, config.cost, seed, probability)
+        if not machines:
+            raise InputError(f"no sub-task shows {config.fewest} nominal trials and as many of a cause of failure.")
+        scored = streamed & ~nominal & ~np.isnan(deadline)
+        options = []
+        for hold in config.holds:
+            steps, share = round(hold * config.rate) + 1, config.false_alarms / len(machines)
+            levels = {subtask: _level(snapshots, subtask, nominal, probability, steps, share) for subtask in machines}
+            raised = _detected(snapshots, levels, np.where(scored, deadline, -np.inf), probability, steps)
+            detected = _mean_share(raised[scored], (cause if kind is None else kind)[scored])
+            options.append(FaultMonitor(machines, levels, hold, limits, detected))
+        return max(options, key=lambda option: option.detected)  # the shortest of equals
+
+    def predict(self, snapshots: SubtaskSnapshots) -> Float[np.ndarray, " snapshot"]:
+        """Probability of a fault; 0 in sub-tasks without a classifier."""
+        probability = np.zeros(len(snapshots.trial))
+        for subtask, machine in self.machines.items():
+            rows = np.flatnonzero(snapshots.subtask == subtask)
+            probability[rows] = _fault(machine, machine.probability(snapshots.features[rows]))
+        return probability
+
+    def alarms(self, snapshots: SubtaskSnapshots, trials: int) -> dict[str, Float[np.ndarray, " trial"]]:
+        """Seconds from the beginning of each of ``trials`` trials to the first alarm; inf = none.
+
+        Returns:
+            ``"words"``: by the classifiers; ``"clock"``: by the time limits.
+        """
+        first = {name: np.full(trials, np.inf) for name in ("words", "clock")}
+        probability, time = self.predict(snapshots), snapshots.time
+        for subtask, level in self.levels.items():
+            for trial, rows in snapshots.by_trial(subtask).items():
+                alarm = Alarm(level, self.hold)
+                pairs = zip(probability[rows].tolist(), time[rows].tolist(), strict=True)
+                first["words"][trial] = min(
+                    first["words"][trial], next((t for p, t in pairs if alarm.update(p, t)), np.inf)
+                )
+        limit = np.array([self.limits.get(subtask, np.inf) for subtask in snapshots.subtask.tolist()])
+        late = snapshots.elapsed > limit
+        np.minimum.at(first["clock"], snapshots.trial[late], time[late])
+        return first
+
+
+def _training_rows(
+    snapshots: SubtaskSnapshots,
+    rows: Int[np.ndarray, " row"],
+    cause: Shaped[np.ndarray, " trial"],
+    config: FaultMonitorConfig,
+) -> Int[np.ndarray, " chosen"]:
+    """A few evenly spaced rows of every trial whose cause is frequent enough."""
+    parts = [part for part in np.split(rows, np.flatnonzero(np.diff(snapshots.trial[rows])) + 1) if len(part)]
+    few = [part[np.unique(np.linspace(0, len(part) - 1, config.snapshots).round().astype(np.int64))] for part in parts]
+    rows = np.concatenate([rows[:0], *few])
+    trial = snapshots.trial[rows]
+    frequent = [c for c in np.unique(cause[trial]) if len(np.unique(trial[cause[trial] == c])) >= config.fewest]
+    return rows[np.isin(cause[trial], frequent)]
+
+
+def _classifier(
+    snapshots: SubtaskSnapshots,
+    here: Bool[np.ndarray, " snapshot"],
+    rows: Int[np.ndarray, " row"],
+    cause: Shaped[np.ndarray, " trial"],
+    cost: float,
+    seed: int,
+    probability: Float[np.ndarray, " snapshot"],
+) -> ProbabilisticSvm:
+    """The classifier of a sub-task; fills in the ``probability`` of its training trials, held out."""
+    x, trial = snapshots.features[rows].astype(np.float64), snapshots.trial[rows]
+    causes, y = np.unique(cause[trial], return_inverse=True)
+    spec = SvmSpec("linear", cost, scaling=True, balanced=True, floor=0.1)
+    machine = fit_probabilistic(x, y, trial, causes.tolist(), spec, seed)
+    streamed = np.flatnonzero(here & np.isin(snapshots.trial, trial))
+    classes = held_out(machine, x, y, trial, snapshots.features[streamed], snapshots.trial[streamed], seed)
+    probability[streamed] = _fault(machine, classes)
+    return machine
+
+
+def _fault(machine: ProbabilisticSvm, probability: Float[np.ndarray, "row class"]) -> Float[np.ndarray, " row"]:
+    """Probability of any cause of failure, from that of each class."""
+    return 1.0 - probability[:, machine.svm.classes.index(NOMINAL)]
+
+
+def _level(
+    snapshots: SubtaskSnapshots,
+    subtask: int,
+    nominal: Bool[np.ndarray, " trial"],
+    probability: Float[np.ndarray, " snapshot"],
+    steps: int,
+    share: float,
+) -> float:
+    """Alarm level of a sub-task for a share of false alarms."""
+    calm = [rows for trial, rows in snapshots.by_trial(subtask).items() if nominal[trial]]
+    return conformal_threshold(np.array([sustained_peak(probability[rows], steps) for rows in calm]), share)
+
+
+def _detected(
+    snapshots: SubtaskSnapshots,
+    levels: Mapping[int, float],
+    deadline: Float[np.ndarray, " trial"],
+    probability: Float[np.ndarray, " snapshot"],
+    steps: int,
+) -> Bool[np.ndarray, " trial"]:
+    """Trials in which the words raise the alarm before the deadline."""
+    raised, time = np.zeros(len(deadline), bool), snapshots.time
+    for subtask, level in levels.items():
+        for trial, rows in snapshots.by_trial(subtask).items():
+            raised[trial] |= sustained_peak(probability[rows[time[rows] <= deadline[trial]]], steps) > level
+    return raised
+
+
+def _mean_share(raised: Bool[np.ndarray, " failure"], kind: Shaped[np.ndarray, " failure"]) -> float:
+    """Mean over the kinds of the share of failures that raise the alarm; 0 where there are none."""
+    return float(np.mean([raised[kind == name].mean() for name in np.unique(kind)])) if len(kind) else 0.0

@@ -1,0 +1,79 @@
+"""The fault monitor: few false alarms, alarms in faulty trials, nothing learned before a fault shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.fault_monitor import (
+    NOMINAL,
+    FaultMonitor,
+    FaultMonitorConfig,
+    SubtaskSnapshots,
+    schedule_snapshots,
+)
+
+DT, LENGTH = 0.1, 30
+CONFIG = FaultMonitorConfig(false_alarms=0.04, clock_false_alarms=0.02)
+
+
+def streams(nominal: int, faulty: int, shift: float, since: int = 10, seed: int = 0) -> SubtaskSnapshots:
+    """Two sub-tasks of 10 and 20 samples; the mean of one feature is ``shift`` in faulty trials from ``since`` on."""
+    count = nominal + faulty
+    begins = np.tile([0, 10], (count, 1))
+    trial, subtask, begin, now = schedule_snapshots(begins, np.full(count, LENGTH), 1)
+    x = np.random.default_rng(seed).normal(size=(len(trial), 1)) + shift * ((trial >= nominal) & (now > since))[:, None]
+    return SubtaskSnapshots(trial, subtask, begin, now, x, DT)
+
+
+def causes(nominal: int, faulty: int) -> np.ndarray:
+    return np.array([NOMINAL] * nominal + ["jamming"] * faulty)
+
+
+def test_alarms_on_new_trials_keep_the_promise() -> None:
+    monitor = FaultMonitor.fit(streams(200, 20, 6.0), causes(200, 20), config=CONFIG)
+    first = monitor.alarms(streams(1000, 100, 6.0, seed=1), 1100)
+    assert np.isfinite(first["words"][:1000]).mean() < 2 * CONFIG.false_alarms
+    assert np.isfinite(first["words"][1000:]).mean() > 0.95
+    assert (first["words"][1000:] > 1.0).mean() > 0.95  # not before the fault
+    assert np.isinf(first["clock"]).all()
+
+
+def test_the_clock_raises_the_alarm_when_a_sub_task_lasts_too_long() -> None:
+    durations = {0: np.append(np.linspace(0.6, 0.9, 100), np.full(20, np.nan))}
+    monitor = FaultMonitor.fit(streams(100, 20, 6.0), causes(100, 20), durations=durations, config=CONFIG)
+    assert 0.85 < monitor.limits[0] < 0.9
+    np.testing.assert_allclose(monitor.alarms(streams(2, 1, 0.0), 3)["clock"], 0.9)
+
+
+def test_nothing_is_learned_before_a_fault_can_show() -> None:
+    cause, late = causes(100, 20), streams(100, 20, 6.0, since=20)
+    visible = np.where(cause == NOMINAL, 0.0, 2.05)
+    blind = FaultMonitor.fit(late, cause, subtasks=[1], config=CONFIG)
+    told = FaultMonitor.fit(late, cause, subtasks=[1], visible=visible, config=CONFIG)
+    before = (late.trial >= 100) & (late.subtask == 1) & (late.now <= 20)
+    after = (late.trial >= 100) & (late.now > 20)
+    contrast = [m.predict(late)[after].mean() - m.predict(late)[before].mean() for m in (told, blind)]
+    assert contrast[0] > contrast[1] + 0.1
+    assert set(told.machines) == {1}
+    assert (told.predict(late)[late.subtask == 0] == 0).all()
+
+
+def test_the_hold_time_counts_only_alarms_before_the_deadline() -> None:
+    snapshots, cause = streams(200, 20, 6.0), causes(200, 20)
+    assert FaultMonitor.fit(snapshots, cause, config=CONFIG).detected > 0.9
+    early = np.where(cause == NOMINAL, np.nan, 1.0)
+    assert FaultMonitor.fit(snapshots, cause, deadline=early, config=CONFIG).detected < 0.2
+
+
+def test_input_that_cannot_be_learned_from() -> None:
+    snapshots = streams(60, 2, 6.0)
+    with pytest.raises(InputError, match="no sub-task shows 3 nominal trials"):
+        FaultMonitor.fit(snapshots, causes(60, 2), config=CONFIG)
+    with pytest.raises(InputError, match="it takes 199"):
+        FaultMonitor.fit(streams(60, 20, 6.0), causes(60, 20))
+    with pytest.raises(InputError, match="sorted by trial and time"):
+        replace(snapshots, now=snapshots.now[::-1], begin=np.zeros_like(snapshots.begin))
