@@ -20,6 +20,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from experiments._lib.report_rows import NAME, report_rows
 from experiments._lib.results_io import COMMITTED
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
@@ -107,5 +108,7 @@ def by_hand(page: Path) -> str:
 
 
 if __name__ == "__main__":
+    text = json.dumps(report_rows(), indent=1, ensure_ascii=False)
+    (COMMITTED / f"{NAME}.json").write_text(text + "\n", encoding="utf-8")
     for path in pages():
         path.write_text(replaced(path), encoding="utf-8")

@@ -63,13 +63,17 @@ EXPERIMENTS = (
         "stream_speed", "online.stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,
         shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
     ),
-    Experiment("sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"), shorter_minutes=5),
     Experiment(
-        "faults_online", "online.faults", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"), shorter_minutes=6,
-        shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
+        "sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"),
+        shorter_minutes=5,
     ),
     Experiment(
-        "faults_across", "online.faults_across", 45, ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
+        "faults_online", "online.faults", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"),
+        shorter_minutes=6, shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
+    ),
+    Experiment(
+        "faults_across", "online.faults_across", 45,
+        ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
         shorter_minutes=25, shorter=("--nominal", "300", "300", "--per-kind", "40"),
     ),
     Experiment(
@@ -83,9 +87,15 @@ EXPERIMENTS = (
     Experiment("calibration_near", "calibration.near_preset", 6, (STORE, "--simulated", SETS), ("data",)),
     Experiment("calibration_bank", "calibration.bank", 8, (STORE,), ("data",)),
     Experiment("calibration_transfer", "calibration.transfer", 1, (STORE,), ("data",)),
-    Experiment("calibration_speed", "calibration.speed", 3, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True),
     Experiment(
-        "calibration_device", "calibration.on_device", 10, ("--engine", "warp"), (), ("calibration_device_warp_failure_type",), GPU
+        "calibration_speed", "calibration.speed", 3, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True
     ),
-    Experiment("engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"), elsewhere=GPU),
+    Experiment(
+        "calibration_device", "calibration.on_device", 10, ("--engine", "warp"), (),
+        ("calibration_device_warp_failure_type",), GPU,
+    ),
+    Experiment(
+        "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
+        elsewhere=GPU,
+    ),
 )  # fmt: skip

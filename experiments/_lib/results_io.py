@@ -19,6 +19,12 @@ RESULTS = Path(os.environ.get("RCBHT_RESULTS") or COMMITTED).resolve()
 _PICTURES = COMMITTED.parents[1] / "docs" / "images"
 
 
+def committed(name: str) -> Any:
+    """The numbers of a committed result, without what says how they were made."""
+    record = json.loads((COMMITTED / f"{name}.json").read_text(encoding="utf-8"))
+    return record.get("result", record)
+
+
 def machine() -> str:
     """The machine in words."""
     devices = ", ".join(sorted({device.device_kind for device in jax.devices()}))

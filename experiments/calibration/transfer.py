@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from experiments._lib.checkpointed_rows import Rows
-from experiments._lib.peer_rows import result
+from experiments._lib.results_io import committed
 from experiments.calibration.methods import FAILURES, WORDS, folds, part_of
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("store", type=Path)
     parser.add_argument("--repeats", type=int, default=2, help="of the five folds")
     given = parser.parse_args()
-    found = result(SOURCE)  # the committed one: it takes a GPU to make it
+    found = committed(SOURCE)  # the committed one: it takes a GPU to make it
     limits = {"preset": np.asarray(preset().limits)}
     limits |= {f"simulated, {name}": np.array(found[name]["limits"]) for name in ("search", "gradient")}
     recordings = part_of(read_recordings(given.store), (FAILURES,))

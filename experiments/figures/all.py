@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments._lib.peer_rows import compared, result
+from experiments._lib.report_rows import peer_rows
+from experiments._lib.results_io import committed
 from experiments.figures import calibration_curves, dots, online
 from experiments.figures import faults as faults_figure
 from experiments.figures import sim_to_real as sim_to_real_figure
@@ -25,9 +26,9 @@ KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "
 
 def peers() -> Figure:
     """One panel per benchmark: accuracy of every method with its interval, best on top."""
-    facts = result("peers")["benchmarks"]
+    facts = committed("peers")["benchmarks"]
     figure = new_figure((12.5, 9.4), DPI)
-    for number, (benchmark, methods) in enumerate(compared().items()):
+    for number, (benchmark, methods) in enumerate(peer_rows(committed("peers"), committed("grammar")).items()):
         ax = figure.add_subplot(2, len(facts) // 2, number + 1)
         rows = {method: row for method, row in methods.items() if method != "majority"}
         order = sorted(rows, key=lambda method: rows[method]["accuracy"]["mean"])
@@ -66,7 +67,7 @@ def short(method: str) -> str:
 
 def curves() -> Figure:
     """Accuracy over the number of training trials, one panel per set."""
-    rows = result("curves")["rows"]
+    rows = committed("curves")["rows"]
     names = list(dict.fromkeys(name.split(" | ")[0] for name in rows))
     figure = new_figure((10.0, 4.0), DPI)
     for number, name in enumerate(names):
@@ -90,7 +91,7 @@ def curves() -> Figure:
 
 def grids() -> Figure:
     """Accuracy over kernel and cost, one panel per set and kind of features."""
-    found = result("curves")
+    found = committed("curves")
     rows = {name: row for name, row in found["rows"].items() if " | grid | " in name}
     figure = new_figure((11.0, 4.2), DPI)
     for number, (name, row) in enumerate(rows.items()):
@@ -112,7 +113,7 @@ def grids() -> Figure:
 
 def confidence() -> Figure:
     """Belief in the true class over the course of a sub-task: a row per set, a column per class."""
-    rows = result("confidence")["rows"]
+    rows = committed("confidence")["rows"]
     figure = new_figure((10.5, 2.3 * len(rows) + 0.4), DPI)
     for number, (name, row) in enumerate(rows.items()):
         for place, (state, belief) in enumerate(row["belief"].items()):
@@ -137,22 +138,22 @@ def confidence() -> Figure:
 
 def sim_to_real() -> Figure:
     """What each choice does to the accuracy on recorded trials of a learner that saw simulated ones only."""
-    return sim_to_real_figure.draw(result("sim_to_real")["rows"], sim_to_real_figure.STORY)
+    return sim_to_real_figure.draw(committed("sim_to_real")["rows"], sim_to_real_figure.STORY)
 
 
 def sim_to_real_all() -> Figure:
     """The same with all that was tried."""
-    return sim_to_real_figure.draw(result("sim_to_real")["rows"])
+    return sim_to_real_figure.draw(committed("sim_to_real")["rows"])
 
 
 def reliability() -> Figure:
     """How often a streamed belief of some probability is right."""
-    return online.reliability(result("table2")["rows"])
+    return online.reliability(committed("table2")["rows"])
 
 
 def early() -> Figure:
     """How much of a sub-task must have passed until its name is right."""
-    return online.early(result("table2")["rows"])
+    return online.early(committed("table2")["rows"])
 
 
 def table1() -> Figure:
@@ -163,7 +164,7 @@ def table1() -> Figure:
         "duration alone": "duration alone",
     }
     rows, printed = {}, {}
-    for name, row in result("table1_ours")["rows"].items():
+    for name, row in committed("table1_ours")["rows"].items():
         title = name.replace(" | ", ", ")
         rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
         if row["paper"] is not None:
@@ -173,24 +174,24 @@ def table1() -> Figure:
 
 def probes() -> Figure:
     """What tells failure, success and session without any assembly."""
-    rows = dots.of_rows(result("probes")["rows"], "balanced_accuracy")
+    rows = dots.of_rows(committed("probes")["rows"], "balanced_accuracy")
     shown = {question: {kind: row[kind] for kind in list(row)[1:]} for question, row in rows.items()}
     return dots.draw(shown, "balanced accuracy")
 
 
 def calibration() -> Figure:
     """What each way of calibrating reaches in how much time."""
-    return calibration_curves.draw(result("calibration_curves")["rows"])
+    return calibration_curves.draw(committed("calibration_curves")["rows"])
 
 
 def faults() -> Figure:
     """Simulated faults: what fails, and what is noticed, by severity."""
-    return faults_figure.faults(result("faults_online")["presets"])
+    return faults_figure.faults(committed("faults_online")["presets"])
 
 
 def failure_types() -> Figure:
     """What each kind of the authors' failures is taken for by the best of the streamed heads."""
-    found = result("failure_types_online")
+    found = committed("failure_types_online")
     at = "at 100%, votes of pairs"
     name, row = max(found["rows"].items(), key=lambda item: item[1][at]["mean"])
     title = f"{name}: {row[at]['mean']:.3f} of {found['trials']} failures, streamed, trials not trained on"

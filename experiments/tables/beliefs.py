@@ -1,34 +1,36 @@
-"""Tables of beliefs about trials as a whole: beginnings that nobody tells, success or failure, kinds of failure."""
+"""Tables of streamed beliefs about whole trials: detected onsets, success or failure, kinds of failure."""
 
 from __future__ import annotations
 
-from experiments._lib.peer_rows import result
-from experiments.tables.cells import markdown
+from typing import Any
+
+from experiments.tables.cells import markdown, table
 
 
-def detected(way: str) -> str:
-    """Who says when a sub-task begins."""
-    rows = result("detected_starts")["rows"]
+@table("detected", "detected_starts")
+def detected(result: dict[str, Any]) -> str:
+    """Step accuracy with given and with detected onsets."""
+    rows = result["rows"]
     ways = {
-        "beginnings given (harmonised)": "given",
-        'beginnings noticed by the head "phase"': "noticed",
-        "the state that was noticed, itself": "filter alone",
-        'the head "phase" itself': "phase alone",
+        "onsets given (harmonised)": "given",
+        'onsets detected by the head "phase"': "noticed",
+        "the detected state itself": "filter alone",
+        'the belief of the head "phase" itself': "phase alone",
     }
     lines = [
-        (said, *(f"{rows[name][f'macro step accuracy, {key}']['mean']:.3f}" for name in ("REAL", "SIM1")))
-        for said, key in ways.items()
+        (title, *(f"{rows[name][f'macro step accuracy, {key}']['mean']:.3f}" for name in ("REAL", "SIM1")))
+        for title, key in ways.items()
     ]
     return markdown(("step accuracy (mean of classes)", "real trials", "SIM one arm"), lines)
 
 
-def abnormal(way: str) -> str:
+@table("abnormal", "abnormal_real")
+def abnormal(result: dict[str, Any]) -> str:
     """Success or failure of real trials."""
-    rows = result("abnormal_real")["rows"]
     names = {
         "mixed": "all sessions mixed",
-        "held out": "successes of a session that was not trained on",
-        "sessions": "the same machine tells A from B, both successes",
+        "held out": "successes of a session not trained on",
+        "sessions": "control: success in A or success in B",
     }
     moments = {
         "every tenth of a second": ".3f",
@@ -38,29 +40,32 @@ def abnormal(way: str) -> str:
     }
     lines = []
     for name, title in names.items():
-        found = rows[name]["all features"]
-        # Between two sessions of successes there is nothing to raise an alarm about.
-        told = {key: "" if (name, key) == ("sessions", "successes alarmed") else form for key, form in moments.items()}
-        cells = (format(found[key]["mean"], form) if form else "" for key, form in told.items())
+        scores = result["rows"][name]["all features"]
+        # Two sessions of successes contain nothing to raise an alarm about.
+        blank = {"successes alarmed"} if name == "sessions" else set()
+        cells = ("" if key in blank else format(scores[key]["mean"], form) for key, form in moments.items())
         lines.append((title, *cells))
-    head = ("every tenth of a second", "after 1 s, before any contact", "at the end", "successes that raise the alarm")
+    head = ("every tenth of a second", "after 1 s, before any contact", "at the end", "false alarms, % of successes")
     return markdown(("mean recall", *head), lines)
 
 
-def failure_types(way: str) -> str:
+@table("failure-types", "failure_types_online")
+def failure_types(result: dict[str, Any]) -> str:
     """Failure types of the authors' simulation from the stream."""
-    found = result("failure_types_online")
     lines = [
         (
             name,
             *(f"{row[key]['mean']:.3f}" for key in ("at 50%", "at 75%", "at 100%", "at 100%, votes of pairs")),
             f"{row['calibration error of steps']['mean']:.3f}",
         )
-        for name, row in found["rows"].items()
+        for name, row in result["rows"].items()
     ]
-    lines.append(("the most frequent class", *[f"{found['most frequent class']:.3f}"] * 4, ""))
-    head = ("half of the record", "three quarters", "all of it", "all of it, most votes", "calibration error, steps")
+    lines.append(("the most frequent class", *[f"{result['most frequent class']:.3f}"] * 4, ""))
+    head = (
+        "half of the record",
+        "three quarters",
+        "all of it",
+        "all of it, pairwise votes",
+        "calibration error, steps",
+    )
     return markdown(("accuracy", *head), lines)
-
-
-TABLES = {"detected": detected, "abnormal": abnormal, "failure-types": failure_types}

@@ -1,10 +1,39 @@
-"""What tables are made of: lines of Markdown, means with their intervals."""
+"""What tables are made of: the register, lines of Markdown, means with their intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from experiments._lib.results_io import committed
 
 NONE = "–"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the documentation, and the committed results that its numbers come from."""
+
+    draw: Callable[..., str]  # takes the results in the order of ``reads``
+    reads: tuple[str, ...]
+    links: bool = False  # draw also takes ``way``, the path from its page to the results
+
+    def __call__(self, way: str) -> str:
+        results = [committed(name) for name in self.reads]
+        return self.draw(*results, way=way) if self.links else self.draw(*results)
+
+
+TABLES: dict[str, Table] = {}
+
+
+def table(name: str, *reads: str, links: bool = False) -> Callable[[Callable[..., str]], Callable[..., str]]:
+    """Register a function that draws a table, by name."""
+
+    def register(draw: Callable[..., str]) -> Callable[..., str]:
+        TABLES[name] = Table(draw, reads, links)
+        return draw
+
+    return register
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

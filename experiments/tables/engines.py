@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
-from experiments._lib.peer_rows import result
-from experiments._lib.results_io import COMMITTED
-from experiments.tables.cells import markdown
+from experiments.tables.cells import markdown, table
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"
+DEVICES = ("engines_gpu", "engines")
+Result = dict[str, Any]
 
 
-def _engine_runs(part: str) -> dict[str, Any]:
+def _runs(gpu: Result, cpu: Result, part: str) -> Result:
     """One part of the measurements on a GPU, by engine, and of those on a CPU where they have it."""
-    gpu = json.loads((COMMITTED / "engines_gpu.json").read_text(encoding="utf-8"))  # two runs in one file
-    found = {f"`{engine}`, one H200": gpu[engine][part] for engine in ("warp", "mjx") if part in gpu[engine]}
-    cpu = result("engines")["mjx"]
-    return found | ({"`mjx`, 2 CPU cores": cpu[part]} if part in cpu else {})
+    runs = {f"`{engine}`, one H200": gpu[engine].get(part) for engine in ("warp", "mjx")}
+    runs["`mjx`, 2 CPU cores"] = cpu["mjx"].get(part)
+    return {name: run for name, run in runs.items() if run is not None}
 
 
-def parity(way: str) -> str:
+@table("parity", *DEVICES)
+def parity(gpu: Result, cpu: Result) -> str:
     """The device engines against C MuJoCo."""
     lines = []
-    for engine, found in _engine_runs("parity").items():
+    for engine, found in _runs(gpu, cpu, "parity").items():
         wrench = [found[f"{what}_until_contact"] for what in ("force", "moment")]
         words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
         contact = f"{wrench[0]:.3f} N, {wrench[1]:.4f} Nm"
@@ -33,19 +32,21 @@ def parity(way: str) -> str:
     return markdown((*head, "same state, % of time", "same outcome, % of trials"), lines)
 
 
-def parity_floor(way: str) -> str:
+@table("parity-floor", "parity_floor")
+def parity_floor(result: Result) -> str:
     """C MuJoCo against itself when next to nothing changes."""
     lines = []
-    for change, found in result("parity_floor")["rows"].items():
+    for change, found in result["rows"].items():
         words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
         lines.append((change, f"{found['force_until_contact']:.3f} N", words))
     return markdown(("change", "largest difference until contact", WORDS_SAME), lines)
 
 
-def solver(way: str) -> str:
+@table("solver", *DEVICES)
+def solver(gpu: Result, cpu: Result) -> str:
     """How far the solver of the device engines must go."""
     lines = []
-    for engine, rows in _engine_runs("solver").items():
+    for engine, rows in _runs(gpu, cpu, "solver").items():
         for row in sorted(rows, key=lambda row: -row["steps_per_s"]):
             middle, most = (row[f"{what}_force_difference_after_contact"] for what in ("median", "p99"))
             limits = "/".join(str(limit) for limit in row["solver"])
@@ -54,11 +55,12 @@ def solver(way: str) -> str:
     return markdown(head, lines)
 
 
-def speed(way: str) -> str:
+@table("speed", *DEVICES)
+def speed(gpu: Result, cpu: Result) -> str:
     """Physics steps per second with everything inside, by engine and batch."""
     lines = []
     for kind in ("speed", "sweep"):
-        for engine, found in _engine_runs(kind).items():
+        for engine, found in _runs(gpu, cpu, kind).items():
             for run in found if isinstance(found, list) else [found]:
                 millions, memory = run["steps_per_s"] / 1e6, run["memory_peak_GB"]
                 lines.append(
@@ -67,10 +69,11 @@ def speed(way: str) -> str:
     return markdown(("engine", "trials at once", "million steps per second", "compilation, s", "memory, GB"), lines)
 
 
-def synthesis(way: str) -> str:
+@table("synthesis", *DEVICES)
+def synthesis(gpu: Result, cpu: Result) -> str:
     """A store of labelled trials from a GPU, from the command to the last byte."""
     lines = []
-    for engine, run in _engine_runs("synthesis").items():
+    for engine, run in _runs(gpu, cpu, "synthesis").items():
         parts = run["seconds_by_part"]
         seconds = (run["seconds"], run["with_compilation_s"], parts["run"], parts["encode_on_device"])
         counts = (f"{run['trials']:,}", f"{run['physics_steps_per_trial']:,}")
@@ -78,12 +81,3 @@ def synthesis(way: str) -> str:
         lines.append((engine, *counts, *(f"{value:.0f}" for value in seconds), *rest))
     head = ("engine", "trials", "physics steps each", "seconds", "with compilation", "of them physics", "labels")
     return markdown((*head, "store, GB", "diverged, left out"), lines)
-
-
-TABLES = {
-    "parity": parity,
-    "parity-floor": parity_floor,
-    "solver": solver,
-    "speed": speed,
-    "synthesis": synthesis,
-}

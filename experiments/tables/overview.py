@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from typing import Any
 
 from experiments._lib.catalogue import EXPERIMENTS
+from experiments._lib.report_rows import NAME
 from experiments._lib.results_io import COMMITTED
 from experiments.figures.all import FIGURES, PICTURES
-from experiments.tables.cells import NONE, markdown
+from experiments.tables.cells import NONE, markdown, table
 from rcbht_jax.errors import InputError
-from rcbht_jax.report.results import Row, read_results
 
 # What the README shows: beginning of the group, of the row's text -> what it is called there.
 SHOWN = {
@@ -26,29 +27,29 @@ SHOWN = {
     ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
 }
 NEEDS = {"data": "recorded trials", "golden": "reference results", "peers": "`make peers`"}
-
-
 MODULES = Path(__file__).resolve().parents[1]
 
 
-def results(way: str) -> str:
+@table("results", NAME, links=True)
+def results(record: dict[str, Any], way: str) -> str:
     """The README's table."""
-    rows = read_results(COMMITTED).rows
+    rows = record["rows"]
     lines = []
     for (group, what), title in SHOWN.items():
-        row = _only([row for row in rows if row.group.startswith(group) and row.what.startswith(what)], what)
-        low, high = row.interval or (row.ours, row.ours)
-        link = f"[{Path(row.source).stem}]({way}{row.source})"
-        lines.append((title, row.paper or "none", f"{row.ours:.3f} ({low:.3f} to {high:.3f})", link))
+        row = _only([row for row in rows if row["group"].startswith(group) and row["what"].startswith(what)], what)
+        low, high = row["interval"]
+        link = f"[{Path(row['source']).stem}]({way}{row['source']})"
+        lines.append((title, row["paper"] or "none", f"{row['ours']:.3f} ({low:.3f} to {high:.3f})", link))
     return markdown(("accuracy", "paper", "here, 95 % interval", "result"), lines)
 
 
-def _only(rows: list[Row], what: str) -> Row:
+def _only(rows: list[dict[str, Any]], what: str) -> dict[str, Any]:
     if len(rows) != 1:
         raise InputError(f"{len(rows)} results are called {what}; expected one.")
     return rows[0]
 
 
+@table("experiments", links=True)
 def experiments(way: str) -> str:
     """What ``make reproduce`` runs, and what it cannot."""
     lines = []
@@ -66,16 +67,10 @@ def experiments(way: str) -> str:
     return markdown(("command", "what", "needs", "about minutes", "results"), lines)
 
 
+@table("pictures", links=True)
 def pictures(way: str) -> str:
     """What draws every picture of the documentation."""
     drawn = dict.fromkeys(FIGURES, "python -m experiments.figures.all") | PICTURES
     folder = way.removesuffix("../experiments/results/") + "images/"  # seen from a page inside docs
     lines = [(f"[{name}]({folder}{name}.png)", f"`{command}`") for name, command in sorted(drawn.items())]
     return markdown(("picture", "command"), lines)
-
-
-TABLES = {
-    "results": results,
-    "experiments": experiments,
-    "pictures": pictures,
-}

@@ -4,36 +4,48 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments._lib.peer_rows import result
-from experiments.tables.cells import markdown
+from experiments.tables.cells import markdown, table
+
+Result = dict[str, Any]
+# Rows whose name in the result is not what the table prints.
+TITLES = {
+    "sensor | all presets wear a robot's": "sensor: a robot's in all presets",
+    "sensor | the OpenHRP preset's is free of noise": "sensor: noise-free in the OpenHRP preset",
+    "mating | each preset's own time": "mating: nominal duration of each preset",
+    "mating | own time, without A and B": "mating: nominal duration, without A and B",
+}
 
 
-def sim_to_real(way: str) -> str:
-    """States of recorded trials by learners that saw simulated ones only."""
-    return _transfers(("main", "baseline", "one preset"))
+@table("sim-to-real", "sim_to_real")
+def sim_to_real(result: Result) -> str:
+    """States of recorded trials by classifiers trained on simulated ones only."""
+    return _transfers(result, ("main", "baseline", "one preset"))
 
 
-def sim_to_real_choices(way: str) -> str:
-    """What each choice does to it."""
+@table("sim-to-real-choices", "sim_to_real")
+def sim_to_real_choices(result: Result) -> str:
+    """The effect of each choice."""
     some = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")
-    return _transfers(some)
+    return _transfers(result, some)
 
 
-def sim_to_real_thresholds(way: str) -> str:
+@table("sim-to-real-thresholds", "sim_to_real")
+def sim_to_real_thresholds(result: Result) -> str:
     """Thresholds calibrated on simulated trials only."""
-    return _transfers(("thresholds", "thresholds, without A and B"))
+    return _transfers(result, ("thresholds", "thresholds, without A and B"))
 
 
-def _transfers(groups: tuple[str, ...]) -> str:
-    rows = _worst_draws(result("sim_to_real")["rows"])
+def _transfers(result: Result, groups: tuple[str, ...]) -> str:
+    rows = _worst_draws(result["rows"])
     lines = []
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
         scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
-        said = [f"{score['accuracy']:.3f}" for score in scores]
+        cells = [f"{score['accuracy']:.3f}" for score in scores]
         for place in (2, 5):
             low, high = scores[place]["interval"]
-            said[place] += f" ({low:.3f} to {high:.3f})"
-        lines.append((name.replace(" | ", ": "), str(rows[name]["merged"]["trials"]), *said))
+            cells[place] += f" ({low:.3f} to {high:.3f})"
+        title = TITLES.get(name, name.replace(" | ", ": "))
+        lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return markdown(head, lines)
 
@@ -45,11 +57,4 @@ def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:
         if "A+B" in row.get("merged", {}):
             title, _, drawn = name.partition(", draw")
             groups.setdefault(f"{title}, worst draw" if drawn else title, []).append(row)
-    return {name: min(found, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, found in groups.items()}
-
-
-TABLES = {
-    "sim-to-real": sim_to_real,
-    "sim-to-real-choices": sim_to_real_choices,
-    "sim-to-real-thresholds": sim_to_real_thresholds,
-}
+    return {name: min(draws, key=lambda row: row["harmonised"]["A+B"]["accuracy"]) for name, draws in groups.items()}

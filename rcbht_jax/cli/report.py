@@ -36,7 +36,7 @@ class Report(Command):
     model: Annotated[Path | None, tyro.conf.arg(aliases=["-m"], metavar="MODEL")] = None
     """Model file of "rcbht train-online", whose beliefs are shown over time."""
     results: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder with JSON results of experiments, shown as a table: paper, ours, peers."""
+    """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
     tracks: str = ""
     """Label tracks to show, where the store has several."""
     window: int | None = None

@@ -22,7 +22,7 @@ from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
 from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.report.pack import believe, pack
-from rcbht_jax.report.results import FLAGS, Results, cells
+from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings
 
 
@@ -154,21 +154,22 @@ _HEADS = ("benchmark", "paper", "ours", "95 % interval", "best peer", "duration 
 
 def results_html(results: Results) -> str:
     """The table of results with footnotes, and the files and commands behind it."""
-    notes = [flag for flag in FLAGS if any(flag in row.flags for row in results.rows)]
+    notes = [flag for flag in results.notes if any(flag in row.flags for row in results.rows)]
     head = "".join(f'<th scope="col">{title}</th>' for title in _HEADS)
     body = []
     for group, rows in groupby(results.rows, key=lambda row: row.group):
         body.append(f'<tr class="group"><th scope="colgroup" colspan="{len(_HEADS)}">{escape(group)}</th></tr>')
         for row in rows:
             what, *values = cells(row)
-            marks = " ".join(f'<a href="#flag-{flag}">{notes.index(flag) + 1}</a>' for flag in row.flags)
+            numbers = (notes.index(flag) + 1 for flag in row.flags)
+            marks = " ".join(f'<a href="#note-{number}">{number}</a>' for number in numbers)
             written = "".join(f"<td>{escape(value) or '<i>none</i>'}</td>" for value in values)
             body.append(f'<tr><th scope="row">{escape(what)}</th>{written}<td>{marks}</td></tr>')
-    footnotes = "".join(f'<li id="flag-{flag}">{FLAGS[flag]}</li>' for flag in notes)
+    footnotes = "".join(f'<li id="note-{n}">{escape(results.notes[flag])}</li>' for n, flag in enumerate(notes, 1))
     listed = "".join(
         f"<tr><td>{escape(file)}</td><td><code>{escape(command)}</code></td><td>{escape(date)}</td>"
         f"<td>{escape(machine)}</td></tr>"
-        for file, command, date, machine in results.files
+        for file, command, date, machine in results.sources
     )
     return (
         '<h2 id="results">Results</h2><div class="wide" role="region" tabindex="0" aria-label="results">'

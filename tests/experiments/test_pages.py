@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from experiments import pages
+from experiments._lib import results_io
+from experiments._lib.report_rows import NAME, report_rows
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
@@ -17,12 +21,72 @@ from rcbht_jax.learning.tasks import CONFOUNDS
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "experiments" / "results"
+DECIMAL = re.compile(r"(?<![\d.])\d\.\d{2,4}(?!\d)")
 SCORE = re.compile(r"(?<![\d.])[01]?\.\d{2,}")
 # Pages whose scores are all generated.
 BY_HAND = (
     "README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md", "docs/engines.md",
     "docs/howto/features.md", "docs/concepts.md", "docs/tutorial.md", "docs/calibration.md", "docs/online.md",
 )  # fmt: skip
+# One cell of each table, and where its number is: table, first cells of the row, column, format and place.
+CELLS = [
+    ("results", "states, real trials, streamed, at their end", "here, 95 % interval",
+     ".3f table2 > rows > REAL at 10 Hz > all > full-sequence accuracy > mean"),
+    ("peers-folds", "MiniRocket + ridge", "SIM1 states",
+     ".3f peers > rows > SIM1 states | MiniRocket + ridge > accuracy > mean"),
+    ("peers-sessions", "richer words + SVM, all", "REAL states, A to B",
+     ".3f grammar > rows > REAL states, A to B | all families > accuracy > mean"),
+    ("grammar-folds", "levels alone", "failure types",
+     ".3f grammar > rows > failure types | levels alone > accuracy > mean"),
+    ("grammar-sessions", "richer words", "REAL states, B to A",
+     ".3f grammar > rows > REAL states, B to A | richer words > accuracy > mean"),
+    ("table1", "REAL success/failure | online", "words, nested, grouped",
+     ".3f table1_ours > rows > REAL success/failure | online > words, nested, grouped > accuracy > mean"),
+    ("probes", "REAL success A or success B", "first sample alone",
+     ".3f probes > rows > REAL success A or success B | first sample alone > balanced_accuracy > mean"),
+    ("two-arm", "trained on `two`, tested on recorded", "words and duration",
+     ".3f two_arm_states > trained on two, tested on recorded > words and duration > mean"),
+    ("two-arm-fidelity", "`two`, left wrist", "time warping / sd",
+     ".3f two_arm > two > signature of trials like the recorded ones > left > dtw_over_sd"),
+    ("calibration", "REAL A -> B, harmonised", "context",
+     ".3f calibration > real-transfer > A -> B, harmonised > context > words > accuracy > mean"),
+    ("calibration-near", "average of all", "REAL B -> A",
+     ".3f calibration_near > rows > REAL B -> A | average of all > accuracy > mean"),
+    ("calibration-bank", "words: best inside", "REAL A -> B",
+     ".3f calibration_bank > rows > words | REAL A -> B | best inside > accuracy > mean"),
+    ("calibration-time", "random", "evaluations", "d calibration_curves > rows > random | seed 0 > evaluations"),
+    ("calibration-simulated", "simulated, search", "the authors' failures, ranks",
+     ".3f calibration_transfer > rows > simulated, search | ranks > accuracy > mean"),
+    ("online", "SIM one arm, relative features", "OverallPr",
+     ".3f table2 > rows > SIM1 at 10 Hz > relative > OverallPr > mean"),
+    ("latency", "one window to belief, 99 %", "time", ".2f stream_speed > latency > p99, ms"),
+    ("faults", "missing tab", "C",
+     ".3f faults_online > presets > C > kinds > missing-tab > with contact > share detected > mean"),
+    ("faults-apart", "jamming, parts seated, alarms", "A",
+     "d faults_online > presets > A > kinds > jamming > with contact > of them alarmed"),
+    ("faults-across", "jamming", "same session, without this kind",
+     ".3f faults_across > presets > B > kind never seen > kinds > jamming > share detected > mean"),
+    ("detected", "the detected state itself", "SIM one arm",
+     ".3f detected_starts > rows > SIM1 > macro step accuracy, filter alone > mean"),
+    ("abnormal", "successes of a session not trained on", "at the end",
+     ".3f abnormal_real > rows > held out > all features > at 100% > mean"),
+    ("failure-types", "richer words", "all of it, pairwise votes",
+     ".3f failure_types_online > rows > richer words > at 100%, votes of pairs > mean"),
+    ("parity", "`mjx`, one H200", "trials", "d engines_gpu > mjx > parity > trials"),
+    ("parity-floor", "part moved by 1e-07 m", "largest difference until contact",
+     ".3f parity_floor > rows > part moved by 1e-07 m > force_until_contact"),
+    ("solver", "`mjx`, one H200 | 6/4", "million steps per second",
+     ".2f/1e6 engines_gpu > mjx > solver > 0 > steps_per_s"),
+    ("speed", "`warp`, one H200 | 8,192", "million steps per second",
+     ".2f/1e6 engines_gpu > warp > speed > steps_per_s"),
+    ("synthesis", "`warp`, one H200", "trials", ", engines_gpu > warp > synthesis > trials"),
+    ("sim-to-real", "main: without preset A", "4 states, A",
+     ".3f sim_to_real > rows > main | without preset A > harmonised > A > accuracy"),
+    ("sim-to-real-choices", "sensor: a robot's in all presets", "training trials",
+     "d sim_to_real > rows > sensor | all presets wear a robot's > merged > trials"),
+    ("sim-to-real-thresholds", "thresholds: gradient, words", "3 states, B",
+     ".3f sim_to_real > rows > thresholds | gradient, words > merged > B > accuracy"),
+]  # fmt: skip
 
 
 def test_every_table_is_shown_somewhere() -> None:
@@ -34,18 +98,57 @@ def test_tables_and_numbers_are_those_of_the_committed_results(page: Path) -> No
     assert pages.replaced(page) == page.read_text(encoding="utf-8"), "run python -m experiments.pages"
 
 
+@pytest.fixture
+def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[float]]:
+    """Leaves a table only the results that it declares, and returns their numbers."""
+
+    def leave(name: str) -> list[float]:
+        for result in TABLES[name].reads:
+            shutil.copy(RESULTS / f"{result}.json", tmp_path)
+        monkeypatch.setattr(results_io, "COMMITTED", tmp_path)
+        return [number for result in TABLES[name].reads for number in numbers(results_io.committed(result))]
+
+    return leave
+
+
 @pytest.mark.parametrize("name", TABLES)
-def test_every_number_of_a_table_is_in_a_result(name: str) -> None:
+def test_every_number_of_a_table_is_in_the_results_that_it_declares(
+    name: str, declared: Callable[[str], list[float]]
+) -> None:
+    values = declared(name)
     lines = TABLES[name]("").splitlines()
     assert len({line.count("|") for line in lines}) == 1
-    held = {f"{abs(number) / unit:.{digits}f}" for number in all_numbers() for digits in (2, 3, 4) for unit in (1, 1e6)}
-    found = re.findall(r"(?<![\d.])\d\.\d{2,4}(?!\d)", "\n".join(lines[2:]))
-    assert found or name in ("experiments", "pictures", "synthesis")  # whose numbers are whole
-    assert set(found) <= held
+    held = {f"{abs(value) / unit:.{digits}f}" for value in values for digits in (2, 3, 4) for unit in (1, 1e6)}
+    if name == "results":  # what the paper prints is text in the rows
+        held |= set(DECIMAL.findall((RESULTS / f"{NAME}.json").read_text()))
+    printed = DECIMAL.findall("\n".join(lines[2:]))
+    assert bool(printed) == (name not in ("experiments", "pictures", "synthesis"))  # whose numbers are whole
+    assert set(printed) <= held
 
 
-def all_numbers() -> list[float]:
-    return [number for path in RESULTS.glob("*.json") for number in numbers(json.loads(path.read_text()))]
+@pytest.mark.parametrize(("name", "row", "column", "mark"), CELLS, ids=[cell[0] for cell in CELLS])
+def test_a_cell_is_the_value_at_its_place(name: str, row: str, column: str, mark: str) -> None:
+    head, _, *lines = TABLES[name]("").splitlines()
+    (cells,) = [line.split(" | ") for line in lines if line.startswith(f"| {row} |")]
+    titles = head.removeprefix("| ").removesuffix(" |").split(" | ")
+    shown = re.search(r"[\d,.]+", cells[titles.index(column)].removeprefix("| "))
+    assert shown
+    assert shown[0].strip(",") == pages.number(*mark.split(" ", 1))
+
+
+def test_every_table_of_results_has_a_cell_with_its_place() -> None:
+    assert {cell[0] for cell in CELLS} == {name for name, table in TABLES.items() if table.reads}
+
+
+def test_the_rows_of_the_report_are_those_of_the_results() -> None:
+    stored = json.loads((RESULTS / f"{NAME}.json").read_text(encoding="utf-8"))
+    assert stored == json.loads(json.dumps(report_rows())), "run python -m experiments.pages"
+    for row in stored["rows"]:
+        values = set(numbers(json.loads((RESULTS / row["source"]).read_text())["result"]))
+        assert {row["ours"], *(row["interval"] or ()), *([row["duration"]] if row["duration"] else [])} <= values
+        if row["peer"]:  # that of richer words is a row of peers.json
+            values |= set(numbers(results_io.committed("peers"))) if row["source"] == "grammar.json" else set()
+            assert {row["peer"]["mean"], *row["peer"]["interval"]} <= values
 
 
 def numbers(value: Any) -> list[float]:

@@ -15,28 +15,32 @@ import rcbht_jax
 from experiments import reproduce
 from experiments._lib import agreement, checkpointed_rows
 from experiments._lib.catalogue import EXPERIMENTS, Experiment
+from experiments._lib.report_rows import NAME
 from experiments.reproduce import Form, Spent
 
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "experiments").glob("*.py")}
-SHARED = ("record", "rows")  # which hold the functions that write
+MODULES = {
+    ".".join(path.relative_to(ROOT / "experiments").with_suffix("").parts): path.read_text(encoding="utf-8")
+    for path in (ROOT / "experiments").rglob("*.py")
+}
+RESULTS = sorted(path for path in (ROOT / "experiments" / "results").glob("*.json") if path.stem != NAME)
 
 
 def test_the_table_names_every_module_that_writes_a_result() -> None:
-    writing = {name for name, text in MODULES.items() if re.search(r"\b(write_result|Rows)\(", text)} - set(SHARED)
-    assert {experiment.module for experiment in EXPERIMENTS} >= writing
+    writing = {name for name, text in MODULES.items() if re.search(r"\b(write_result|Rows)\(", text)}
+    assert {experiment.module for experiment in EXPERIMENTS} >= {name for name in writing if "_lib" not in name}
     assert {experiment.module for experiment in EXPERIMENTS} <= set(MODULES)
     assert len({experiment.module for experiment in EXPERIMENTS}) == len(EXPERIMENTS)
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "experiments" / "results").glob("*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
 def test_every_committed_result_has_a_command_that_exists(path: Path) -> None:
     record = json.loads(path.read_text(encoding="utf-8"))
-    module = re.match(r"python -m experiments\.(\w+)", record["command"])
+    module = re.match(r"python -m experiments\.([\w.]+)", record["command"])
     assert module is not None
     assert module[1] in MODULES
     (experiment,) = [experiment for experiment in EXPERIMENTS if experiment.module == module[1]]
-    assert path.stem in experiment.names or path.stem.startswith(experiment.module)
+    assert path.stem in experiment.names or path.stem.startswith(experiment.name)
 
 
 def test_what_is_run_here_takes_less_than_two_hours() -> None:
@@ -52,7 +56,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for module in (reproduce, checkpointed_rows):
         monkeypatch.setattr(module, "RESULTS", tmp_path)
     monkeypatch.setattr(reproduce, "COMMITTED", tmp_path)
-    monkeypatch.setattr(reproduce, "EXPERIMENTS", (Experiment("some", 1),))
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", (Experiment("some", "some", 1),))
     return tmp_path
 
 
@@ -62,7 +66,7 @@ def write(folder: Path, version: str = rcbht_jax.__version__, **result: Any) -> 
 
 
 def test_finished_is_of_this_version_complete_and_not_interrupted(place: Path) -> None:
-    some = Form(Experiment("some", 1), False, place)
+    some = Form(Experiment("some", "some", 1), False, place)
     assert not some.finished()
     write(place, complete=False)
     assert not some.finished()
@@ -106,7 +110,7 @@ def test_what_is_there_is_skipped_and_forced_if_asked(place: Path, monkeypatch: 
 def test_a_shorter_form_leaves_the_whole_result_alone(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    some = Experiment("some", 200, ("--all",), shorter=("--few",), shorter_minutes=1)
+    some = Experiment("some", "some", 200, ("--all",), shorter=("--few",), shorter_minutes=1)
     monkeypatch.setattr(reproduce, "EXPERIMENTS", (some,))
     committed = {"a": {"mean": 0.5, "low": 0.4, "high": 0.6}, "b": {"accuracy": 0.9, "interval": [0.8, 1.0]}}
     write(place, **committed)
@@ -144,7 +148,7 @@ def test_memory_is_that_of_the_process() -> None:
 
 
 def test_what_is_shared_is_made_first_and_speed_is_measured_last(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = Experiment("speed", 1, (reproduce.MODEL,), alone=True), Experiment("some", 1)
+    first, second = Experiment("speed", "speed", 1, (reproduce.MODEL,), alone=True), Experiment("some", "some", 1)
     monkeypatch.setattr(reproduce, "EXPERIMENTS", (first, second))
     called = call(monkeypatch, place, "--jobs", "2")
     assert [words[3] for words in called[:2]] == ["import", "train-online"]
@@ -161,10 +165,10 @@ def test_a_failure_is_told_and_tried_again(place: Path, monkeypatch: pytest.Monk
 
 def test_what_cannot_run_says_why(place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(reproduce, "DATA", tmp_path / "none")
-    assert "RCBHT_DATA" in reproduce.lacking(Experiment("some", 1, needs=("data",)), None)
-    assert "make peers" in reproduce.lacking(Experiment("some", 1, needs=("peers",)), None)
-    assert reproduce.lacking(Experiment("some", 1, elsewhere="no"), None) == "no"
-    assert reproduce.lacking(Experiment("some", 1), None) == ""
+    assert "RCBHT_DATA" in reproduce.lacking(Experiment("some", "some", 1, needs=("data",)), None)
+    assert "make peers" in reproduce.lacking(Experiment("some", "some", 1, needs=("peers",)), None)
+    assert reproduce.lacking(Experiment("some", "some", 1, elsewhere="no"), None) == "no"
+    assert reproduce.lacking(Experiment("some", "some", 1), None) == ""
 
 
 def test_differences() -> None:

@@ -33,7 +33,7 @@ from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.report import Options, page
 from rcbht_jax.report.pack import LEVELS, believe, pack, quantised, rounded
 from rcbht_jax.report.page import chosen, results_html
-from rcbht_jax.report.results import cells, read_results
+from rcbht_jax.report.results import SCHEMA, cells, read_results
 from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
@@ -193,33 +193,63 @@ def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report:
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
 
-def test_every_number_of_the_results_is_in_its_file() -> None:
-    results = read_results(RESULTS)
-    tabled = {"peers", "probes", "sim_to_real", "table1_ours", "table1_published", "table2", "two_arm_states"}
-    assert {row.source for row in results.rows} >= {f"{name}.json" for name in tabled}
-    assert sum(row.peer is not None for row in results.rows) >= 8
+def rows_file(folder: Path, **changed: Any) -> Path:
+    """A file of result rows in the schema of docs/howto/share.md."""
+    peer = {"name": "rocket", "mean": 0.99, "interval": [0.9, 1]}
+    row = {"group": "g", "what": "<b>first</b>", "paper": "0.97", "ours": 0.9812, "interval": [0.95, 1], "peer": peer,
+           "duration": 0.5, "flags": ["few"], "source": "a.json"}  # fmt: skip
+    second = row | {"what": "second", "paper": "", "interval": None, "peer": None, "duration": None, "flags": []}
+    record = {
+        "schema": SCHEMA,
+        "notes": {"few": "Only <three> trials.", "unused": "never"},
+        "sources": [{"file": "a.json", "command": "make a", "date": "today", "machine": "2 cores"}],
+        "rows": [row, second],
+    }
+    path = folder / "rows.json"
+    path.write_text(json.dumps(record | changed), encoding="utf-8")
+    return path
+
+
+def test_result_rows_are_shown_with_their_notes(tmp_path: Path) -> None:
+    rows_file(tmp_path)
+    (tmp_path / "a.json").write_text('{"result": 1}')  # no schema: ignored
+    results = read_results(tmp_path)
+    first, second = (cells(row) for row in results.rows)
+    assert first == ("<b>first</b>", "0.97", "0.981", "0.950 to 1.000", "0.990 (0.900 to 1.000) rocket", "0.500")
+    assert second == ("second", "", "0.981", "", "", "")
     html = results_html(results)
-    peers = set(numbers(json.loads((RESULTS / "peers.json").read_text())["result"]))  # beside rows of other files too
-    for row in results.rows:
-        held = set(numbers(json.loads((RESULTS / row.source).read_text())["result"]))
-        assert {row.ours, *(row.interval or ()), *([row.duration] if row.duration is not None else [])} <= held
-        assert row.peer is None or {row.peer.mean, *row.peer.interval} <= held | peers
-        assert f">{cells(row)[2]}</td>" in html
-    assert len(results.files) == len(list(RESULTS.glob("*.json")))
+    for part in ("&lt;b&gt;first", '<a href="#note-1">1</a>', '<li id="note-1">Only &lt;three&gt; trials.', "make a"):
+        assert html.count(part) == 1
+    assert "never" not in html
+    assert html.count("<tr>") == 5  # two heads, two rows, one source
 
 
-def numbers(value: Any) -> list[float]:
-    if isinstance(value, dict):
-        return [number for part in value.values() for number in numbers(part)]
-    if isinstance(value, list):
-        return [number for part in value for number in numbers(part)]
-    return [value] if isinstance(value, int | float) else []
+def test_the_committed_rows_can_be_read() -> None:
+    results = read_results(RESULTS)
+    assert {row.source for row in results.rows} <= {source.file for source in results.sources}
+    assert sum(row.peer is not None for row in results.rows) >= 8
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"result": {}}', '{"result": {"rows": {"a": {}}}}'])
-def test_a_broken_result_is_one_sentence(text: str, tmp_path: Path) -> None:
-    (tmp_path / "table1_published.json").write_text(text)
-    with pytest.raises(InputError, match="not a result"):
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"rows": [{}]}, {"rows": 1}, {"notes": {}}, {"notes": None}, {"sources": [{"file": "a.json"}]},
+        {"rows": [{"group": "g", "what": "w", "paper": "", "ours": "high", "interval": None, "flags": [], "peer": None,
+                   "duration": None, "source": "a.json"}]},
+    ],
+)  # fmt: skip
+def test_rows_outside_the_schema_are_one_sentence(changed: dict[str, Any], tmp_path: Path) -> None:
+    rows_file(tmp_path, **changed)
+    with pytest.raises(InputError, match=f"rows.json does not follow the schema {SCHEMA}"):
+        read_results(tmp_path)
+
+
+def test_a_folder_without_rows_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("[]")
+    with pytest.raises(InputError, match='expected a JSON file with "schema"'):
+        read_results(tmp_path)
+    (tmp_path / "a.json").write_text("{")
+    with pytest.raises(InputError, match=r"a\.json is not JSON"):
         read_results(tmp_path)
 
 
