@@ -1,1 +1,1 @@
-"""Helpers that know nothing of wrenches: atomic writes, digests, optional imports, CMA-ES, the compilation cache."""
+"""Helpers: atomic writes, digests, checkpoints, optional imports, CMA-ES, the compilation cache."""

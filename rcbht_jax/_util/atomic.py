@@ -1,7 +1,15 @@
-"""Files that are there whole or not at all."""
+"""Files and folders that appear complete or not at all, also after a kill or a power cut.
+
+A draft is written beside its target and renamed when complete. A killed process leaves at most a draft, whose name
+begins with a dot and contains ".partial-".
+"""
 
 from __future__ import annotations
 
+import os
+import shutil
+import signal
+import threading
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,14 +18,79 @@ from pathlib import Path
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a temporary sibling of ``path`` to write; on success it takes its place, on failure it is removed.
+    """Give a draft of the file ``path``, with the same suffix; on success it replaces ``path``, else it is removed.
 
-    It has the suffix of ``path``. A killed process leaves at most a file whose name begins with a dot and contains
-    ".partial-". Folders: :func:`rcbht_jax.io.zarr.replacing`.
+    >>> with atomic_write(Path("limits.json")) as draft:  # doctest: +SKIP
+    ...     draft.write_text("{}")
     """
-    draft = path.with_name(f".{path.stem}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
+    draft = draft_of(path)
     try:
         yield draft
+        _flush(draft)
         draft.replace(path)
+        _flush(path.parent)  # the rename itself must survive a power cut
     finally:
         draft.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: Path, near: Path | None = None) -> Iterator[Path]:
+    """Give the name of a draft folder to create; on success it replaces the folder ``path``, else it is removed.
+
+    Args:
+        path: folder to create or replace.
+        near: whose sibling the draft is; default ``path``.
+    """
+    draft = draft_of(path if near is None else near)
+    try:
+        yield draft
+        _swap(draft, path)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def draft_of(path: Path) -> Path:
+    """A new hidden name beside ``path`` with the same suffix."""
+    return path.with_name(f".{path.stem}.partial-{uuid.uuid4().hex[:12]}{path.suffix}")
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Delay Ctrl-C until the block is done; outside the main thread, which never receives it, do nothing.
+
+    For libraries with background tasks (Zarr): interrupted, they would go on writing into a draft being removed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pressed: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if pressed:
+        raise KeyboardInterrupt
+
+
+def _flush(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _swap(draft: Path, path: Path) -> None:
+    if not path.exists():
+        draft.rename(path)
+        return
+    old = draft.with_name(f"{draft.name}-old")
+    path.rename(old)
+    try:
+        draft.rename(path)
+    except BaseException:
+        old.rename(path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.calibration.label_durations import Windows, device_lines, fit_windows
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
@@ -45,12 +45,8 @@ class CalibrationData:
 
     def fingerprint(self) -> str:
         """SHA-256 of all that the result of a calibration can depend on."""
-        digest = hashlib.sha256()
-        arrays = (self.windows.slope, self.windows.vmax, self.windows.vmin, self.windows.length, self.edges, self.y)
-        for array in arrays:
-            digest.update(repr((array.shape, str(array.dtype))).encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+        windows = self.windows
+        return content_hash([windows.slope, windows.vmax, windows.vmin, windows.length, self.edges, self.y])
 
 
 def calibration_data(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig) -> CalibrationData:

@@ -6,11 +6,8 @@ scores are kept in a ledger; an interrupted search replays it and goes on where 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util import checkpoint
 from rcbht_jax.calibration.cma import Cma
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
@@ -225,12 +222,11 @@ def search(
         progress: called with the number of candidates done since the last call.
 
     Raises:
-        InputError: the ledger belongs to another search, or the corpus has fewer than two classes.
+        InputError: the checkpoint is damaged or belongs to another search, or the corpus has fewer than two classes.
     """
     if len(np.unique(jax.device_get(corpus.y))) < 2:
         raise InputError("thresholds can only be searched on sentences of at least two classes.")
-    fingerprint = "" if ledger is None else _fingerprint(corpus, config, options)
-    run = _Run(corpus, config, options, ScoreCheckpoint(ledger, fingerprint), chunk)
+    run = _Run(corpus, config, options, ScoreCheckpoint(ledger, None if ledger is None else _made_by(corpus, config, options)), chunk)
     points = options.points()
     for rung in options.rungs:
         made = run(points, rung, progress)
@@ -260,50 +256,37 @@ def search(
     )
 
 
-def _fingerprint(corpus: CalibrationData, config: EncoderConfig, options: SearchOptions) -> str:
+def _made_by(corpus: CalibrationData, config: EncoderConfig, options: SearchOptions) -> dict[str, Any]:
+    """Everything that the scores depend on."""
     plain: dict[str, Any] = asdict(options)
     plain["space"]["base"] = options.space.base.tolist()
-    text = json.dumps([corpus.fingerprint(), asdict(config), plain], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return {"data": corpus.fingerprint(), "encoder": asdict(config), "options": plain}
 
 
 class ScoreCheckpoint:
     """Scores ``[evaluation, score]`` in order; in memory only when there is no path.
 
     Args:
-        path: file to go on from and to keep, ``.npz``.
-        fingerprint: of everything the scores depend on.
+        path: file to resume from and to write, JSON.
+        made_by: everything that the scores depend on (JSON value).
 
     Raises:
-        InputError: the file is no ledger or belongs to another search.
+        InputError: the file is no checkpoint or belongs to another search.
     """
 
-    def __init__(self, path: Path | None, fingerprint: str) -> None:
-        self._path, self._fingerprint = path, fingerprint
-        self._scores: NDArray[np.float32] | None = None
-        if path is not None and path.exists():
-            try:
-                with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                    kept, self._scores = str(stored["fingerprint"]), stored["scores"]
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-                raise InputError(f"{path} is not a ledger of a search; choose another file or remove it.") from None
-            if kept != fingerprint:
-                raise InputError(
-                    f"{path} belongs to a search with other trials or options; choose another file or remove it."
-                )
+    def __init__(self, path: Path | None, made_by: Any = None) -> None:
+        self._path, self._made_by = path, made_by
+        stored = None if path is None else checkpoint.load(path, made_by)
+        self._scores = np.zeros((0, 0), np.float32) if stored is None else np.array(stored, np.float32)
 
     def read(self, first: int, count: int) -> NDArray[np.float32]:
         """Scores of the evaluations ``first`` ... that are known, at most ``count``."""
-        if self._scores is None:
-            return np.zeros((0, 0), np.float32)
         return self._scores[first : first + count]
 
     def write(self, first: int, scores: NDArray[np.float32]) -> None:
         """Append the scores of the evaluations ``first`` ...; they follow the last known one."""
-        known = scores[:0] if self._scores is None else self._scores
-        if first != len(known):
-            raise ValueError(f"evaluation {first} does not follow the {len(known)} known ones")
-        self._scores = np.concatenate([known, scores])
+        if first != len(self._scores):
+            raise ValueError(f"evaluation {first} does not follow the {len(self._scores)} known ones")
+        self._scores = np.concatenate([self._scores.reshape(-1, scores.shape[1]), scores])
         if self._path is not None:
-            with atomic_write(self._path) as draft, draft.open("wb") as file:
-                np.savez(file, fingerprint=np.array(self._fingerprint), scores=self._scores)
+            checkpoint.save(self._path, self._made_by, self._scores.tolist())

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm  # type: ignore[import-untyped]
 
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
 from rcbht_jax.calibration.gradient import GradientOptions
@@ -24,7 +25,6 @@ from rcbht_jax.encoding.thresholds import LIMITS, GradientThresholds, preset, wr
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.labels import AXES
-from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.plots import save
 from rcbht_jax.plots.thresholds import threshold_figure

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
@@ -17,7 +18,6 @@ from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks
 from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
-from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import OUTCOMES, LabelledIntervals, TaskSpec, labelled_intervals

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
+from rcbht_jax._util.atomic import atomic_folder
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
@@ -51,10 +53,10 @@ def write_tracks(
     own = {
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
-        "content_sha256": zarr_io.content_hash(a for layer in arrays.values() for a in layer.values()),
+        "content_sha256": content_hash(a for layer in arrays.values() for a in layer.values()),
     }
     # Outside the store while it grows: readers list every folder inside it.
-    with zarr_io.replacing(target, near=path) as draft:
+    with atomic_folder(target, near=path) as draft:
         group = zarr_io.create_group(draft, {**attrs, **own})
         for layer, by_field in arrays.items():
             sub = group.create_group(layer)
@@ -81,7 +83,7 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
         arrays = {layer: _read_layer(group, layer) for layer in LAYERS}
         expected = group.attrs["content_sha256"]
         by_layer = {layer: _checked(LabelTrack(**arrays[layer]), layer, count) for layer in LAYERS}
-    if zarr_io.content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
+    if content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
         raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
     return LabelTracks(**{layer: LabelTrack(**arrays[layer]) for layer in LAYERS}), dict(group.attrs)
 

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.atomic import atomic_folder
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import zarr as zarr_io
@@ -94,9 +96,9 @@ def write_recordings(
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "dt": recordings.dt,
-        "content_sha256": zarr_io.content_hash([*arrays.values(), np.float64(recordings.dt)]),
+        "content_sha256": content_hash([*arrays.values(), np.float64(recordings.dt)]),
     }
-    with zarr_io.replacing(path) as draft:
+    with atomic_folder(path) as draft:
         group = zarr_io.create_group(draft, {**attrs, **own})
         for variable, (_, dimensions, dtype, attributes) in VARIABLES.items():
             zarr_io.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
@@ -118,7 +120,7 @@ def read_recordings(path: Path) -> Recordings:
         arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
         dt = float(zarr_io.read_array(group, "dt", "float64")[()])
         expected = group.attrs["content_sha256"]
-    if zarr_io.content_hash([*arrays.values(), np.float64(dt)]) != expected:
+    if content_hash([*arrays.values(), np.float64(dt)]) != expected:
         raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
     recordings = Recordings(dt=dt, **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()})
     try:
@@ -157,7 +159,7 @@ def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _simulation_hash(arrays: Mapping[str, NDArray[Any]]) -> str:
-    return zarr_io.content_hash(arrays[name] for name in sorted(arrays))
+    return content_hash(arrays[name] for name in sorted(arrays))
 
 
 def read_attrs(path: Path) -> dict[str, Any]:

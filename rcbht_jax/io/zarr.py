@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
-import shutil
-import signal
-import threading
-import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 
@@ -47,56 +43,6 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
         ours = False
     if not ours or path.is_symlink():
         raise InputError(f"{path} exists and is not a store made by rcbht; move it away or choose another name.")
-
-
-@contextmanager
-def replacing(path: Path, near: Path | None = None) -> Iterator[Path]:
-    """Give a temporary sibling to fill; on success it takes the place of ``path``, on failure it is removed.
-
-    ``near`` is whose sibling the temporary is (default ``path``). A killed process leaves at most a folder
-    whose name begins with a dot and contains ".partial-".
-    """
-    near = path if near is None else near
-    draft = near.with_name(f".{near.name}.partial-{uuid.uuid4().hex[:12]}")
-    try:
-        yield draft
-        _swap(draft, path)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
-
-
-def _swap(draft: Path, path: Path) -> None:
-    if not path.exists():
-        draft.rename(path)
-        return
-    old = draft.with_name(f"{draft.name}-old")
-    path.rename(old)
-    try:
-        draft.rename(path)
-    except BaseException:
-        old.rename(path)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block is done.
-
-    Zarr works in background tasks: cut off, they would go on writing into a draft that is being removed.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    pressed: list[int] = []
-    previous = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
-    if pressed:
-        raise KeyboardInterrupt
 
 
 @uninterrupted()
@@ -191,19 +137,6 @@ def consolidate(path: Path) -> None:
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path, zarr_format=3)
-
-
-def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
-    """SHA-256 over shapes and values; strings as UTF-8, so that the width of their dtype does not matter."""
-    digest = hashlib.sha256()
-    for values in arrays:
-        array = np.ascontiguousarray(values)
-        digest.update(repr(array.shape).encode())
-        if array.dtype.kind == "U":
-            digest.update(json.dumps(array.tolist()).encode())
-        else:
-            digest.update(array.data)
-    return digest.hexdigest()
 
 
 def _layout(values: NDArray[Any], dtype: str) -> tuple[tuple[int, ...], tuple[int, ...] | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
@@ -182,17 +182,6 @@ def _line(choice: dict[str, Any]) -> str:
     name = f"{choice['features']} " if choice["features"] else ""
     scaled = " ranks" if choice["ranks"] else " scaled" if choice["scaling"] else ""
     return f"{name}{choice['kernel']} C={choice['cost']:g}{scaled}"
-
-
-def data_hash(recordings: Recordings) -> str:
-    """SHA-256 of the wrenches, lengths, state times, names and classes of a data set."""
-    digest = hashlib.sha256()
-    names = ("wrench", "length", "onset", "onset_harmonised", "trial", "arm", "session", "outcome", "failure_type")
-    for name in names:
-        values = getattr(recordings, name)
-        digest.update(f"{name} {values.shape} ".encode())
-        digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())
-    return digest.hexdigest()
 
 
 def train(

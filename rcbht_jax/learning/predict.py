@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
 from rcbht_jax.learning.tasks import TaskSpec, UnlabelledIntervals, extract_features, unlabelled_intervals

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
-from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.report.pack import believe, pack
 from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,12 +16,13 @@ import tyro
 from matplotlib.figure import Figure
 
 import rcbht_jax
+from rcbht_jax._util import checkpoint
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.cli.command import Command
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_attrs, read_recordings
 from rcbht_jax.plots import save
 from sim_mjx.synthesis import pipeline
-from sim_mjx.synthesis.shards import write_atomically
 from sim_mjx.validation import fidelity, sessions
 
 Measured = tuple[dict[str, Any], Figure | None]
@@ -100,25 +101,21 @@ class Fidelity(Command):
     def _part(self, name: str, job: Callable[[], Measured]) -> dict[str, Any]:
         """Measure one part, unless an earlier run with the same options, data and code has."""
         path = self.out / "parts" / f"{name.replace(' ', '-')}.json"
-        mark = self._fingerprint()
-        try:
-            kept = json.loads(path.read_text())
-            if kept["made_by"] == mark:
-                return kept["result"]
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
-            pass
+        made_by = self._made_by()
+        with suppress(InputError):  # of other options or code, or damaged: measured again
+            if (earlier := checkpoint.load(path, made_by)) is not None:
+                return earlier
         result, figure = job()
         if figure is not None:
             save(figure, self.out / f"{name.replace(' ', '-')}.png")
-        _write(path, json.dumps({"made_by": mark, "result": result}, allow_nan=False))
+        checkpoint.save(path, made_by, result)
         return result
 
-    def _fingerprint(self) -> str:
-        """Of everything that a part depends on."""
+    def _made_by(self) -> list[Any]:
+        """Everything that a part depends on."""
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
         folder = None if self.data is None else str(self.data.resolve())
-        facts = [pipeline.code_hash(), self.trials, self.longest, self.seed, data, folder]
-        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+        return [pipeline.code_hash(), self.trials, self.longest, self.seed, data, folder]
 
 
 def _parity(engine: str, trials: int, seed: int, longest: float) -> Measured:
@@ -126,7 +123,8 @@ def _parity(engine: str, trials: int, seed: int, longest: float) -> Measured:
 
 
 def _write(path: Path, text: str) -> None:
-    write_atomically(path, lambda file: file.write(text.encode()))
+    with atomic_write(path) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def table(report: dict[str, Any]) -> str:

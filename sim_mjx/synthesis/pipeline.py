@@ -9,7 +9,6 @@ recordings, right arm and left arm, as the importer stores them.
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.digest import files_hash
 from rcbht_jax.encoding import thresholds
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
@@ -150,11 +150,8 @@ def _manifest(job: SynthesisConfig) -> dict[str, Any]:
 @cache  # a file that is edited while a run goes on is not the code that runs
 def code_hash() -> str:
     """Of this package's sources: shards made by different code must not be mixed."""
-    root = Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+    root = Path(__file__).parents[1]
+    return files_hash(root, sorted(root.rglob("*.py")))
 
 
 def _provenance(manifest: dict[str, Any]) -> dict[str, Any]:

@@ -20,8 +20,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.zarr import content_hash
 
 MANIFEST, LOCK, PARTIAL = "manifest.json", "lock", ".partial"
 Arrays = dict[str, NDArray[Any]]

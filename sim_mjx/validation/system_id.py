@@ -5,25 +5,23 @@ The search (``rcbht_jax._util.cma``) runs in the unit cube that the bounds span;
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util import checkpoint as checkpoint_file
 from rcbht_jax._util import cma
 from rcbht_jax._util.cma import State
 from rcbht_jax.errors import InputError
-from sim_mjx.synthesis.shards import write_atomically
 
 Floats = NDArray[np.float64]
 Values = dict[str, float]
 Objective = Callable[[list[Values]], Floats]  # losses [population] of a population; NaN = worse than any number
-FORMAT = "rcbht-fit"
 
 
 class Bound(NamedTuple):
@@ -86,8 +84,8 @@ def fit(
     """
     check(search)
     state, found = _begin(search), Fit({}, math.inf, [])
-    if checkpoint is not None and checkpoint.exists():
-        state, found = _load(checkpoint, search)
+    if checkpoint is not None:
+        state, found = _load(checkpoint, search) or (state, found)
     for number in range(len(found.generations) + 1, search.generations + 1):
         points = _ask(state, search, number)
         candidates = [_values(point, search.bounds) for point in _mirrored(points)]
@@ -181,37 +179,20 @@ def _settings(search: Search) -> dict[str, Any]:
     settings = asdict(search)
     settings.pop("generations")
     settings["bounds"] = {name: list(bound) for name, bound in search.bounds.items()}
-    return json.loads(json.dumps(settings))
+    return settings
 
 
 def _save(path: Path, search: Search, state: State, found: Fit) -> None:
-    content = {
-        "format": FORMAT,
-        "search": _settings(search),
-        "values": found.values,
-        "loss": found.loss if math.isfinite(found.loss) else None,
-        "generations": [[g if math.isfinite(g) else None for g in row] for row in found.generations],
-        "state": {name: np.asarray(value).tolist() for name, value in state._asdict().items()},
-    }
-    text = json.dumps(content, indent=1, allow_nan=False)
-    write_atomically(path, lambda file: file.write(text.encode()))
+    arrays = {name: np.asarray(value).tolist() for name, value in state._asdict().items()}
+    checkpoint_file.save(path, _settings(search), {"fit": asdict(found), "state": arrays})
 
 
-def _load(path: Path, search: Search) -> tuple[State, Fit]:
-    try:
-        content = json.loads(path.read_text())
-        if content["format"] != FORMAT:
-            raise KeyError("format")
-        filled = [[math.inf if x is None else x for x in row] for row in content["generations"]]
-        rows = [Generation(int(number), best, median, step) for number, best, median, step in filled]
-        loss = math.inf if content["loss"] is None else content["loss"]
-        arrays: dict[str, Any] = {name: np.array(content["state"][name]) for name in State._fields}
-        state = State(**arrays | {"step": float(arrays["step"])})
-        found, settings = Fit(content["values"], loss, rows), content["search"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is not the checkpoint of a search, or damaged; delete it to begin anew.") from error
-    if settings != _settings(search):
-        raise InputError(
-            f"{path} belongs to a search with other settings; finish that one, or delete it to begin anew."
-        )
-    return state, found
+def _load(path: Path, search: Search) -> tuple[State, Fit] | None:
+    """State and best fit of an interrupted search; None if there is none."""
+    content = checkpoint_file.load(path, _settings(search))
+    if content is None:
+        return None
+    arrays = {name: np.array(value) for name, value in content["state"].items()}
+    found = Fit(**content["fit"])
+    history = [Generation(*row) for row in found.generations]
+    return State(**arrays | {"step": content["state"]["step"]}), replace(found, generations=history)

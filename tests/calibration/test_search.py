@@ -141,7 +141,7 @@ def test_search_does_not_depend_on_the_chunk_and_starts_with_the_base(made):
 
 def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
     whole = search(made, CONFIG, SMALL, chunk=4)
-    ledger = tmp_path / "search.npz"
+    ledger = tmp_path / "search.json"
     for limit in (4, 10):  # in the middle of the Sobol points, then of CMA-ES
         done = 0
 
@@ -156,10 +156,10 @@ def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
     resumed = search(made, CONFIG, SMALL, chunk=4, ledger=ledger)
     np.testing.assert_array_equal(whole.thresholds.limits, resumed.thresholds.limits)
     assert whole.scores == resumed.scores
-    with pytest.raises(InputError, match="other trials or options"):
+    with pytest.raises(InputError, match="other data or options"):
         search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, ledger=ledger)
     ledger.write_bytes(ledger.read_bytes()[:100])
-    with pytest.raises(InputError, match="not a ledger"):
+    with pytest.raises(InputError, match="damaged"):
         search(made, CONFIG, SMALL, ledger=ledger)
 
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
-from rcbht_jax.learning.evaluation import EvaluationProtocol, data_hash, evaluate, score, train
+from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, nested_svm, repeated_folds

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from rcbht_jax._util.digest import data_hash
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
@@ -29,7 +30,6 @@ from rcbht_jax.io.export import DataSet, load
 from rcbht_jax.io.playback import read_store
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import LAYERS, MEANING, name
-from rcbht_jax.learning.evaluation import data_hash
 from rcbht_jax.report import Options, page
 from rcbht_jax.report.pack import LEVELS, believe, pack, quantised, rounded
 from rcbht_jax.report.page import chosen, results_html

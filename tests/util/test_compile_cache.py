@@ -17,7 +17,7 @@ PROGRAM = """
 import sys
 from pathlib import Path
 import jax
-from rcbht_jax import compile_cache
+from rcbht_jax._util import compile_cache
 compile_cache.SLOW = 0.0
 compile_cache.use(Path(sys.argv[1]))
 seen = []

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
-from rcbht_jax.io.zarr import content_hash
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.learning.tasks import CONFOUNDS
 from rcbht_jax.types import Recordings

@@ -12,13 +12,13 @@ from types import ModuleType
 
 import numpy as np
 
+from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import card, tables
 from rcbht_jax.io.export.dataset import DataSet, codes_at_samples
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
-from rcbht_jax.io.zarr import replacing
 
 Progress = Callable[[int], None]  # called with the recordings done since the last call
 
@@ -46,7 +46,7 @@ def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: N
         raise InputError(f"{kind!r} is not a format; expected one of {', '.join(FORMATS)}.")
     check_target(out)
     _check_names(data)
-    with replacing(out) as draft:
+    with atomic_folder(out) as draft:
         draft.mkdir()
         FORMATS[kind](data, draft, progress)
         if os.path.lexists(out):

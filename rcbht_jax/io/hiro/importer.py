@@ -16,7 +16,6 @@ moved, ``-from-pose`` when taken from R_CartPos), ``angles-missing``, ``angles-l
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
@@ -25,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.hiro.trial import ArmRecord, data_file, read_trial, with_note
@@ -102,7 +102,8 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
         first = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{directory} holds no usable trial.{first}")
     report.imported = [f"{name(record.folder)}/{record.arm}" for record in kept]
-    report.content_sha256 = _content_hash(list(source_of), name)
+    files = (path for folder in source_of for path in sorted(folder.glob("*.dat")))
+    report.content_sha256 = files_hash(directory, files)  # unreadable files are in the report already
     return _pack(kept), report
 
 
@@ -134,7 +135,7 @@ def _without_copies(
     trials: list[list[ArmRecord]], name: Callable[[Path], str], report: ImportReport
 ) -> list[ArmRecord]:
     """Keep one of each group of identical trials per label; mark groups with more than one label."""
-    groups: dict[tuple[tuple[str, bytes], ...], list[list[ArmRecord]]] = {}
+    groups: dict[tuple[tuple[str, str], ...], list[list[ArmRecord]]] = {}
     for arms in trials:
         groups.setdefault(tuple((record.arm, record.digest()) for record in arms), []).append(arms)
     kept: set[Path] = set()
@@ -180,19 +181,6 @@ def _same_time_step(records: list[ArmRecord], name: Callable[[Path], str], repor
             reason = f"time step {record.table.dt:g} s; the other trials have {dt:g} s. Import it on its own."
             report.skipped.append((f"{name(record.folder)}/{record.arm}", reason))
     return kept
-
-
-def _content_hash(folders: list[Path], name: Callable[[Path], str]) -> str:
-    """SHA-256 over the names and contents of all tables; unreadable files are in the report already."""
-    digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted(folder.glob("*.dat")):
-            try:
-                content = hashlib.sha256(path.read_bytes()).digest()
-            except OSError:
-                continue
-            digest.update(name(path).encode("utf-8", "replace") + content)
-    return digest.hexdigest()
 
 
 def _pack(records: list[ArmRecord]) -> Recordings:

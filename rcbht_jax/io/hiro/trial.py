@@ -6,7 +6,6 @@ noted.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat, onsets
 from rcbht_jax.io.hiro.names import TrialName, parse_trial
@@ -38,9 +38,9 @@ class ArmRecord:
     deviation: NDArray[np.float64]  # [3] m, m, rad; NaN = unknown
     notes: tuple[str, ...]
 
-    def digest(self) -> bytes:
+    def digest(self) -> str:
         """Hash of the wrench table: equal for exact copies."""
-        return hashlib.sha256(self.table.time.tobytes() + self.table.values.tobytes()).digest()
+        return content_hash([self.table.time, self.table.values])
 
 
 def data_file(folder: Path, arm: str, kind: str) -> Path | None:

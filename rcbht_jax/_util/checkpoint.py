@@ -1,0 +1,52 @@
+"""Checkpoints of interrupted work: JSON that is resumed only by the same work."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax.errors import InputError
+
+
+def save(path: Path, made_by: Any, content: Any) -> None:
+    """Write a checkpoint, atomically.
+
+    Args:
+        path: file to create or replace.
+        made_by: everything that the content depends on (JSON value).
+        content: JSON value; infinities and NaN are allowed.
+    """
+    with atomic_write(path) as draft:
+        draft.write_text(json.dumps({"made_by": made_by, "content": content}), encoding="utf-8")
+
+
+def load(path: Path, made_by: Any) -> Any:
+    """The content of a checkpoint; None if there is no file.
+
+    Raises:
+        InputError: the file is damaged, no checkpoint, or was made by something else.
+    """
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        known, content = stored["made_by"], stored["content"]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is not a checkpoint or is damaged; delete it to start again.") from error
+    wanted = json.loads(json.dumps(made_by))
+    if known != wanted:
+        raise InputError(
+            f"{path} belongs to a run with other data or options ({difference(known, wanted)}); "
+            "finish that run, choose another file, or delete this one to start again."
+        )
+    return content
+
+
+def difference(known: Any, wanted: Any, name: str = "") -> str:
+    """The first value in which two JSON values differ, in words."""
+    if isinstance(known, dict) and isinstance(wanted, dict):
+        key = next(key for key in sorted({*known, *wanted}) if known.get(key) != wanted.get(key))
+        return difference(known.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    return f"{name} {json.dumps(known)}, not {json.dumps(wanted)}".lstrip()
