@@ -69,6 +69,6 @@ def test_a_stream_keeps_its_chain(tmp_path: Path) -> None:
     for _ in range(2):
         with (tmp_path / "in.jsonl").open("rb") as lines:
             subprocess.run(command, check=True, capture_output=True, stdin=lines)
-        times.append([path.stat().st_mtime_ns for path in sorted((tmp_path / "cache").glob("jit_believe*-cache"))])
+        times.append([path.stat().st_mtime_ns for path in sorted((tmp_path / "cache").glob("jit_infer*-cache"))])
     assert len(times[0]) == 1
     assert times[0] == times[1]
