@@ -26,13 +26,14 @@ from numpy.typing import NDArray
 from experiments._lib.checkpointed_rows import Rows
 from experiments.calibration.methods import REAL, SIM1, part_of, rounded
 from experiments.calibration.near_preset import Near
-from experiments.classification.grammar import ALL, PLAIN, RICHER
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
+from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning.kernels import alignment_weights
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -69,13 +70,9 @@ class Bank(Near):
         return self._said(kernel, cost, train, test), {"candidates": np.argsort(-weight, kind="stable").tolist()}
 
     def alignment(self, train: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Weights ``[member]``, sum 1: the centred alignment (Cortes, Mohri, Rostamizadeh 2012) with the classes."""
-        same = (self.y[train, None] == self.y[train]).astype(np.float64)
-        middle = np.eye(len(train)) - 1 / len(train)
-        ideal = middle @ same @ middle
-        kernels = [middle @ k[np.ix_(train, train)] @ middle for k in self._kernels_of(train)]
-        value = np.array([max(0.0, (k * ideal).sum() / np.linalg.norm(k)) for k in kernels])
-        return value / value.sum()
+        """Weights ``[member]`` by the alignment of kernels with the classes of the training side."""
+        kernels = np.stack([kernel[np.ix_(train, train)] for kernel in self._kernels_of(train)])
+        return alignment_weights(kernels, self.y[train])
 
 
 def labelled(recordings: Recordings) -> list[LabelTracks]:

@@ -23,7 +23,7 @@ from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features import FeatureSpec, recipes
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
@@ -32,8 +32,7 @@ from rcbht_jax.types import Recordings
 
 SIM1, REAL = "SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS"
 FAILURES = "SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob"
-WORDS = FeatureSpec(families=("histogram", "ngram", "attributes"))  # no duration, no absolute offset
-FULL = FeatureSpec(families=("histogram", "ngram", "attributes", "duration", "offset"))
+WORDS, FULL = FeatureSpec(families=recipes.PLAIN), FeatureSpec(families=recipes.FULL)
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
 TOP = 6
 SCALES = 2.0 ** (np.arange(-4, 5) / 2)

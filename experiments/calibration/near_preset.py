@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
-from sklearn.svm import SVC
 
 from experiments._lib.checkpointed_rows import Rows
 from experiments.calibration.methods import REAL, SIM1, WORDS, part_of, rounded
@@ -34,8 +33,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
-from rcbht_jax.learning.scaling import fit_scale
-from rcbht_jax.learning.svm import grouped_folds
+from rcbht_jax.learning.kernels import cost_scores, predict_kernel, rank_kernel
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -71,15 +69,6 @@ def words(recordings: Recordings, items: LabelledIntervals, limits: Floats) -> N
     return np.stack([extract_features(track, items, WORDS).values.astype(np.float32) for track in tracks])
 
 
-def kernel_of(x: NDArray[np.float32], train: NDArray[np.int64], weight: Floats | None = None) -> NDArray[np.float32]:
-    """Linear kernel ``[item, item]`` of ranks among the training items, its diagonal about 1."""
-    varies = np.ptp(x[train], axis=0) > 0
-    z = fit_scale(x[train][:, varies], True, ranked=True, weight=None if weight is None else weight[varies])(
-        x[:, varies]
-    )
-    return (z @ z.T / z.shape[1]).astype(np.float32)
-
-
 def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Floats]:
     """Accuracy ``[candidate]`` of states learnt on one simulated session and told on another one."""
     parts = {}
@@ -95,9 +84,8 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
         train = np.arange(len(y))
         right = []
         for k in range(len(limits)):
-            kernel = kernel_of(np.concatenate([x[k], test[k]]), train)
-            model = SVC(C=COSTS[1], kernel="precomputed").fit(kernel[: len(y), : len(y)], y)
-            right.append((model.predict(kernel[len(y) :, : len(y)]) == truth).mean())
+            kernel = rank_kernel(np.concatenate([x[k], test[k]]), train)
+            right.append((predict_kernel(kernel, y, train, len(y) + np.arange(len(truth)), COSTS[1]) == truth).mean())
         out[one, other] = np.array(right)
     return out
 
@@ -134,8 +122,7 @@ class Near:
         return int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
 
     def _said(self, kernel: Kernel, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
-        model = SVC(C=COSTS[cost], kernel="precomputed").fit(kernel[np.ix_(train, train)], self.y[train])
-        return model.predict(kernel[np.ix_(test, train)]).astype(np.int64)
+        return predict_kernel(kernel, self.y, train, test, COSTS[cost])
 
     def _choice(self, method: str, accuracy: Floats, margin: Floats) -> tuple[NDArray[np.int64], int]:
         """Candidates and the index of a cost, from scores ``[candidate, cost, fold]``; ties to the nearest."""
@@ -162,7 +149,7 @@ class Near:
     def _kernels_of(self, train: NDArray[np.int64]) -> NDArray[np.float32]:
         """Kernels ``[candidate, item, item]``, scaled by the training items."""
         if train.tobytes() not in self._kernels:
-            self._kernels[train.tobytes()] = np.stack([kernel_of(x, train, self.weight) for x in self.x])
+            self._kernels[train.tobytes()] = np.stack([rank_kernel(x, train, self.weight) for x in self.x])
         return self._kernels[train.tobytes()]
 
     def _inside_of(self, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
@@ -174,18 +161,8 @@ class Near:
 
     def _scores(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
         """Accuracy and mean margin ``[cost, fold]`` of grouped folds of the training items."""
-        y, k = self.y[train], kernel[np.ix_(train, train)]
-        folds = [f for r in range(INNER_REPEATS) for f in grouped_folds(y, self.groups[train], INNER, seed + r)]
-        accuracy, margin = np.zeros((2, len(COSTS), len(folds)))
-        for place, (a, b) in enumerate(folds):
-            for row, cost in enumerate(COSTS):
-                model = SVC(C=cost, kernel="precomputed").fit(k[np.ix_(a, a)], y[a])
-                said = model.decision_function(k[np.ix_(b, a)])
-                true = np.arange(said.shape[1]) == y[b, None]
-                accuracy[row, place] = (said.argmax(1) == y[b]).mean()
-                lead = said[true] - np.where(true, -np.inf, said).max(1)
-                margin[row, place] = np.minimum(lead, 1).mean()
-        return accuracy, margin
+        part = kernel[np.ix_(train, train)]
+        return cost_scores(part, self.y[train], self.groups[train], COSTS, INNER, INNER_REPEATS, seed)
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import PLAIN
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning import validation
@@ -47,7 +48,7 @@ from sim_mjx.synthesis.calibration_data import states_corpus, whole_corpus
 SEED = 0
 CONFIG = EncoderConfig(5, CONTROL_PERIOD)
 SPACE = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
-WORDS = FeatureSpec(families=("histogram", "ngram", "attributes"))  # no duration, no absolute offset
+WORDS = FeatureSpec(families=PLAIN)
 GRID = Grid(kernels=("linear",), costs=(0.01, 0.1, 1.0), scalings=(True,))
 
 

@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
 from experiments._lib.checkpointed_rows import Rows
-from experiments.classification.sim_to_real_sets import tared
+from experiments.classification.sim_to_real_sets import TARE_SECONDS
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import Features, FeatureSpec
+from rcbht_jax.features.recipes import ALL, LEVELS, PLAIN, RICHER
+from rcbht_jax.io.tare import tare
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features
@@ -37,10 +39,6 @@ from rcbht_jax.types import LabelTracks, Recordings
 # Window in samples and factor on the preset's thresholds.
 ENCODERS = {"W5": (5, 1.0), "W20 fine": (20, 1 / 16), "W20 finer": (20, 1 / 256)}
 GRAMMARS = {"preset": ("W5",), "fine": ("W20 fine", "W20 finer")}
-PLAIN = ("histogram", "ngram", "attributes")
-RICHER = ("histogram", "parts", "spread", "together", "order")  # without duration, without absolute offset
-LEVELS = (*RICHER, "levels")
-ALL = (*RICHER, "attributes", "course", "levels", "edges", "offset", "duration")
 
 DEVIATION = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0), scalings=(True,))
 RANKS = replace(DEVIATION, ranks=True)
@@ -96,9 +94,9 @@ class Experiment:
         self.benchmarks: Mapping[str, Benchmark] = BENCHMARKS | apart
 
     @cache  # noqa: B019 (one object lives as long as the program)
-    def tracks(self, encoder: str, tare: bool) -> LabelTracks:
+    def tracks(self, encoder: str, tared: bool) -> LabelTracks:
         window, scale = ENCODERS[encoder]
-        data = tared(self.recordings) if tare else self.recordings
+        data = tare(self.recordings, round(TARE_SECONDS / self.recordings.dt)) if tared else self.recordings
         limits = GradientThresholds(np.asarray(preset().limits) * scale)
         return encode_batch(EncoderConfig(window, data.dt), limits, data.wrench, data.length)
 

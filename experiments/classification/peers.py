@@ -23,6 +23,7 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import FULL, PLAIN
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
@@ -44,10 +45,9 @@ PROBES: dict[str, Make] = {
     "first second alone": raw.first_second,
     "majority": lambda x, items: validation.majority(items.y),
 }
-WORDS = ("histogram", "ngram", "attributes")
 OURS = {
-    "words + SVM, without duration and offset": WORDS,
-    "words + SVM, all": (*WORDS, "duration", "offset", "course", "edges"),
+    "words + SVM, without duration and offset": PLAIN,
+    "words + SVM, all": (*FULL, "course", "edges"),
 }
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 0.1, 1.0, 10.0, 100.0))
 # A fifth of the repeats: the first has five times the items of the others, the second takes as long as ten others.

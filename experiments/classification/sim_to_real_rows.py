@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from rcbht_jax.features.recipes import PLAIN, SIGNAL, UNTIMED
 from sim_mjx.presets.sessions import PRESETS
 
-_WORDS = ("histogram", "ngram", "attributes")
-_LINES = ("parts", "spread", "together", "order")
-_ABSOLUTE = ("offset", "edges", "levels")
 # Families of features that selection may choose from, simple ones first: ties go to the earlier.
 CANDIDATES = {
     "histogram": ("histogram",),
     "course": ("course",),
     "edges": ("edges",),
-    "words": _WORDS,
-    "lines": _LINES,
+    "words": PLAIN,
+    "lines": SIGNAL,
     "values": ("attributes", "course", "offset", "edges"),
-    "words and course": (*_WORDS, "course"),
-    "all but duration and absolute level": (*_WORDS, "course", *_LINES),
-    "all but duration": (*_WORDS, "course", *_LINES, *_ABSOLUTE),
-    "all": (*_WORDS, "course", *_LINES, *_ABSOLUTE, "duration"),
+    "words and course": (*PLAIN, "course"),
+    "all but duration and absolute level": (*PLAIN, "course", *SIGNAL),
+    "all but duration": UNTIMED,
+    "all": (*UNTIMED, "duration"),
 }
 CHOICE = tuple(name for name in CANDIDATES if name != "all")  # duration is a confound
 FIXED = ("all but duration",)  # where a single set is trained on, which cannot tell what carries over

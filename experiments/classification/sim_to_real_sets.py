@@ -19,6 +19,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FAMILIES, Features, FeatureSpec
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.io.tare import tare
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.presets.sessions import PRESETS
@@ -84,7 +85,7 @@ class Sets:
         self.folder, self.recorded = folder, recorded
 
     @cache  # noqa: B019 (one object lives as long as the program)
-    def recordings(self, name: str, tare: bool) -> Recordings:
+    def recordings(self, name: str, tared: bool) -> Recordings:
         """The trials of a set; a simulated one is made where it is missing."""
         if name in RECORDED:
             (session,) = RECORDED[name].sessions
@@ -93,7 +94,7 @@ class Sets:
             level, which = name.split()
             make(self.folder, level, which)
             found = read_recordings(store_of(self.folder, level, which))
-        return tared(found) if tare else found
+        return tare(found, round(TARE_SECONDS / found.dt)) if tared else found
 
     @cache  # noqa: B019
     def items(self, name: str, boundaries: str) -> LabelledIntervals:
@@ -112,15 +113,6 @@ class Sets:
     def features(self, name: str, how: Labelling, boundaries: str) -> Features:
         """All families of features of a set's sentences."""
         return extract_features(self.tracks(name, how), self.items(name, boundaries), SPEC)
-
-
-def tared(recordings: Recordings) -> Recordings:
-    """Each trial without the mean wrench of its first second."""
-    samples = round(TARE_SECONDS / recordings.dt)
-    wrench = recordings.wrench.copy()
-    for row, length in enumerate(recordings.length):
-        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0)
-    return replace(recordings, wrench=wrench)
 
 
 def store_of(folder: Path, level: str, preset: str) -> Path:

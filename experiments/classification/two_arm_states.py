@@ -16,6 +16,7 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
 from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import LEVELS, PLAIN
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.svm import Grid
@@ -30,12 +31,11 @@ TRIALS = 40  # of each preset
 COSTS = (0.01, 0.1, 1.0, 10.0, 100.0)
 GRID = Grid(kernels=("linear",), costs=COSTS)
 RANKS = Grid(kernels=("linear",), costs=COSTS, scalings=(True,), ranks=True)
-WORDS = ("sentence", "histogram", "ngram", "attributes")
-RICHER = FeatureSpec(families=("histogram", "parts", "spread", "together", "order", "levels"), balance=True)
+WORDS = ("sentence", *PLAIN)
 KINDS = {
     "words": (FeatureSpec(families=WORDS), GRID),
     "words and duration": (FeatureSpec(families=(*WORDS, "duration")), GRID),
-    "richer words and levels": (RICHER, RANKS),
+    "richer words and levels": (FeatureSpec(families=LEVELS, balance=True), RANKS),
 }
 
 

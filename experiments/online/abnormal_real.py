@@ -35,11 +35,10 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
+from rcbht_jax.features.recipes import TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection.alarms import Alarm
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
-    TRIAL_FAMILIES,
-    TRIAL_RELATIVE,
     Snapshots,
     regular_snapshots,
     snapshot_features,
@@ -181,7 +180,7 @@ def looked(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
     looks = regular_snapshots(items, round(1 / (RATE * config.dt)))
-    sight = FeatureView(FeatureSpec(families=TRIAL_FAMILIES))
+    sight = FeatureView(FeatureSpec(families=TRIAL))
     with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
         x = snapshot_features(recordings, looks, sight, config, preset(), bar.update)
     family = np.array([name.split(".")[0] for name in names(sight.spec)] + ["elapsed"])

@@ -22,7 +22,8 @@ from experiments._lib.checkpointed_rows import Rows
 from experiments.online.table2 import MAIN_RATE, SETS, halves, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.introspection.training import ENDS, FAMILIES, GRID, Snapshots, learn
+from rcbht_jax.features.recipes import SUBTASK
+from rcbht_jax.introspection.training import ENDS, GRID, Snapshots, learn
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -32,10 +33,10 @@ PARTS = 20  # of a sub-task
 def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Snapshots, np.ndarray]:
     """The looks at the untrained half, and the probability of the true class at each."""
     inside = halves(items, seed)
-    columns = np.isin(x["family"], FAMILIES)
+    columns = np.isin(x["family"], SUBTASK)
     fitted, looks = x["picked"], x["streamed"]
     rows = np.flatnonzero(inside[fitted.sentence])
-    described, train = FeatureSpec(families=FAMILIES, balance=True), x["picked_x"][rows][:, columns]
+    described, train = FeatureSpec(families=SUBTASK, balance=True), x["picked_x"][rows][:, columns]
     machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
     test = np.flatnonzero(~inside[looks.sentence])
     seen = looks.take(test)
@@ -83,7 +84,7 @@ def main() -> None:
         "what": "probability of the true class over the course of a sub-task, streamed, trials not trained on",
         "rate, Hz": MAIN_RATE,
         "repeats": args.repeats,
-        "families": FAMILIES,
+        "families": SUBTASK,
     }
     command = f"python -m experiments.online.confidence --repeats {args.repeats} --seed {args.seed}"
     wanted = {n: lambda n=n: rounded(measure(recordings, n, args.repeats, args.seed)) for n in SETS}

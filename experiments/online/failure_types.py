@@ -28,9 +28,9 @@ from experiments._lib.checkpointed_rows import Rows
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import RICHER, TRIAL
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
-    TRIAL_FAMILIES,
     TRIAL_GRID,
     Snapshots,
     learn,
@@ -48,7 +48,6 @@ RATE = 10.0  # looks per second
 PICKED = 4  # half of a trial's looks that train
 FOLDS = 5
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
-RICHER = ("histogram", "parts", "spread", "together", "order")
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
 ENDS = 20  # looks that a complete record counts for: until the parts touch, a record says nothing of its failure
@@ -67,7 +66,7 @@ class Method:
 
 
 METHODS = {
-    "plain words": Method(TRIAL_FAMILIES),
+    "plain words": Method(TRIAL),
     "richer words": Method(RICHER, grid=RANKS),
     "richer words, thresholds / 16": Method(RICHER, 20, 1 / 16, RANKS),
     "richer words, thresholds / 256": Method(RICHER, 20, 1 / 256, RANKS),

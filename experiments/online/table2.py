@@ -30,12 +30,11 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import names
+from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.introspection.training import (
     ENDS,
-    FAMILIES,
     GRID,
-    RELATIVE,
     Snapshots,
     learn,
     regular_snapshots,
@@ -46,7 +45,7 @@ from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
-KINDS = {"all": FAMILIES, "relative": RELATIVE}
+KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
 RATES = (MAIN_RATE, 2.0, 100.0)
 FRACTIONS = 10  # of the sub-task, for the early-classification curve
@@ -176,7 +175,7 @@ def _mean(stacked: Floats) -> Floats:
 
 def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, rate: float) -> dict[str, Any]:
     """Features of all looks, once for all repeats: they depend on no training."""
-    families = tuple(dict.fromkeys((*FAMILIES, *RELATIVE)))
+    families = tuple(dict.fromkeys((*SUBTASK, *SUBTASK_RELATIVE)))
     sight = FeatureView(FeatureSpec(families=families))
     every = round(1 / (rate * config.dt))
     out: dict[str, Any] = {"picked": training_snapshots(items, every), "streamed": regular_snapshots(items, every)}

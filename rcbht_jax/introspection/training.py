@@ -14,6 +14,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
+from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks
 from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE
@@ -23,17 +24,11 @@ from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import OUTCOMES, LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-# A sub-task: words, the sentence in equal parts, where the force is, and for how long. Ranks, because attributes have
-# long tails; without what costs time and helps no task here: n-grams, quantiles, correlations, times of extremes.
-FAMILIES = ("histogram", "parts", "levels", "elapsed")
-RELATIVE = ("histogram", "parts")  # without time and without absolute offset
-# The radial kernel alone: what a force means depends on the time that has passed.
+# A sub-task: ranks, because attributes have long tails; the radial kernel alone, because what a force means depends on
+# the time that has passed.
 GRID = Grid(kernels=("rbf",), costs=(0.3, 1.0, 3.0), scalings=(True,), balanced=True, inner=3, floor=0.1, ranks=True)
 ENDS = 6  # looks that a complete sentence counts for: what it says matters most and is seen least
 
-# A whole trial: nothing of the time that has passed, which tells sessions and controllers apart.
-TRIAL_FAMILIES = ("histogram", "attributes", "offset", "course", "edges")
-TRIAL_RELATIVE = ("histogram", "attributes", "course")
 TRIAL_GRID = Grid(
     kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1
 )
@@ -129,7 +124,7 @@ class HeadSpec:
     def sight(self) -> FeatureView:
         """What it sees; where the force is, how it moves and for how long weigh the same in a sub-task."""
         subtask = self.scope == "subtask"
-        every, relative = (FAMILIES, RELATIVE) if subtask else (TRIAL_FAMILIES, TRIAL_RELATIVE)
+        every, relative = (SUBTASK, SUBTASK_RELATIVE) if subtask else (TRIAL, TRIAL_RELATIVE)
         families = self.families or (relative if self.relative else every)
         return FeatureView(FeatureSpec(families=families, balance=subtask))
 

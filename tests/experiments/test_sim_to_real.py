@@ -12,9 +12,10 @@ import pytest
 from experiments._lib.results_io import RESULTS
 from experiments.classification.sim_to_real import Pool, choose, scored, some_trials
 from experiments.classification.sim_to_real_rows import CANDIDATES, ROWS
-from experiments.classification.sim_to_real_sets import RECORDED, SETS, tared
+from experiments.classification.sim_to_real_sets import RECORDED, SETS
 from experiments.figures.sim_to_real import draw, lines
 from rcbht_jax.features import FAMILIES
+from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
 from rcbht_jax.types import Recordings
 from sim_mjx.presets.sessions import PRESETS
@@ -82,7 +83,7 @@ def test_tare_takes_the_first_second_and_nothing_later() -> None:
     before = trials((150, 400))
     other = replace(before, wrench=before.wrench.copy())
     other.wrench[1, 200:400] *= 7
-    one, two = tared(before), tared(other)
+    one, two = tare(before, 200), tare(other, 200)
     np.testing.assert_allclose(one.wrench[1, :200].mean(0), 0, atol=1e-5)
     np.testing.assert_array_equal(one.wrench[1, :200], two.wrench[1, :200])
     assert not one.wrench[0, 150:].any()

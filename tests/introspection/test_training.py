@@ -7,11 +7,8 @@ import pytest
 
 from rcbht_jax.features import ABSOLUTE, FeatureSpec, Intervals
 from rcbht_jax.features.online import names, weights
+from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection.training import (
-    FAMILIES,
-    RELATIVE,
-    TRIAL_FAMILIES,
-    TRIAL_RELATIVE,
     HeadSpec,
     learn,
     regular_snapshots,
@@ -67,13 +64,13 @@ def test_a_complete_sentence_counts_several_times(time_alone):
 
 def test_what_a_head_sees_depends_on_its_sentence():
     state, phase = HeadSpec(TaskSpec()), HeadSpec(TaskSpec(), phase=True)
-    assert (state.sight.spec.families, state.sight.spec.balance) == (FAMILIES, True)
-    assert (phase.sight.spec.families, phase.sight.spec.balance) == (TRIAL_FAMILIES, False)
+    assert (state.sight.spec.families, state.sight.spec.balance) == (SUBTASK, True)
+    assert (phase.sight.spec.families, phase.sight.spec.balance) == (TRIAL, False)
     assert HeadSpec(TaskSpec("outcome"), ("edges",)).sight.spec.families == ("edges",)
     for head, families in (
-        (HeadSpec(TaskSpec(), relative=True), RELATIVE),
+        (HeadSpec(TaskSpec(), relative=True), SUBTASK_RELATIVE),
         (HeadSpec(TaskSpec("outcome"), relative=True), TRIAL_RELATIVE),
     ):
         assert head.sight.spec.families == families
-    assert not {"elapsed", "duration"} & {*TRIAL_FAMILIES, *RELATIVE}
-    assert not {*ABSOLUTE} & {*RELATIVE, *TRIAL_RELATIVE}
+    assert not {"elapsed", "duration"} & {*TRIAL, *SUBTASK_RELATIVE}
+    assert not {*ABSOLUTE} & {*SUBTASK_RELATIVE, *TRIAL_RELATIVE}

@@ -1,0 +1,26 @@
+"""Subtraction of a sensor's bias, measured while nothing touches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Recordings
+
+
+def tare(recordings: Recordings, samples: int) -> Recordings:
+    """The recordings, each minus the mean wrench of its first samples; padding stays zero.
+
+    Args:
+        recordings: that begin in free space.
+        samples: to average; shorter recordings use all of theirs.
+
+    Raises:
+        InputError: ``samples`` is less than one.
+    """
+    if samples < 1:
+        raise InputError(f"a tare over {samples} samples is impossible; expected at least one.")
+    wrench = recordings.wrench.copy()
+    for row, length in enumerate(recordings.length):
+        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0)
+    return replace(recordings, wrench=wrench)
