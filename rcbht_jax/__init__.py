@@ -1,3 +1,65 @@
-"""rcbht-jax: from a wrench signal to words, a grammar and a belief about what the robot is doing."""
+"""rcbht-jax: wrench signals into words, words into statements about what a robot is doing.
+
+    >>> import numpy as np, rcbht_jax as rj
+    >>> wrench = np.zeros((400, 6))  # Fx Fy Fz Mx My Mz at 200 Hz
+    >>> wrench[:, 2] = np.clip(20 * (np.arange(400) / 200 - 1), 0, 10)  # a push along z
+    >>> rj.encode(wrench, rate=200).words("Fz")
+    ['FX', 'PS', 'FX']
+
+Everything that most users need is a name of this package, imported when it is first used. Modules below it hold the
+pure functions (:mod:`rcbht_jax.encoding.encoder`) and everything else.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
+
+_FACE = {
+    "encoding.arrays": ("encode",),
+    "encoding.encoder": ("EncoderConfig",),
+    "encoding.stream": ("Encoder",),
+    "encoding.thresholds": ("GradientThresholds", "preset", "read_thresholds", "write_thresholds"),
+    "errors": ("InputError",),
+    "features": ("FeatureSpec",),
+    "features.recipes": ("recipe",),
+    "introspection.fault_monitor": ("FaultMonitor",),
+    "introspection.introspector": ("Introspector",),
+    "io.label_store": ("read_tracks", "write_tracks"),
+    "io.store": ("read_recordings", "write_recordings"),
+    "learning.estimators": ("StateClassifier", "SvmClassifier", "WrenchFeatures"),
+    "learning.evaluation": ("evaluate", "train"),
+    "learning.predict": ("classify",),
+    "learning.tasks": ("TaskSpec", "extract_features", "labelled_intervals"),
+    "types": ("LabelTracks", "Recordings"),
+}
+_HOME = {name: module for module, names in _FACE.items() for name in names}
+
+__all__ = sorted(_HOME)  # the table above is the only list
+
+if TYPE_CHECKING:
+    from rcbht_jax.encoding.arrays import encode
+    from rcbht_jax.encoding.encoder import EncoderConfig
+    from rcbht_jax.encoding.stream import Encoder
+    from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
+    from rcbht_jax.errors import InputError
+    from rcbht_jax.features import FeatureSpec
+    from rcbht_jax.introspection.introspector import Introspector
+    from rcbht_jax.io.label_store import read_tracks, write_tracks
+    from rcbht_jax.io.store import read_recordings, write_recordings
+    from rcbht_jax.learning.evaluation import evaluate, train
+    from rcbht_jax.learning.predict import classify
+    from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
+    from rcbht_jax.types import LabelTracks, Recordings
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,20 +1,28 @@
-"""Frozen pytree dataclasses shared by every room of the house; each field states its shape and unit.
+"""Frozen pytree dataclasses that every room shares; each field states its shape and unit.
 
-Axes are always Fx Fy Fz Mx My Mz, forces in newtons, moments in newton metres, times in seconds
-unless a field says samples. Padding is stated per class.
+Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field says samples.
+Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax import labels
+from rcbht_jax._util.optional import require
+from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas  # type: ignore[import-untyped]
+    import xarray
 
 Array = Any  # jax.Array or numpy.ndarray: host and device code share these containers
 
@@ -22,20 +30,20 @@ Array = Any  # jax.Array or numpy.ndarray: host and device code share these cont
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segment:
-    """A labelled span inside the encoder; every field has the same batch shape ``[...]``, its lanes.
+    """A labelled span inside the encoder; every field has the same batch shape ``[*lanes]``.
 
     Sums are kept instead of means so that merging only adds: no product feeds an addition, hence no
     compiler may contract one into a fused multiply-add, hence streaming and batch agree bit for bit.
     An empty slot has label 0; its other fields mean nothing.
     """
 
-    label: Array  # int32, code of rcbht_jax.labels
-    t0: Array  # int32, first sample
-    t1: Array  # int32, one past the last sample
-    vmax: Array  # float, largest value of the fitted lines
-    vmin: Array  # float, smallest value of the fitted lines
-    area: Array  # float, sum of the samples = mean x duration in samples
-    rise: Array  # float, slope x duration in samples
+    label: Int[Array, "*lanes"]  # int32, code of rcbht_jax.labels
+    t0: Int[Array, "*lanes"]  # int32, first sample
+    t1: Int[Array, "*lanes"]  # int32, one past the last sample
+    vmax: Float[Array, "*lanes"]  # largest value of the fitted lines, N or Nm
+    vmin: Float[Array, "*lanes"]  # smallest value of the fitted lines, N or Nm
+    area: Float[Array, "*lanes"]  # sum of the samples = mean x duration in samples
+    rise: Float[Array, "*lanes"]  # slope x duration in samples
 
 
 @jax.tree_util.register_dataclass
@@ -47,24 +55,169 @@ class LabelTrack:
     form, anywhere in the dense form with one slot per step) hold label 0 and zeros elsewhere.
     """
 
-    label: Array  # int8, code of rcbht_jax.labels; 0 = empty slot
-    t0: Array  # int32, first sample of the span
-    t1: Array  # int32, one past the last sample of the span
-    emit: Array  # int32, number of samples received when the label was published; -1 = not online
-    vmax: Array  # float, largest value of the fitted lines, N or Nm
-    vmin: Array  # float, smallest value of the fitted lines, N or Nm
-    avg: Array  # float, duration-weighted mean, N or Nm
-    grad: Array  # float, duration-weighted slope, N/s or Nm/s
+    label: Int[Array, "*slots"]  # int8, code of rcbht_jax.labels; 0 = empty slot
+    t0: Int[Array, "*slots"]  # int32, first sample of the span
+    t1: Int[Array, "*slots"]  # int32, one past the last sample of the span
+    emit: Int[Array, "*slots"]  # int32, number of samples received when the label was published; -1 = not online
+    vmax: Float[Array, "*slots"]  # largest value of the fitted lines, N or Nm
+    vmin: Float[Array, "*slots"]  # smallest value of the fitted lines, N or Nm
+    avg: Float[Array, "*slots"]  # duration-weighted mean, N or Nm
+    grad: Float[Array, "*slots"]  # duration-weighted slope, N/s or Nm/s
+
+
+@dataclass(frozen=True)
+class TrackInfo:
+    """What the labels of :func:`rcbht_jax.encode` belong to; static, so that label tracks stay a pytree.
+
+    Attributes:
+        rate: samples per second.
+        axes: names of the axes.
+        recordings: names of the recordings; empty = a single recording without a batch axis.
+    """
+
+    rate: float
+    axes: tuple[str, ...]
+    recordings: tuple[str | int, ...] = ()
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LabelTracks:
-    """The three layers of labels for the same lanes."""
+    """Three layers of labels of the same recordings: primitives, motion compositions, low-level behaviours.
+
+    Every array is ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> push = np.clip(20 * (np.arange(400) / 200 - 1), 0, 10)  # N: rest, 20 N/s for half a second, rest
+        >>> tracks = rj.encode(push[:, None], rate=200)
+        >>> tracks.words(axis=0, layer="llb")
+        ['FX', 'PS', 'FX']
+        >>> tracks
+        LabelTracks(1 recording, 1 axis at 200 Hz: 3 primitives, 3 compositions, 3 behaviours)
+    """
 
     primitive: LabelTrack
     mc: LabelTrack
     llb: LabelTrack
+    info: TrackInfo | None = field(default=None, kw_only=True, metadata={"static": True})
+
+    def words(self, axis: int | str, layer: str = "llb", recording: int = 0) -> list[str]:
+        """Names of the labels of one axis in order of time.
+
+        Args:
+            axis: number or name, for example 2 or "Fz".
+            layer: "primitive", "mc" or "llb".
+            recording: number, where there are several.
+
+        Raises:
+            InputError: no such axis, layer or recording.
+        """
+        names = self._axes()
+        if isinstance(axis, str) and axis not in names:
+            raise InputError(f"There is no axis {axis!r}; there are {', '.join(names)}.")
+        number = names.index(axis) if isinstance(axis, str) else axis
+        if layer not in labels.LAYERS:
+            raise InputError(f"There is no layer {layer!r}; there are {', '.join(labels.LAYERS)}.")
+        codes = _batched(getattr(self, layer).label)
+        if not (-codes.shape[0] <= recording < codes.shape[0] and -codes.shape[1] <= number < codes.shape[1]):
+            raise InputError(
+                f"Recording {recording}, axis {axis} is not there: {codes.shape[0]} recordings, {codes.shape[1]} axes."
+            )
+        return [labels.name(layer, code) for code in codes[recording, number].tolist() if code]
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A pandas table with a row per word.
+
+        Columns: recording, axis, layer, label, t0, t1, emit (samples), vmax, vmin, avg (N or Nm), grad (N/s or Nm/s).
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        pandas = require("pandas", "frames")
+        names, recordings = np.array(self._axes()), self._recordings()
+        parts = []
+        for layer in labels.LAYERS:
+            track = jax.tree.map(_batched, getattr(self, layer))
+            where = np.nonzero(track.label)
+            alphabet = np.array([labels.name(layer, code) for code in range(len(labels.MEANING[layer]) + 1)])
+            columns = {"recording": recordings[where[0]], "axis": names[where[1]]}
+            columns |= {"layer": np.full(len(where[0]), layer), "label": alphabet[track.label[where]]}
+            values = ("t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
+            parts.append(pandas.DataFrame(columns | {name: getattr(track, name)[where] for name in values}))
+        frame = pandas.concat(parts, ignore_index=True)
+        frame.attrs["rate"] = None if self.info is None else self.info.rate
+        return frame
+
+    def to_xarray(self) -> xarray.Dataset:
+        """An xarray data set: variables such as ``llb_label`` with the dimensions recording, axis, llb_slot.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = require("xarray", "frames")
+        variables = {}
+        for layer in labels.LAYERS:
+            dims = ("recording", "axis", f"{layer}_slot")
+            for name, values in vars(getattr(self, layer)).items():
+                variables[f"{layer}_{name}"] = (dims, _batched(values))
+        coords = {"recording": self._recordings(), "axis": self._axes()}
+        attrs = {} if self.info is None else {"rate": self.info.rate}
+        return xarray.Dataset(variables, coords, attrs)
+
+    def __repr__(self) -> str:
+        shape = np.shape(self.llb.label)
+        if len(shape) < 2 or not isinstance(self.llb.label, np.ndarray | jax.Array) or _traced(self.llb.label):
+            return f"LabelTracks({shape or self.llb.label})"
+        count = [int(np.count_nonzero(getattr(self, layer).label)) for layer in labels.LAYERS]
+        size = f"{_plural(len(self._recordings()), 'recording')}, {_plural(shape[-2], 'axis', 'axes')}"
+        rate = "" if self.info is None else f" at {self.info.rate:g} Hz"
+        words = ", ".join(map(_plural, count, ("primitive", "composition", "behaviour")))
+        return f"LabelTracks({size}{rate}: {words})"
+
+    def _repr_html_(self) -> str:
+        """Picture for notebooks: the first recording's words over time, a row per axis and layer."""
+        scale = 1.0 if self.info is None else 1 / self.info.rate
+        rows = []
+        for number, axis in enumerate(self._axes()):
+            for layer in labels.LAYERS[::-1]:
+                track = jax.tree.map(lambda leaf, row=number: _batched(leaf)[0, row], getattr(self, layer))
+                words = zip(track.label.tolist(), track.t0.tolist(), track.t1.tolist(), strict=True)
+                bars = [
+                    Bar(t0 * scale, t1 * scale, labels.COLORS[layer][code - 1], labels.MEANING[layer][code - 1])
+                    for code, t0, t1 in words
+                    if code
+                ]
+                rows.append((f"{axis} {layer}", bars))
+        return f"<div>{self!r}</div>{bands(rows, 'samples' if self.info is None else 's')}"
+
+    def _axes(self) -> list[str]:
+        count = np.shape(self.llb.label)[-2]
+        return list(self.info.axes if self.info else axis_names(count))
+
+    def _recordings(self) -> NDArray[Any]:
+        if self.info is not None and self.info.recordings:
+            return np.array(self.info.recordings)
+        return np.arange(_batched(self.llb.label).shape[0])
+
+
+def axis_names(count: int) -> tuple[str, ...]:
+    """Names of axes that nobody named: those of a wrench if there are six, else axis0, axis1, ..."""
+    return labels.AXES if count == len(labels.AXES) else tuple(f"axis{number}" for number in range(count))
+
+
+def _batched(values: Array) -> NDArray[Any]:
+    """Host array ``[recording, axis, slot]`` of ``[..., axis, slot]``."""
+    array = np.asarray(values)
+    return array.reshape(-1, *array.shape[-2:])
+
+
+def _traced(values: Array) -> bool:
+    return isinstance(values, jax.core.Tracer)
+
+
+def _plural(count: int, one: str, many: str = "") -> str:
+    return f"{count} {one if count == 1 else many or one + 's'}"
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, drain, encode, init, scan_lanes
-from rcbht_jax.encoding.thresholds import GradientThresholds, validate
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
-AXES = 6
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
 _MOST_SLOTS = 128
 _PIECE_WINDOWS = 64
@@ -71,37 +71,37 @@ def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS)
 
 def encode_batch(
     config: EncoderConfig,
-    thresholds: GradientThresholds,
-    wrench: NDArray[np.floating],
-    length: NDArray[np.int32],
+    thresholds: Thresholds,
+    wrench: Float[np.ndarray, "recording time axis"],
+    length: Int[np.ndarray, " recording"],
     *,
     progress: Callable[[int], None] | None = None,
 ) -> LabelTracks:
-    """Labels of a whole data set in the compact form.
+    """Labels of a whole data set in the compact form, scheduled from the host; see :func:`encode_on_device`.
 
     Args:
         config: static configuration.
-        thresholds: limits ``[6, 4]``, or ``[recording, 6, 4]``.
-        wrench: float32 or float64 ``[recording, time, 6]``, N and Nm; the dtype decides the precision.
-        length: int ``[recording]``, samples that count.
+        thresholds: limits ``[axis, 4]``, or ``[recording, axis, 4]``.
+        wrench: float32 or float64, any number of axes, N and Nm; the dtype decides the precision.
+        length: samples that count.
         progress: called with the number of samples done since the last call.
 
     Returns:
-        host arrays ``[recording, 6, slot]``, unused slots at the end.
+        host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
-        InputError: wrong shapes, a length beyond the array, or values that are not finite.
+        InputError: wrong shapes, thresholds that are not in order, a length beyond the array, or values that are not finite.
     """
-    limits = _checked(thresholds, wrench, length)
+    limits, axes = _checked(thresholds, wrench, length), wrench.shape[2]
     schedule = plan(length, _PIECE_WINDOWS * config.window)
     slots = schedule.recording.shape[1]
     dtype = jnp.float64 if wrench.dtype == np.float64 else jnp.float32
-    state = init((slots * AXES,), dtype)
-    rows = _Rows()
+    state = init((slots * axes,), dtype)
+    rows = _Rows(axes)
     for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
         piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)
-        lane_count = np.repeat(count, AXES)
-        fresh = jnp.asarray(np.repeat(offset == 0, AXES))
+        lane_count = np.repeat(count, axes)
+        fresh = jnp.asarray(np.repeat(offset == 0, axes))
         state, tracks = _piece(
             config, jnp.asarray(lane_limits), state, fresh, jnp.asarray(piece), jnp.asarray(lane_count)
         )
@@ -114,11 +114,9 @@ def encode_batch(
     return rows.compact(len(length))
 
 
-def _checked(
-    thresholds: GradientThresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]
-) -> NDArray[np.floating]:
-    if wrench.ndim != 3 or wrench.shape[2] != AXES:
-        raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, 6].")
+def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]) -> NDArray[np.floating]:
+    if wrench.ndim != 3 or not wrench.shape[2]:
+        raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, axis].")
     if length.shape != wrench.shape[:1] or length.size == 0:
         raise InputError(
             f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
@@ -128,11 +126,11 @@ def _checked(
     for index, samples in enumerate(length):
         if not np.isfinite(wrench[index, :samples]).all():
             raise InputError(f"Recording {index} holds values that are not finite numbers; remove or interpolate them.")
-    limits = np.asarray(thresholds.limits)
+    limits, axes = np.asarray(limits_of(thresholds)), wrench.shape[2]
     validate(limits)
-    if limits.shape not in ((AXES, 4), (len(length), AXES, 4)):
-        raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] or [recording, 6, 4].")
-    return np.broadcast_to(limits, (len(length), AXES, 4)).astype(wrench.dtype)
+    if limits.shape not in ((axes, 4), (len(length), axes, 4)):
+        raise InputError(f"Thresholds have shape {limits.shape}; expected [{axes}, 4] or [recording, {axes}, 4].")
+    return np.broadcast_to(limits, (len(length), axes, 4)).astype(wrench.dtype)
 
 
 def _gather(
@@ -144,16 +142,16 @@ def _gather(
     samples: int,
 ) -> tuple[NDArray[np.floating], NDArray[np.int32], NDArray[np.floating]]:
     """One piece of every slot: samples ``[time, lane]``, counts ``[slot]``, limits ``[4, lane]``."""
-    slots = len(recording)
-    piece = np.zeros((samples, slots, AXES), wrench.dtype)
+    slots, axes = len(recording), wrench.shape[2]
+    piece = np.zeros((samples, slots, axes), wrench.dtype)
     count = np.zeros(slots, np.int32)
     for slot in np.flatnonzero(recording >= 0):
         index, start = recording[slot], offset[slot]
         stop = min(start + samples, length[index])
         count[slot] = stop - start
         piece[: stop - start, slot] = wrench[index, start:stop]
-    lane_limits = limits[np.maximum(recording, 0)].reshape(slots * AXES, 4).T
-    return piece.reshape(samples, slots * AXES), count, lane_limits
+    lane_limits = limits[np.maximum(recording, 0)].reshape(slots * axes, 4).T
+    return piece.reshape(samples, slots * axes), count, lane_limits
 
 
 @partial(jax.jit, static_argnums=0)
@@ -178,13 +176,14 @@ _drained = jax.jit(drain, static_argnums=0)
 class _Rows:
     """Published labels as flat columns, gathered piece by piece, then laid out as padded tracks."""
 
-    def __init__(self) -> None:
+    def __init__(self, axes: int) -> None:
+        self._axes = axes
         self._parts: tuple[list[dict[str, NDArray[np.generic]]], ...] = ([], [], [])
 
     def add(self, tracks: LabelTracks, recording: NDArray[np.int64]) -> None:
         """Keep the labels of the slots whose recording is not -1."""
-        lane = np.repeat(recording, AXES) * AXES + np.tile(np.arange(AXES), len(recording))
-        used = np.repeat(recording >= 0, AXES)
+        lane = np.repeat(recording, self._axes) * self._axes + np.tile(np.arange(self._axes), len(recording))
+        used = np.repeat(recording >= 0, self._axes)
         for parts, track in zip(self._parts, (tracks.primitive, tracks.mc, tracks.llb), strict=True):
             label = np.asarray(track.label)
             where = np.nonzero((label != 0) & used[:, None])
@@ -192,22 +191,21 @@ class _Rows:
             parts.append({"lane": lane[where[0]], **columns})
 
     def compact(self, recordings: int) -> LabelTracks:
-        """Tracks ``[recording, 6, slot]``, each as long as its longest sentence."""
+        """Tracks ``[recording, axis, slot]``, each as long as its longest sentence."""
         return LabelTracks(*(self._layer(parts, recordings) for parts in self._parts))
 
-    @staticmethod
-    def _layer(parts: list[dict[str, NDArray[np.generic]]], recordings: int) -> LabelTrack:
+    def _layer(self, parts: list[dict[str, NDArray[np.generic]]], recordings: int) -> LabelTrack:
         columns = {name: np.concatenate([part[name] for part in parts]) for name in ("lane", *_FIELDS)}
         lane = columns["lane"].astype(np.int64)
         order = np.argsort(lane, kind="stable")  # pieces came in order of time
         lane = lane[order]
-        counts = np.bincount(lane, minlength=recordings * AXES)
+        counts = np.bincount(lane, minlength=recordings * self._axes)
         slot = np.arange(len(lane)) - np.repeat(np.cumsum(counts) - counts, counts)
         arrays = {}
         for name in _FIELDS:
-            padded = np.zeros((recordings * AXES, max(int(counts.max()), 1)), columns[name].dtype)
+            padded = np.zeros((recordings * self._axes, max(int(counts.max()), 1)), columns[name].dtype)
             padded[lane, slot] = columns[name][order]
-            arrays[name] = padded.reshape(recordings, AXES, -1)
+            arrays[name] = padded.reshape(recordings, self._axes, -1)
         return LabelTrack(**arrays)
 
 
@@ -218,29 +216,38 @@ ROWS = 64  # ... and batches to this many recordings
 
 
 def encode_on_device(
-    config: EncoderConfig, limits: Array, wrench: Array, length: Array, *, together: int = 2048
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    wrench: Float[Array, "recording time axis"],
+    length: Int[Array, " recording"],
+    *,
+    batch: int = 2048,
 ) -> LabelTracks:
-    """Labels of a batch of recordings in the compact form.
+    """Labels of a batch of recordings in the compact form, without a transfer to the host.
+
+    The labels equal those of :func:`encode_batch` bit for bit. That function is better where recordings differ much in
+    length or where memory is short: here all are scanned at once to the end of the longest.
 
     Args:
         config: static configuration.
-        limits: float ``[6, 4]`` or ``[recording, 6, 4]``, see Thresholds.
-        wrench: float32 ``[recording, time, 6]`` on the device, N and Nm, padded with anything finite.
-        length: int32 ``[recording]``, samples that count.
-        together: recordings that are scanned at once; bounds the memory, about 14 kB per recording and window.
+        thresholds: limits ``[axis, 4]`` or ``[recording, axis, 4]``.
+        wrench: float32 on the device, N and Nm, padded with anything finite.
+        length: int32, samples that count.
+        batch: recordings that are scanned at once; bounds the memory, about 14 kB per recording and window.
 
     Returns:
-        device arrays ``[recording, 6, slot]``; unused slots are at the end and zero.
+        device arrays ``[recording, axis, slot]``; unused slots are at the end and zero.
     """
     count, samples = wrench.shape[:2]
     stretch = config.window * STRETCH
-    limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype), (count, *limits.shape[-2:]))
-    spare = -count % (ROWS if count < together else together)
+    limits = jnp.asarray(limits_of(thresholds), wrench.dtype)
+    limits = jnp.broadcast_to(limits, (count, *limits.shape[-2:]))
+    spare = -count % (ROWS if count < batch else batch)
     wrench = jnp.pad(wrench, ((0, spare), (0, -samples % stretch), (0, 0)))
     limits, length = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge"), jnp.pad(length, (0, spare))
     pieces = []
-    for start in range(0, count, together):
-        rows = slice(start, start + together)
+    for start in range(0, count, batch):
+        rows = slice(start, start + batch)
         dense, used = _encode(config, limits[rows], wrench[rows], length[rows])
         widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used))
         pieces.append(_compacted(widths, dense))

@@ -1,6 +1,6 @@
-"""Ordered pairs: primitives to motion compositions, compositions to low-level behaviours (sections 4.4 and 4.5).
+"""Ordered pairs: primitives to motion compositions, compositions to low-level behaviours.
 
-A composer holds one item H per lane; each arrival gives at most one output. Pair tables of
+A composer holds one segment H per lane; each arrival gives at most one output. Pair tables of
 rcbht_jax.labels are packed four bits a cell, because a shift costs less than a gather.
 """
 
@@ -40,7 +40,7 @@ def push_primitive(h: Segment, x: Segment, gate: bool, contact_first: bool) -> t
     """One primitive arrives (an empty x changes nothing): new H, composition (empty where none is complete).
 
     Args:
-        h: held item. x: arrival.
+        h: held segment. x: arrival.
         gate: pair ramps only within an amplitude ratio of 2 and a duration ratio of 5.
         contact_first: an impulse pairs only as the first of a pair.
     """

@@ -1,8 +1,10 @@
-"""The streaming encoder: wrench in, three layers of labels out (specification, section 4, "paper mode").
+"""The streaming encoder as pure functions: wrench in, three layers of labels out (paper, section III).
 
-``step`` is pure, fixed-size and loop-free; ``encode`` scans it. Lanes (axes, arms, trials) are the trailing
-batch dimensions, so a wrench window is ``[window, axis]`` and ``[window, trial, axis]`` works alike.
-Streaming and batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why.
+:func:`init`, :func:`step`, :func:`flush` and :func:`encode` are safe under ``jit``, ``vmap``, ``grad`` and ``scan``; the
+configuration is static. ``step`` has a fixed size and no loop; ``encode`` scans it. Lanes (axes, arms, trials) are the
+trailing batch dimensions, so a window is ``[window, axis]``, and ``[window, trial, axis]`` works alike. Streaming and
+batch results are equal bit for bit: see :class:`rcbht_jax.types.Segment` for why. ``rcbht_jax.encode`` and
+:class:`rcbht_jax.encoding.stream.Encoder` are these functions for people.
 """
 
 from __future__ import annotations
@@ -13,17 +15,18 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition as compose
-from rcbht_jax.encoding import pipe, segments
+from rcbht_jax.encoding import composition, pipe, segments
 from rcbht_jax.encoding.pipe import PipeRules
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC
 from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 
-FLUSH_SLOTS = (2, 5, 8)  # most labels that the end of a stream can publish, per layer (section 4.8)
-_ITEMS = 8  # P.A P.B H M.A M.B H L.A L.B
-_INTS, _REALS = 3, 4  # fields of an item
+FLUSH_SLOTS = (2, 5, 8)  # most labels that the end of a stream can publish, per layer
+_HELD = 8  # P.A P.B H M.A M.B H L.A L.B
+_INTS, _REALS = 3, 4  # fields of a segment
 
 
 @dataclass(frozen=True)
@@ -33,13 +36,13 @@ class EncoderConfig:
     Attributes:
         window: samples per straight-line fit, >= 2.
         dt: seconds between samples.
-        gate: pair primitives only when amplitudes are within 2 and durations within 5 times (section 4.4).
-        adj_exempt: repeated adjustments stay apart, so that AL and SH can be told (section 4.6).
-        contact_first: impulses only lead pairs (section 4.4).
-        pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator (section 4.3).
+        gate: pair primitives only when amplitudes are within 2 and durations within 5 times.
+        adj_exempt: repeated adjustments stay apart, so that alignments and shifts can be distinguished.
+        contact_first: impulses only lead pairs.
+        pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator.
         rule: time-amplitude rule, "paper" or the reference's older "similar".
         latency_cap: publish a waiting run at the latest after this many seconds of its successor, or None.
-        noise_below: single compositions shorter than this many seconds become noise (section 4.5).
+        noise_below: single compositions shorter than this many seconds become noise.
     """
 
     window: int = 5
@@ -78,15 +81,15 @@ class EncoderConfig:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class EncoderState:
-    """Everything the encoder remembers: eight items per lane, whatever the length of the stream.
+    """Everything the encoder remembers: eight segments per lane, whatever the length of the stream.
 
-    The items are stacked in two arrays because a loop that carries two arrays runs four times faster
+    The segments are stacked in two arrays because a loop that carries two arrays runs four times faster
     on a CPU than one that carries fifty-six.
     """
 
-    time: Array  # int32 [...], samples consumed
-    ints: Array  # int32 [24, ...], label, t0, t1 of each item
-    reals: Array  # float [32, ...], vmax, vmin, area, rise of each item
+    time: Int[Array, "*lanes"]  # int32, samples consumed
+    ints: Int[Array, 24 * lanes]  # int32, label, t0, t1 of each segment
+    reals: Float[Array, 32 * lanes]  # vmax, vmin, area, rise of each segment
 
 
 @jax.tree_util.register_dataclass
@@ -94,40 +97,58 @@ class EncoderState:
 class PackedLabels:
     """What one step publishes, packed for the loop; :func:`unpack` gives the labels. Stacks of steps lead."""
 
-    ints: Array  # int32 [9, ...], label, t0, t1 of each layer's item
-    reals: Array  # float [12, ...], vmax, vmin, area, rise of each layer's item
-    emit: Array  # int32 [...], samples received
+    ints: Int[Array, ...]  # int32 [9, *lanes], label, t0, t1 of each layer's segment
+    reals: Float[Array, ...]  # [12, *lanes], vmax, vmin, area, rise of each layer's segment
+    emit: Int[Array, ...]  # int32 [*lanes], samples received
 
 
 def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
     return EncoderState(
         jnp.zeros(lanes, jnp.int32),
-        jnp.zeros((_ITEMS * _INTS, *lanes), jnp.int32),
-        jnp.zeros((_ITEMS * _REALS, *lanes), dtype),
+        jnp.zeros((_HELD * _INTS, *lanes), jnp.int32),
+        jnp.zeros((_HELD * _REALS, *lanes), dtype),
     )
 
 
-def step(config: EncoderConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, PackedLabels]:
+def step(
+    config: EncoderConfig, thresholds: Thresholds, state: EncoderState, window: Float[Array, window * lanes]
+) -> tuple[EncoderState, PackedLabels]:
     """One full window of samples for every lane.
 
     Args:
         config: static configuration.
-        limits: float ``[axis, 4]`` (or ``[..., axis, 4]`` matching the lanes), see Thresholds.limits.
-        state: lanes ``[..., axis]``.
-        window: float ``[config.window, ..., axis]``, N and Nm.
+        thresholds: limits ``[axis, 4]``, or ``[*lanes, 4]``.
+        state: of the same lanes, the last of which are the axes.
+        window: ``config.window`` samples, N and Nm.
 
     Returns:
         the new state and at most one label per layer and lane, packed.
+
+    Raises:
+        InputError: the window has another number of samples.
+
+    Example:
+        >>> from rcbht_jax.encoding.thresholds import preset
+        >>> config = EncoderConfig(window=5, dt=0.005)
+        >>> state, packed = step(config, preset(), init((6,)), jnp.ones((5, 6)))
+        >>> unpack(packed).primitive.label.shape, int(state.time[0])
+        ((6,), 5)
     """
-    return step_partial(config, limits, state, window, jnp.full_like(state.time, config.window))
+    return step_partial(config, thresholds, state, window, jnp.full_like(state.time, config.window))
 
 
 def step_partial(
-    config: EncoderConfig, limits: Array, state: EncoderState, window: Array, count: Array
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    state: EncoderState,
+    window: Float[Array, window * lanes],
+    count: Int[Array, "*lanes"],
 ) -> tuple[EncoderState, PackedLabels]:
-    """As :func:`step`, for a window of which ``count`` samples (int32, lanes) are there; a single one is dropped."""
-    x = segments.fit(window, count, _lane_limits(limits, window), config.dt, state.time)
+    """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
+    if window.shape[0] != config.window:
+        raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
+    x = segments.fit(window, count, _lane_limits(limits_of(thresholds), window), config.dt, state.time)
     return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
 
 
@@ -139,41 +160,58 @@ def unpack(published: PackedLabels) -> LabelTracks:
     return LabelTracks(*(_track(x, published.emit) for x in _unpack(published.ints, published.reals)))
 
 
-def flush(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
-    """End of the stream (section 4.8): the last partial window, then all that is still held.
+def flush(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    state: EncoderState,
+    rest: Float[Array, window * lanes],
+    count: Int[Array, "*lanes"],
+) -> LabelTracks:
+    """End of the stream: the last partial window, then all that is still held.
 
     Args:
         config: static configuration.
-        limits: float ``[..., axis, 4]``.
-        state: lanes ``[..., axis]``.
-        rest: float ``[config.window, ..., axis]``, samples that did not fill a window, then anything.
-        count: int32 ``[..., axis]``, how many of them there are, < window; a single one is dropped.
+        thresholds: limits ``[axis, 4]``, or ``[*lanes, 4]``.
+        state: of the same lanes.
+        rest: the samples that did not fill a window, then anything.
+        count: how many of them there are, < window; a single one is dropped.
 
     Returns:
-        labels ``[..., axis, slot]`` with 1 + 2, 1 + 5 and 1 + 8 slots: the window's, then the drained ones.
+        labels ``[*lanes, slot]`` with 1 + 2, 1 + 5 and 1 + 8 slots: the window's, then the drained ones.
     """
     shape, lanes = state.time.shape, state.time.size
     state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
     rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
-    lane_limits = jnp.broadcast_to(jnp.asarray(limits, rest.dtype), (*shape, 4)).reshape(lanes, 4)
+    lane_limits = jnp.broadcast_to(jnp.asarray(limits_of(thresholds), rest.dtype), (*shape, 4)).reshape(lanes, 4)
     state, out = step_partial(config, lane_limits, state, rest, count)
     joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
 
 
-def peek(config: EncoderConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
-    """Provisional labels as if the stream ended now; the state stays as it is (section 4.8). Same as :func:`flush`."""
-    return flush(config, limits, state, rest, count)
+def peek(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    state: EncoderState,
+    rest: Float[Array, window * lanes],
+    count: Int[Array, "*lanes"],
+) -> LabelTracks:
+    """Provisional labels as if the stream ended now; the state stays as it is. Same as :func:`flush`."""
+    return flush(config, thresholds, state, rest, count)
 
 
-def encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:
+def encode(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    wrench: Float[Array, "trial time axis"],
+    length: Int[Array, " trial"],
+) -> LabelTracks:
     """All labels of whole recordings: a scan of the same step, then the flush.
 
     Args:
         config: static configuration.
-        limits: float ``[axis, 4]`` or ``[trial, axis, 4]``.
-        wrench: float ``[trial, time, axis]``, N and Nm, padded with anything finite.
-        length: int32 ``[trial]``, samples that count.
+        thresholds: limits ``[axis, 4]`` or ``[trial, axis, 4]``.
+        wrench: N and Nm, padded with anything finite.
+        length: samples that count.
 
     Returns:
         labels ``[trial, axis, slot]`` in the dense form: one slot per window, partial ones included,
@@ -181,7 +219,7 @@ def encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -
     """
     trials, total, axes = wrench.shape
     lanes = jnp.swapaxes(wrench, 0, 1).reshape(total, trials * axes)
-    lane_limits = _lane_limits(limits, lanes, (trials, axes))
+    lane_limits = _lane_limits(limits_of(thresholds), lanes, (trials, axes))
     length = jnp.repeat(length.astype(jnp.int32), axes)
     state, tracks = scan_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
     joined = _join(tracks, drain(config, state))
@@ -189,16 +227,20 @@ def encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -
 
 
 def scan_lanes(
-    config: EncoderConfig, limits: Array, state: EncoderState, samples: Array, count: Array
+    config: EncoderConfig,
+    limits: Float[Array, "4 lane"],
+    state: EncoderState,
+    samples: Float[Array, "time lane"],
+    count: Int[Array, " lane"],
 ) -> tuple[EncoderState, LabelTracks]:
     """Scan one piece of a recording per lane; pieces but the last must be multiples of the window.
 
     Args:
         config: static configuration.
-        limits: float ``[4, lane]``.
-        state: lanes ``[lane]``.
-        samples: float ``[time, lane]``.
-        count: int32 ``[lane]``, samples that count; the last count % window of them are the partial window.
+        limits: of every lane, in the dtype of the samples.
+        state: of the lanes.
+        samples: N or Nm.
+        count: samples that count; the last count % window of them are the partial window.
 
     Returns:
         the new state, and labels ``[lane, slot]`` with one slot per window.
@@ -239,49 +281,49 @@ def _advance(config: EncoderConfig, state: EncoderState, x: Segment, count: Arra
 
 
 def chain(config: EncoderConfig, held: Sequence[Segment], x: Segment) -> tuple[list[Segment], list[Segment]]:
-    """Window item through pipe, composer, pipe, composer, pipe (section 4.7).
+    """A window's segment through pipe, composer, pipe, composer, pipe.
 
     Args:
         config: static configuration.
-        held: the eight items of the state, in its order.
+        held: the eight segments of the state, in its order.
         x: the window; an empty one changes nothing.
 
     Returns:
-        the eight items held afterwards and one published item per layer.
+        the eight segments held afterwards and one published segment per layer.
     """
     pa, pb, hm, ma, mb, hl, la, lb = held
     pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
-    hm, m = compose.push_primitive(hm, p, config.gate, config.contact_first)
+    hm, m = composition.push_primitive(hm, p, config.gate, config.contact_first)
     ma, mb, m = pipe.push(ma, mb, m, config.rules(1))
-    hl, l = compose.push_composition(hl, m, config.short)
+    hl, l = composition.push_composition(hl, m, config.short)
     la, lb, l = pipe.push(la, lb, l, config.rules(2))
     return [pa, pb, hm, ma, mb, hl, la, lb], [p, m, l]
 
 
 def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
-    """All held items in order, each layer drained into the next.
+    """All held segments in order, each layer drained into the next.
 
-    State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots (section 4.8).
+    State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots.
     """
     layers = drain_segments(config, _unpack(state.ints, state.reals))
-    return LabelTracks(*(_last_axis_track(items, state.time) for items in layers))
+    return LabelTracks(*(_last_axis_track(layer, state.time) for layer in layers))
 
 
 def drain_segments(config: EncoderConfig, held: Sequence[Segment]) -> tuple[Segment, Segment, Segment]:
-    """What the eight held items still publish, per layer: 2, 5 and 8 items stacked in front of the lanes."""
+    """What the eight held segments still publish, per layer: 2, 5 and 8 segments stacked in front of the lanes."""
     pa, pb, hm, ma, mb, hl, la, lb = held
 
-    def primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return compose.push_primitive(h, x, config.gate, config.contact_first)
+    def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
+        return composition.push_primitive(h, x, config.gate, config.contact_first)
 
-    def composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return compose.push_composition(h, x, config.short)
+    def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
+        return composition.push_composition(h, x, config.short)
 
     prims = _stack(*pipe.drain(pa, pb, config.rules(0)))
-    hm, out = jax.lax.scan(primitive, hm, prims)
-    mcs = _drain_pipe(config, 1, ma, mb, _append(out, compose.single_composition(hm)))
-    hl, out = jax.lax.scan(composition, hl, mcs)
-    llbs = _drain_pipe(config, 2, la, lb, _append(out, compose.single_behaviour(hl, config.short)))
+    hm, out = jax.lax.scan(push_primitive, hm, prims)
+    mcs = _drain_pipe(config, 1, ma, mb, _append(out, composition.single_composition(hm)))
+    hl, out = jax.lax.scan(push_composition, hl, mcs)
+    llbs = _drain_pipe(config, 2, la, lb, _append(out, composition.single_behaviour(hl, config.short)))
     return prims, mcs, llbs
 
 
@@ -296,22 +338,22 @@ def _drain_pipe(config: EncoderConfig, layer: int, a: Segment, b: Segment, arriv
     return _append(out, *pipe.drain(a, b, rules))
 
 
-def _stack(*items: Segment) -> Segment:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)
+def _stack(*parts: Segment) -> Segment:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
 
 
-def _append(stacked: Segment, *items: Segment) -> Segment:
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), stacked, _stack(*items))
+def _append(stacked: Segment, *parts: Segment) -> Segment:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), stacked, _stack(*parts))
 
 
-def _last_axis_track(items: Segment, time: Array) -> LabelTrack:
-    items = jax.tree.map(lambda leaf: leaf.T, items)
-    return _track(items, jnp.broadcast_to(time[:, None], items.label.shape))
+def _last_axis_track(stacked: Segment, time: Array) -> LabelTrack:
+    stacked = jax.tree.map(lambda leaf: leaf.T, stacked)
+    return _track(stacked, jnp.broadcast_to(time[:, None], stacked.label.shape))
 
 
-def _pack(items: Sequence[Segment]) -> tuple[Array, Array]:
-    ints = jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
-    reals = jnp.stack([leaf for x in items for leaf in (x.vmax, x.vmin, x.area, x.rise)])
+def _pack(held: Sequence[Segment]) -> tuple[Array, Array]:
+    ints = jnp.stack([leaf for x in held for leaf in (x.label, x.t0, x.t1)])
+    reals = jnp.stack([leaf for x in held for leaf in (x.vmax, x.vmin, x.area, x.rise)])
     return ints, reals
 
 
@@ -324,7 +366,7 @@ def _unpack(ints: Array, reals: Array) -> list[Segment]:
 
 
 def _track(x: Segment, emit: Array) -> LabelTrack:
-    """Published form of items: means instead of sums, zeros where empty."""
+    """Published form of segments: means instead of sums, zeros where empty."""
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
     label = x.label.astype(jnp.int8)
     track = LabelTrack(label, x.t0, x.t1, emit, x.vmax, x.vmin, x.area / samples, x.rise / samples)

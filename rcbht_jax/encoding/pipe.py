@@ -1,6 +1,6 @@
-"""The filter pipe between two layers (specification, section 4.3): merges repeats, absorbs the negligible.
+"""The filter pipe between two layers: merges repeats, absorbs the negligible.
 
-A pipe holds a closed run A and an open run B per lane and publishes at most one item per arrival.
+A pipe holds a closed run A and an open run B per lane and publishes at most one segment per arrival.
 Pure, elementwise, no loop: every lane does the same few selects.
 """
 
@@ -38,11 +38,11 @@ class PipeRules:
 
     Attributes:
         contact: marks labels that are never absorbed and never wait.
-        exempt: a label whose repeats stay apart (adjustments, section 4.6), or None.
+        exempt: a label whose repeats stay apart (adjustments), or None.
         rule: "paper" absorbs what is 5 times smaller and 5 times shorter; "similar" is the reference's older
             rule, which absorbs what has a similar amplitude (within 5 times) and is more than 5 times shorter.
         cap: publish A at the latest when B is longer than this many samples, or None.
-        one_slot: compare each arrival with the accumulator B only (section 4.3, "acc"); A stays empty.
+        one_slot: compare each arrival with the accumulator B only; A stays empty.
     """
 
     contact: Callable[[Array], Array]
@@ -63,12 +63,12 @@ def duration(x: Segment) -> Array:
 
 
 def select(condition: Array, x: Segment, y: Segment) -> Segment:
-    """Lane-wise choice between two items."""
+    """Lane-wise choice between two segments."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), x, y)
 
 
 def keep(condition: Array, x: Segment) -> Segment:
-    """The item where the condition holds, an empty slot elsewhere."""
+    """The segment where the condition holds, an empty slot elsewhere."""
     return relabel(x, jnp.where(condition, x.label, 0))
 
 
@@ -78,7 +78,7 @@ def relabel(x: Segment, label: Array) -> Segment:
 
 
 def merge(x: Segment, y: Segment, label: Array) -> Segment:
-    """The span of two neighbours, x first; associative (section 4.1)."""
+    """The span of two neighbours, x first; associative."""
     vmax, vmin = jnp.maximum(x.vmax, y.vmax), jnp.minimum(x.vmin, y.vmin)
     return Segment(label, x.t0, y.t1, vmax, vmin, x.area + y.area, x.rise + y.rise)
 
@@ -92,7 +92,7 @@ def over(x: Segment, y: Segment, rule: str) -> Array:
 
 
 def push(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tuple[Segment, Segment, Segment]:
-    """One arrival (an empty x changes nothing): new A, new B, published item (empty where nothing leaves)."""
+    """One arrival (an empty x changes nothing): new A, new B, published segment (empty where nothing leaves)."""
     if rules.one_slot:
         return _push_one_slot(a, b, x, rules)
     arrived, same, absorb, a_wins, fire, rejoin = _decide(a, b, x, rules)
@@ -107,7 +107,7 @@ def push(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tuple[Segment,
 
 
 def _decide(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> list[Array]:
-    """Whether x arrived; whether it continues B; A and B merge, under A's label; A leaves; x joins the merged item."""
+    """Whether x arrived; continues B; A and B merge; under A's label; A leaves; x joins the merged segment."""
     arrived, both = x.label > 0, (x.label > 0) & (a.label > 0)
     same = arrived & _same(b.label, x.label, rules)
     run = select(same, merge(b, x, b.label), b)  # B as it stands after the arrival
@@ -154,7 +154,7 @@ def _push_one_slot(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tupl
 
 
 def drain(a: Segment, b: Segment, rules: PipeRules) -> tuple[Segment, Segment]:
-    """What the pipe still holds at the end of a stream, decided as if B were closed: two items, either may be empty."""
+    """What the pipe still holds at the end of a stream, decided as if B were closed: two segments, maybe empty."""
     both = (a.label > 0) & (b.label > 0)
     contact = rules.contact(a.label) | rules.contact(b.label)
     b_wins = ~contact & over(b, a, rules.rule)

@@ -1,4 +1,4 @@
-"""Windows of samples to labelled straight-line segments (specification, sections 2.3 and 4.2)."""
+"""Windows of samples to labelled straight-line segments."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Se
 
     Args:
         samples: float ``[window, ...]``, N or Nm, window >= 2.
-        count: int32 ``[...]``, samples that count, <= window; fewer than 2 give an empty item.
+        count: int32 ``[...]``, samples that count, <= window; fewer than 2 give an empty segment.
         limits: float ``[4, ...]``, gradient limits per lane, largest first, N/s or Nm/s.
         dt: seconds between samples.
         t0: int32 ``[...]``, index of the first sample.
 
     Returns:
-        one item per lane; its extremes are those of the line at the first and last sample.
+        one segment per lane; its extremes are those of the line at the first and last sample.
     """
     slope, x = line(samples, count, dt, t0)
     label = jnp.where(count >= 2, gradient_label(slope, limits), 0)
@@ -34,7 +34,7 @@ def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Se
 
 
 def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Segment]:
-    """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and items whose label is 0."""
+    """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and segments whose label is 0."""
     dtype = samples.dtype
     n = jnp.maximum(count, 2).astype(dtype)
     total, moment = _sums(samples, count, (n - 1) / 2)

@@ -2,8 +2,8 @@
 
 What is soft: the label of every window, by sigmoid boundaries on the logarithm of its slope; and with it every
 pair of the tables, as the expected label of two soft partners. What stays hard: which windows form an item and
-which items pair or merge. The hard encoder decides that, and its decisions are held fixed for the derivative. A
-merged item says what those of its parts say that carry its label: what was absorbed does not vote.
+which segments pair or merge. The hard encoder decides that, and its decisions are held fixed for the derivative. A
+merged segment says what those of its parts say that carry its label: what was absorbed does not vote.
 
 So the soft labels are the hard ones at temperature 0, are smooth wherever the hard decisions do not change, and
 jump where they do. Gradients reach all four thresholds of every axis through the windows.
@@ -15,10 +15,12 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, encoder, segments
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.labels import LAYER_SIZES, LLB, MC, MC_PAIR, MC_SINGLE, PRIMITIVE_GROUP, Group
 from rcbht_jax.types import Array, LabelTrack, Segment
 
@@ -32,9 +34,9 @@ _SURE = 40.0  # logit of the sign of a slope far above the small limit
 class SoftLabels:
     """Distribution of the published label over time; windows beyond a recording have all zeros."""
 
-    primitive: Array  # float [trial, axis, window, 9]
-    mc: Array  # float [trial, axis, window, 8]
-    llb: Array  # float [trial, axis, window, 8]
+    primitive: Float[Array, "trial axis window 9"]
+    mc: Float[Array, "trial axis window 8"]
+    llb: Float[Array, "trial axis window 8"]
 
 
 @jax.tree_util.register_dataclass
@@ -42,9 +44,9 @@ class SoftLabels:
 class _Spans:
     """Items of one stage on the grid of windows; every field int32 ``[lane, window]``."""
 
-    label: Array  # hard label of the item over this window; 0 beyond the recording
-    start: Array  # first window of the item
-    end: Array  # last window of the item
+    label: Array  # hard label of the segment over this window; 0 beyond the recording
+    start: Array  # first window of the segment
+    end: Array  # last window of the segment
 
 
 def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Array:
@@ -71,9 +73,9 @@ def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Arr
 
 def soft_encode(
     config: EncoderConfig,
-    limits: Array,
-    wrench: Array,
-    length: Array,
+    thresholds: Thresholds,
+    wrench: Float[Array, "trial time axis"],
+    length: Int[Array, " trial"],
     temperature: Array | float,
     straight_through: bool = False,
 ) -> SoftLabels:
@@ -81,22 +83,22 @@ def soft_encode(
 
     Args:
         config: static configuration.
-        limits: float ``[6, 4]``, largest first, N/s and Nm/s.
-        wrench: float ``[trial, time, axis]``, N and Nm, padded with anything finite.
-        length: int32 ``[trial]``, samples that count.
+        thresholds: limits ``[axis, 4]``.
+        wrench: N and Nm, padded with anything finite.
+        length: samples that count.
         temperature: see :func:`soft_windows`.
         straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape
-    windows = -(-samples // config.window)
+    windows, limits = -(-samples // config.window), limits_of(thresholds)
     stages = jax.lax.stop_gradient(_hard_spans(config, limits, wrench, length))
     slope, counts = _slopes(config, wrench, length)
     lane_limits = jnp.broadcast_to(limits[None], (trials, axes, 4)).reshape(-1, 1, 4)
     soft = soft_windows(slope, lane_limits, temperature) * counts[..., None].astype(slope.dtype)
-    said = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits, -1, 0)), 0)
+    voted = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits, -1, 0)), 0)
 
     primitive, pairs, mc, joints, llb = stages
-    p = _vote(soft, said, primitive)
+    p = _vote(soft, voted, primitive)
     m = _vote(_composition(p, pairs, primitive), pairs.label, mc)
     l = _vote(_behaviour(m, joints, mc), joints.label, llb)
     if straight_through:
@@ -168,47 +170,47 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
     pairs = _append(pairs, composition.single_composition(held))
     held, joints = jax.lax.scan(push_composition, empty, m)
     joints = _append(joints, composition.single_behaviour(held, config.short))
-    return tuple(_on_grid(items, windows, config.window) for items in (p, pairs, m, joints, l))
+    return tuple(_on_grid(stage, windows, config.window) for stage in (p, pairs, m, joints, l))
 
 
-def _append(items: Segment, last: Segment) -> Segment:
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), items, last)
+def _append(spans: Segment, last: Segment) -> Segment:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), spans, last)
 
 
-def _on_grid(items: Segment, windows: int, window: int) -> _Spans:
+def _on_grid(spans: Segment, windows: int, window: int) -> _Spans:
     """Items ``[slot, lane]`` that follow one another, spread over the windows they cover."""
-    lane = jnp.broadcast_to(jnp.arange(items.label.shape[1], dtype=jnp.int32)[None], items.label.shape)
+    lane = jnp.broadcast_to(jnp.arange(spans.label.shape[1], dtype=jnp.int32)[None], spans.label.shape)
 
     def mark(place: Array, value: Array) -> Array:
-        index = jnp.where(items.label > 0, place, windows)  # beyond the grid: dropped
-        return jnp.zeros((items.label.shape[1], windows), jnp.int32).at[lane, index].set(value, mode="drop")
+        index = jnp.where(spans.label > 0, place, windows)  # beyond the grid: dropped
+        return jnp.zeros((spans.label.shape[1], windows), jnp.int32).at[lane, index].set(value, mode="drop")
 
-    first = items.t0 // window
-    last = (items.t1 - 1) // window
+    first = spans.t0 // window
+    last = (spans.t1 - 1) // window
     start = jax.lax.cummax(mark(first, first), axis=1)
     end = windows - 1 - jax.lax.cummax(mark(last, windows - 1 - last), axis=1, reverse=True)
-    label = jnp.take_along_axis(mark(first, items.label), start, axis=1)
+    label = jnp.take_along_axis(mark(first, spans.label), start, axis=1)
     # Beyond the last item the grid would repeat it.
-    final = jnp.max(jnp.where(items.label > 0, last, -1), axis=0)[:, None]
+    final = jnp.max(jnp.where(spans.label > 0, last, -1), axis=0)[:, None]
     return _Spans(jnp.where(jnp.arange(windows, dtype=jnp.int32)[None] <= final, label, 0), start, end)
 
 
-def _vote(soft: Array, said: Array, items: _Spans) -> Array:
-    """Distribution of each item: the mean over those of its windows whose part says the item's own label."""
+def _vote(soft: Array, voted: Array, spans: _Spans) -> Array:
+    """Distribution of each segment: the mean over those of its windows whose part says the item's own label."""
     lanes, windows, _ = soft.shape
-    core = ((said == items.label) & (items.label > 0)).astype(soft.dtype)[..., None]
-    segment = (jnp.arange(lanes, dtype=jnp.int32)[:, None] * windows + items.start).reshape(-1)
+    core = ((voted == spans.label) & (spans.label > 0)).astype(soft.dtype)[..., None]
+    segment = (jnp.arange(lanes, dtype=jnp.int32)[:, None] * windows + spans.start).reshape(-1)
 
     def total(x: Array) -> Array:
         sums = jax.ops.segment_sum(x.reshape(lanes * windows, -1), segment, lanes * windows)
         return sums[segment].reshape(lanes, windows, -1)
 
-    on = (items.label > 0)[..., None]
+    on = (spans.label > 0)[..., None]
     return jnp.where(on, total(soft * core) / jnp.maximum(total(core), 1), 0)
 
 
 def _partners(x: Array, pairs: _Spans, parts: _Spans) -> tuple[Array, Array, Array]:
-    """Distributions of the first and the last part of every item, and whether it has only one part."""
+    """Distributions of the first and the last part of every segment, and whether it has only one part."""
     first = jnp.take_along_axis(x, pairs.start[..., None], axis=1)
     second = jnp.take_along_axis(x, pairs.end[..., None], axis=1)
     alone = jnp.take_along_axis(parts.end, pairs.start, axis=1) >= pairs.end

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, flush, init, step, unpack
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks
 
@@ -17,35 +19,64 @@ _unpack = jax.jit(unpack)
 _flush = jax.jit(flush, static_argnums=0)
 
 
-class Stream:
-    """One wrench signal; remembers a fixed-size state and less than one window of samples.
+class WindowBuffer:
+    """Samples that do not fill a window yet: cuts chunks of any size into windows ``[window, axis]``."""
+
+    def __init__(self, window: int, axes: int, dtype: type[np.floating]) -> None:
+        self.samples: NDArray[np.floating] = np.zeros((window, axes), dtype)
+        self.count = 0  # how many of them are there; the others are left over from earlier windows
+
+    def push(self, chunk: NDArray[np.floating]) -> Iterator[NDArray[np.floating]]:
+        """Windows that ``chunk [time, axis]`` completes; each is a view that the next one overwrites."""
+        while len(chunk):
+            part = chunk[: len(self.samples) - self.count]
+            self.samples[self.count : self.count + len(part)] = part
+            self.count += len(part)
+            chunk = chunk[len(part) :]
+            if self.count == len(self.samples):
+                self.count = 0
+                yield self.samples
+
+
+class Encoder:
+    """Streaming encoder of one wrench: samples in as they come, labels out.
+
+    It remembers a state of fixed size and less than one window of samples. Labels come as LabelTracks ``[axis, slot]``
+    of host arrays, one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots; label 0 marks a slot where nothing
+    was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however the samples are cut into chunks.
 
     Args:
         config: static configuration.
-        thresholds: limits ``[axes, 4]``.
+        thresholds: limits ``[axis, 4]``.
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
-    Published labels come as LabelTracks ``[axis, slot]`` of host arrays, one slot per window or, at the end,
-    1 + 2, 1 + 5 and 1 + 8 slots; label 0 marks a slot where nothing was published. Their values are equal bit
-    for bit to those of :func:`rcbht_jax.encoding.encoder.encode`, however the samples are cut into chunks.
+    Raises:
+        InputError: thresholds of another shape, or not in order.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> encoder = rj.Encoder(rj.EncoderConfig(window=5, dt=0.005), rj.preset("hiro"))
+        >>> [labels.primitive.label.shape for labels in encoder.push(np.zeros((12, 6)))]
+        [(6, 1), (6, 1)]
+        >>> encoder.received
+        12
     """
 
-    def __init__(
-        self, config: EncoderConfig, thresholds: GradientThresholds, dtype: type[np.floating] = np.float32
-    ) -> None:
+    def __init__(self, config: EncoderConfig, thresholds: Thresholds, dtype: type[np.floating] = np.float32) -> None:
+        limits = np.asarray(limits_of(thresholds))
+        validate(limits)
+        if limits.ndim != 2:
+            raise InputError(f"Thresholds have shape {limits.shape}; a stream expects [axis, 4].")
         self._config = config
-        self._limits = jnp.asarray(np.asarray(thresholds.limits), dtype)
-        if self._limits.ndim != 2:
-            raise InputError(f"Thresholds have shape {self._limits.shape}; a stream expects [axis, 4].")
-        self._axes = self._limits.shape[0]
+        self._limits = jnp.asarray(limits, dtype)
+        self._axes = limits.shape[0]
         self._state: EncoderState = init((self._axes,), dtype)
-        self._rest: NDArray[np.floating] = np.zeros((config.window, self._axes), dtype)
-        self._count = 0
+        self._buffer = WindowBuffer(config.window, self._axes, dtype)
 
     @property
     def received(self) -> int:
         """Samples received so far."""
-        return int(self._state.time[0]) + self._count
+        return int(self._state.time[0]) + self._buffer.count
 
     def push(self, samples: ArrayLike) -> list[LabelTracks]:
         """Feed samples ``[time, axis]`` of any number; one entry per window that they complete.
@@ -53,35 +84,26 @@ class Stream:
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
         """
-        chunk = np.asarray(samples, self._rest.dtype)
+        chunk = np.asarray(samples, self._buffer.samples.dtype)
         if chunk.ndim != 2 or chunk.shape[1] != self._axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {self._axes}].")
         if not np.isfinite(chunk).all():
             raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
-        outs = []
-        while len(chunk):
-            taken = chunk[: self._config.window - self._count]
-            self._rest[self._count : self._count + len(taken)] = taken
-            self._count += len(taken)
-            chunk = chunk[len(taken) :]
-            if self._count == self._config.window:
-                self._state, out = _step(self._config, self._limits, self._state, jnp.array(self._rest))
-                self._count = 0
-                outs.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(out)))
-        return outs
+        published = []
+        for window in self._buffer.push(chunk):
+            self._state, packed = _step(self._config, self._limits, self._state, jnp.array(window))
+            published.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed)))
+        return published
 
     def peek(self) -> LabelTracks:
-        """Provisional labels as if the stream ended now; nothing changes (section 4.8)."""
-        return self._end()
+        """Provisional labels as if the stream ended now; nothing changes."""
+        count = jnp.full(self._axes, self._buffer.count, jnp.int32)
+        tracks = _flush(self._config, self._limits, self._state, jnp.array(self._buffer.samples), count)
+        return jax.tree.map(np.asarray, tracks)
 
     def flush(self) -> LabelTracks:
         """End of the stream: the labels still held. The stream starts anew afterwards."""
-        tracks = self._end()
-        self._state = init((self._axes,), self._rest.dtype)
-        self._count = 0
+        tracks = self.peek()
+        self._state = init((self._axes,), self._buffer.samples.dtype)
+        self._buffer.count = 0
         return tracks
-
-    def _end(self) -> LabelTracks:
-        count = jnp.full(self._axes, self._count, jnp.int32)
-        tracks = _flush(self._config, self._limits, self._state, jnp.array(self._rest), count)
-        return jax.tree.map(np.asarray, tracks)

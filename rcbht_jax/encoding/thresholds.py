@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
@@ -20,7 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
 
-# Impulse, big, medium, small limits for forces, N/s (specification, sections 2.3 online and 3 offline).
+# Impulse, big, medium, small limits for forces, N/s, from the authors' programs.
 _FORCE_LIMITS = {
     "hiro": (70.0, 46.0, 23.0, 1.0),
     "baxter": (70.0, 46.0, 23.0, 1.0),
@@ -33,17 +34,39 @@ MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the fo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GradientThresholds:
-    """Gradient limits, largest first, mirrored for negative slopes.
+    """Gradient limits, largest first, mirrored for negative slopes (paper, section III-A).
+
+    A plain pytree: ``jax.grad``, ``jax.tree.map`` and ``jax.device_get`` give another one. Nothing is checked when one
+    is made; encoders, files and models check what they are given (:meth:`validate`).
 
     Attributes:
         limits: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, N/s for forces, Nm/s for moments.
+
+    Example:
+        >>> import numpy as np
+        >>> force, moment = [120.0, 60.0, 25.0, 2.0], [6.0, 3.0, 1.2, 0.1]
+        >>> GradientThresholds(np.array([force] * 3 + [moment] * 3)).validate().limits.shape
+        (6, 4)
     """
 
-    limits: Array
+    limits: Float[Array, "*batch axis 4"]
 
-    def __post_init__(self) -> None:
-        if isinstance(self.limits, np.ndarray):
-            validate(self.limits)
+    def validate(self) -> GradientThresholds:
+        """These thresholds, if they are in order.
+
+        Raises:
+            InputError: wrong shape, not finite, not positive or not ordered.
+        """
+        validate(np.asarray(self.limits))
+        return self
+
+
+Thresholds = GradientThresholds | Float[Array, "*batch axis 4"]  # what encoders take: the object, or its limits
+
+
+def limits_of(thresholds: Thresholds) -> Float[Array, "*batch axis 4"]:
+    """The array of limits of a thresholds object; an array stays as it is. Safe inside jit, vmap and grad."""
+    return thresholds.limits if isinstance(thresholds, GradientThresholds) else thresholds
 
 
 def validate(limits: NDArray[np.floating]) -> None:
@@ -60,19 +83,24 @@ def validate(limits: NDArray[np.floating]) -> None:
         raise InputError("Thresholds must be ordered: impulse >= big >= medium >= small.")
 
 
-def preset(robot: str = "hiro") -> GradientThresholds:
-    """Hand-set thresholds of the authors for a robot, ``[6, 4]``; moments are a tenth of the forces.
+def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThresholds:
+    """Hand-set thresholds of the authors for a robot, ``[axis, 4]``; moments are a tenth of the forces.
 
     Args:
         robot: one of ``ROBOTS``.
+        axes: names; those that begin with M or T are moments, all others count as forces.
 
     Raises:
         InputError: unknown robot.
+
+    Example:
+        >>> preset("hiro", ["Fz", "My"]).limits.tolist()
+        [[70.0, 46.0, 23.0, 1.0], [7.0, 4.6, 2.3, 0.1]]
     """
     if robot not in _FORCE_LIMITS:
         raise InputError(f"Robot {robot!r} has no thresholds; expected one of {', '.join(ROBOTS)}.")
     force = np.array(_FORCE_LIMITS[robot])
-    return GradientThresholds(np.stack([force] * 3 + [force / MOMENT_SCALE] * 3))
+    return GradientThresholds(np.stack([force / MOMENT_SCALE if axis[:1] in "MT" else force for axis in axes]))
 
 
 def from_free(free: Array) -> GradientThresholds:
@@ -125,7 +153,7 @@ def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Map
 
 
 def read_thresholds(path: Path) -> tuple[GradientThresholds, dict[str, Any]]:
-    """GradientThresholds ``[6, 4]`` and their provenance.
+    """Thresholds ``[6, 4]`` and their provenance.
 
     Raises:
         InputError: not such a file, or its limits are not ordered positive numbers for six axes.

@@ -85,7 +85,7 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
         by_layer = {layer: _checked(LabelTrack(**arrays[layer]), layer, count) for layer in LAYERS}
     if content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
         raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
-    return LabelTracks(**{layer: LabelTrack(**arrays[layer]) for layer in LAYERS}), dict(group.attrs)
+    return LabelTracks(*(LabelTrack(**arrays[layer]) for layer in LAYERS)), dict(group.attrs)
 
 
 def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:

@@ -267,7 +267,7 @@ def _write_labels(draft: Path, job: SynthesisConfig, parts: list[shards.Arrays],
     config = _encoder(job)
     limits = np.asarray(thresholds.preset(ROBOT).limits)
     how = {"semantics": "online", "window": config.window, "config": asdict(config), "thresholds": limits.tolist()}
-    write_tracks(draft, f"online-W{config.window}", LabelTracks(**layers), how, created=CREATED)
+    write_tracks(draft, f"online-W{config.window}", LabelTracks(*layers.values()), how, created=CREATED)
 
 
 def _report(target: Path, job: SynthesisConfig, resumed: int) -> SynthesisReport:

@@ -13,11 +13,12 @@ from jaxtyping import TypeCheckError
 from rcbht_jax.encoding import encoder
 from rcbht_jax.encoding.batch import encode_batch, plan
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.stream import Stream
+from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTrack, LabelTracks
 from tests.support import oracle
+from tests.support.trees import assert_trees_equal
 
 FIELDS = ("label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
 SAMPLES = 231
@@ -88,7 +89,7 @@ def test_any_chunking_equals_the_batch_bit_for_bit(
     config, thresholds = EncoderConfig(), preset()
     wrench = wrench_of(seed, style).astype(np.float32)
     batch = encode(config, jnp.asarray(thresholds.limits, jnp.float32), wrench[None], np.array([length], np.int32))
-    stream, parts, start = Stream(config, thresholds), [], 0
+    stream, parts, start = Encoder(config, thresholds), [], 0
     for index, cut in enumerate([*cuts, length]):
         parts += stream.push(wrench[start : min(start + cut, length)])
         start = min(start + cut, length)
@@ -97,7 +98,7 @@ def test_any_chunking_equals_the_batch_bit_for_bit(
     assert stream.received == length
     last = stream.peek()
     parts.append(stream.flush())
-    jax.tree.map(np.testing.assert_array_equal, last, parts[-1])
+    assert_trees_equal(last, parts[-1])
     streamed = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
     for axis in range(6):
         for whole, track in zip(layers(batch), layers(streamed), strict=True):
@@ -166,7 +167,7 @@ def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
 
 
 def test_bad_samples_are_refused_and_nothing_is_consumed() -> None:
-    stream = Stream(EncoderConfig(), preset())
+    stream = Encoder(EncoderConfig(), preset())
     stream.push(np.ones((3, 6)))
     for bad in (np.ones((4, 5)), np.ones(6), np.full((4, 6), np.nan)):
         with pytest.raises(InputError):
@@ -194,7 +195,7 @@ def test_what_lies_beyond_the_length_does_not_matter() -> None:
     padded[100:] = 1e6
     length, limits = np.array([100], np.int32), jnp.asarray(preset().limits, jnp.float32)
     a, b = (encode(EncoderConfig(), limits, w[None], length) for w in (wrench, padded))
-    jax.tree.map(np.testing.assert_array_equal, a, b)
+    assert_trees_equal(a, b)
 
 
 def test_labels_take_less_than_32_bytes_a_window() -> None:

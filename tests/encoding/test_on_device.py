@@ -18,7 +18,7 @@ def test_labels_are_those_of_the_schedule() -> None:
     wrench[0, 40:, 2] += 50.0
     length = np.array([250, 3, 0, 101, 249, 25, 7, 200], np.int32)
     config, thresholds = EncoderConfig(window=5), preset("hiro")
-    found = encode_on_device(config, thresholds.limits, wrench, length, together=4)
+    found = encode_on_device(config, thresholds.limits, wrench, length, batch=4)
     expected = encode_batch(config, thresholds, wrench, length)
     for layer in ("primitive", "mc", "llb"):
         ours, theirs = getattr(found, layer), getattr(expected, layer)
