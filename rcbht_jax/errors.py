@@ -2,4 +2,13 @@
 
 
 class InputError(ValueError):
-    """Bad input from outside (a file, an option, an array); the command line prints it and exits with status 2."""
+    """Bad input from outside (a file, an option, an array); the command line prints it and exits with status 2.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> try:
+        ...     rj.preset("r2d2")
+        ... except rj.InputError as error:
+        ...     str(error).split(";")[0]
+        "Robot 'r2d2' has no thresholds"
+    """

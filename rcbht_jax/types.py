@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
@@ -225,29 +225,43 @@ class Recordings:
     """A data set in memory: one row per recording (one arm of one trial). Host arrays.
 
     Padding: ``wrench`` beyond ``length`` is zero.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> def text(value):
+        ...     return np.full(2, value)
+        >>> missing = np.full((2, 4), np.nan)
+        >>> recordings = rj.Recordings(
+        ...     wrench=np.zeros((2, 800, 6), np.float32), length=np.array([800, 600], np.int32), dt=0.005,
+        ...     onset=missing, onset_harmonised=missing, trial=np.array(["first", "second"]), arm=text("R"),
+        ...     source=text("my-robot"), session=text("monday"), outcome=text("success"), failure_type=text(""),
+        ...     deviation=np.full((2, 3), np.nan), note=text(""),
+        ... )
+        >>> len(recordings), recordings.take([1]).trial.tolist()
+        (2, ['second'])
     """
 
-    wrench: NDArray[np.float32]  # [recording, time, 6]
-    length: NDArray[np.int32]  # [recording] samples
+    wrench: Float[np.ndarray, "recording time axis"]  # float32, N and Nm; axes Fx Fy Fz Mx My Mz
+    length: Int[np.ndarray, " recording"]  # samples
     dt: float  # seconds between samples
-    onset: NDArray[np.float64]  # [recording, 4] start of approach, rotation, insertion, mating; NaN = missing
-    onset_harmonised: NDArray[np.float64]  # [recording, 4] as above with the harmonised rotation boundary
+    onset: Float[np.ndarray, "recording 4"]  # s, start of approach, rotation, insertion, mating; NaN = missing
+    onset_harmonised: Float[np.ndarray, "recording 4"]  # as above with the harmonised rotation boundary
     trial: NDArray[np.str_]  # [recording] name of the trial; both arms of a trial share it
     arm: NDArray[np.str_]  # [recording] "R" or "L"
     source: NDArray[np.str_]  # [recording] data set, for example REAL_HIRO_ONE_SA_SUCCESS
     session: NDArray[np.str_]  # [recording] recording session: A, B, C, ... or the data set's own
     outcome: NDArray[np.str_]  # [recording] "success", "failure" or "unknown"
     failure_type: NDArray[np.str_]  # [recording] sign pattern such as "+x-y+r"; "" = none
-    deviation: NDArray[np.float64]  # [recording, 3] x (m), y (m), roll (rad) from the nominal pose; NaN = unknown
-    note: NDArray[np.str_]  # [recording] what the importer had to say: semicolon-separated flags
+    deviation: Float[np.ndarray, "recording 3"]  # x (m), y (m), roll (rad) from the nominal pose; NaN = unknown
+    note: NDArray[np.str_]  # [recording] remarks of the importer: flags separated by semicolons
 
     def __len__(self) -> int:
         return int(self.length.shape[0])
 
-    def take(self, rows: NDArray[Any]) -> Recordings:
-        """The chosen recordings, by their numbers in the order wished or by a mask ``[recording]``."""
+    def take(self, rows: ArrayLike) -> Recordings:
+        """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""
         names = [field.name for field in fields(self) if field.name != "dt"]
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(self, **{name: getattr(self, name)[np.asarray(rows)] for name in names})
 
     @staticmethod
     def join(parts: Sequence[Recordings]) -> Recordings:

@@ -43,6 +43,13 @@ class EncoderConfig:
         rule: time-amplitude rule, "paper" or the reference's older "similar".
         latency_cap: publish a waiting run at the latest after this many seconds of its successor, or None.
         noise_below: single compositions shorter than this many seconds become noise.
+
+    Raises:
+        InputError: a value is out of range.
+
+    Example:
+        >>> EncoderConfig(window=20, dt=0.001).dt  # lines of 20 ms at 1 kHz
+        0.001
     """
 
     window: int = 5

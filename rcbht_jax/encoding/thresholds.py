@@ -132,7 +132,14 @@ def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Map
         provenance: how they were found; JSON values.
 
     Raises:
-        InputError: wrong shape, or the folder does not exist.
+        InputError: wrong shape, not in order, or the folder does not exist.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_thresholds(Path(folder) / "hiro.json", preset("hiro"), {"from": "the authors"})
+        ...     read_thresholds(Path(folder) / "hiro.json")[1]
+        {'from': 'the authors'}
     """
     limits = np.asarray(thresholds.limits, np.float64)
     _check(limits, path)
@@ -157,6 +164,13 @@ def read_thresholds(path: Path) -> tuple[GradientThresholds, dict[str, Any]]:
 
     Raises:
         InputError: not such a file, or its limits are not ordered positive numbers for six axes.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_thresholds(Path(folder) / "hiro.json", preset("hiro"), {})
+        ...     read_thresholds(Path(folder) / "hiro.json")[0].limits[0].tolist()
+        [70.0, 46.0, 23.0, 1.0]
     """
     try:
         content = json.loads(path.read_text())

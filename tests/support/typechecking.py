@@ -7,4 +7,5 @@ from beartype import BeartypeConf, FrozenDict, beartype
 from numpy.typing import NDArray
 
 # Every string width is its own dtype, so no real array would match the annotation of string arrays.
-check = beartype(conf=BeartypeConf(hint_overrides=FrozenDict({NDArray[np.str_]: np.ndarray})))
+# An int is a float, as in PEP 484.
+check = beartype(conf=BeartypeConf(is_pep484_tower=True, hint_overrides=FrozenDict({NDArray[np.str_]: np.ndarray})))

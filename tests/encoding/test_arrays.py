@@ -1,0 +1,156 @@
+"""``rcbht_jax.encode`` and what it returns: any array library, any number of axes, the labels of the pure core."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import rcbht_jax as rj
+from rcbht_jax.encoding import encoder
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.errors import InputError
+from tests.support.trees import assert_trees_equal
+
+RNG = np.random.default_rng(0)
+WRENCH = RNG.normal(size=(3, 300, 6)).cumsum(1).astype(np.float32)
+NAMES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+
+
+def labels_only(tracks: rj.LabelTracks) -> tuple:
+    return tracks.primitive, tracks.mc, tracks.llb
+
+
+EXPECTED = encode_batch(rj.EncoderConfig(), rj.preset(), WRENCH, np.full(3, 300, np.int32))
+
+
+def test_several_recordings_have_the_labels_of_the_core() -> None:
+    assert_trees_equal(labels_only(rj.encode(WRENCH)), labels_only(EXPECTED))
+
+
+@pytest.mark.parametrize(
+    "wrench",
+    [
+        WRENCH[1],
+        WRENCH[1].tolist() and jnp.asarray(WRENCH[1]),
+        pd.DataFrame(WRENCH[1], columns=NAMES),
+        pd.DataFrame(WRENCH[1], columns=NAMES).assign(time=np.arange(300) * 0.005),
+        xr.DataArray(WRENCH[1].T, dims=("axis", "time"), coords={"axis": NAMES, "time": np.arange(300) * 0.005}),
+    ],
+    ids=["numpy", "jax", "pandas", "pandas with time", "xarray, transposed"],
+)
+def test_one_recording_needs_no_batch_axis(wrench: object) -> None:
+    tracks = rj.encode(wrench)
+    assert tracks.llb.label.shape[0] == 6
+    assert tracks.words("Fy") == rj.encode(WRENCH).words("Fy", recording=1)
+    assert tracks.to_frame().equals(rj.encode(WRENCH[1]).to_frame())
+
+
+def test_unequal_recordings_and_lengths() -> None:
+    short = rj.encode([WRENCH[0], WRENCH[1, :77]])
+    assert short.words(0, "mc", recording=1) == rj.encode(WRENCH[1, :77]).words(0, "mc")
+    padded = rj.encode(WRENCH[:2], lengths=[300, 77])
+    assert_trees_equal(labels_only(padded), labels_only(short))
+
+
+@pytest.mark.parametrize("axes", [1, 2, 7, 12])
+def test_any_number_of_axes(axes: int) -> None:
+    wrench = np.tile(WRENCH[0], 2)[:, :axes]
+    tracks = rj.encode(wrench, thresholds=np.tile(rj.preset().limits[:1], (axes, 1)))
+    alone = [rj.encode(wrench[:, [axis]], thresholds=rj.preset().limits[:1]).words(0) for axis in range(axes)]
+    assert [tracks.words(axis) for axis in range(axes)] == alone
+
+
+def test_names_decide_which_axes_are_moments() -> None:
+    frame = pd.DataFrame({"Tz": WRENCH[0, :, 5], "Fz": WRENCH[0, :, 2]})
+    tracks = rj.encode(frame)
+    assert tracks.words("Tz") == rj.encode(WRENCH[0]).words("Mz")
+    assert tracks.words("Fz") == rj.encode(WRENCH[0]).words("Fz")
+
+
+def test_frame_has_a_row_per_word() -> None:
+    tracks = rj.encode(WRENCH)
+    frame = tracks.to_frame()
+    columns = ["recording", "axis", "layer", "label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad"]
+    assert sorted(frame.columns) == sorted(columns)
+    for layer in ("primitive", "mc", "llb"):
+        track = getattr(tracks, layer)
+        some = frame[(frame.layer == layer) & (frame.recording == 2) & (frame["axis"] == "My")]
+        used = track.label[2, 4] > 0
+        assert some.label.tolist() == tracks.words("My", layer, 2)
+        for name in ("t0", "t1", "emit", "vmax", "vmin", "avg", "grad"):
+            np.testing.assert_array_equal(some[name], getattr(track, name)[2, 4][used])
+
+
+def test_xarray_names_its_coordinates() -> None:
+    source = xr.DataArray(WRENCH, dims=("trial", "time", "axis"), coords={"trial": ["a", "b", "c"], "axis": NAMES})
+    data = rj.encode(source).to_xarray()
+    assert data.recording.values.tolist() == ["a", "b", "c"]
+    assert data.axis.values.tolist() == NAMES
+    assert data.attrs["rate"] == 200
+    np.testing.assert_array_equal(data.llb_label, EXPECTED.llb.label)
+
+
+def test_repr_is_short_and_the_picture_shows_every_word() -> None:
+    tracks = rj.encode(WRENCH[0])
+    assert repr(tracks).startswith("LabelTracks(1 recording, 6 axes at 200 Hz: ")
+    assert len(repr(tracks)) < 120
+    words = sum(len(tracks.words(axis, layer)) for axis in range(6) for layer in ("primitive", "mc", "llb"))
+    assert tracks._repr_html_().count("<rect") == words > 30
+    repr(jax.eval_shape(lambda: EXPECTED))
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: rj.encode(np.zeros(5)), "shape"),
+        (lambda: rj.encode(np.zeros((5, 0))), "shape"),
+        (lambda: rj.encode([]), "no recording"),
+        (lambda: rj.encode([["a", "b"]]), "expected numbers"),
+        (lambda: rj.encode(np.full((50, 6), np.nan)), "not finite"),
+        (lambda: rj.encode(WRENCH[0], rate=0), "rate"),
+        (lambda: rj.encode(WRENCH[0], window=1), "window"),
+        (lambda: rj.encode(WRENCH[0], thresholds="r2d2"), "r2d2"),
+        (lambda: rj.encode(WRENCH[0], thresholds=np.ones((2, 4))), "shape"),
+        (lambda: rj.encode(WRENCH[0], thresholds=rj.GradientThresholds(np.tile([1.0, 2, 3, 4], (6, 1)))), "ordered"),
+        (lambda: rj.encode([WRENCH[0], WRENCH[0, :, :3]]), "different axes"),
+        (lambda: rj.encode([WRENCH[0]], lengths=[3]), "Lengths"),
+        (lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time=np.arange(300) * 0.01)), "100 samples per second"),
+        (lambda: rj.encode(WRENCH[0]).words("Fw"), "Fw"),
+        (lambda: rj.encode(WRENCH[0]).words(0, "word"), "word"),
+        (lambda: rj.encode(WRENCH[0]).words(0, recording=1), "recording"),
+    ],
+)
+def test_mistakes_are_one_sentence(call: object, sentence: str) -> None:
+    with pytest.raises(InputError, match=f"(?i){sentence}"):
+        call()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("samples", [3, 7])
+def test_a_window_of_another_length_is_refused(samples: int) -> None:
+    config = rj.EncoderConfig(window=5)
+    with pytest.raises(InputError, match=f"{samples} samples"):
+        encoder.step(config, rj.preset(), encoder.init((6,)), jnp.zeros((samples, 6)))
+
+
+def test_thresholds_are_a_pytree_that_can_be_differentiated() -> None:
+    thresholds = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), rj.preset())
+    gradient = jax.device_get(jax.grad(lambda x: -(x.limits**2).sum())(thresholds))
+    np.testing.assert_allclose(gradient.limits, -2 * thresholds.limits)
+    assert isinstance(gradient, rj.GradientThresholds)
+
+
+def test_pure_core_takes_the_object_or_its_limits_under_jit_vmap_and_scan() -> None:
+    config, state = rj.EncoderConfig(), encoder.init((6,))
+    windows = jnp.asarray(WRENCH[0].reshape(60, 5, 6))
+    object_ = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), rj.preset())
+
+    def run(thresholds: object) -> object:
+        return jax.lax.scan(lambda carry, window: encoder.step(config, thresholds, carry, window), state, windows)
+
+    assert_trees_equal(jax.jit(run)(object_), jax.jit(run)(object_.limits))
+    many = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), object_)
+    assert_trees_equal(jax.tree.map(lambda leaf: leaf[1], jax.vmap(run)(many)), jax.jit(run)(object_))

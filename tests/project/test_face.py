@@ -1,0 +1,38 @@
+"""The names of ``rcbht_jax``: each is documented with an example that runs, and nothing is loaded before it is used."""
+
+from __future__ import annotations
+
+import doctest
+import subprocess
+import sys
+
+import pytest
+
+import rcbht_jax as rj
+
+
+@pytest.mark.parametrize("name", rj.__all__)
+def test_every_name_has_an_example_that_runs(name: str) -> None:
+    target = getattr(rj, name)
+    tests = doctest.DocTestFinder(recurse=False).find(target, name, globs={})
+    assert any(test.examples for test in tests), f"{name} has no >>> example"
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+    for test in tests:
+        runner.run(test)
+    assert runner.summarize(verbose=False).failed == 0
+
+
+def test_the_package_has_an_example_that_runs() -> None:
+    assert doctest.testmod(rj).failed == 0
+
+
+def test_there_are_few_names_and_they_are_listed() -> None:
+    assert 20 <= len(rj.__all__) <= 30
+    assert set(rj.__all__) <= set(dir(rj))
+    with pytest.raises(AttributeError, match="no attribute 'encoder_config'"):
+        rj.encoder_config  # noqa: B018
+
+
+def test_import_loads_nothing_that_is_not_used() -> None:
+    code = "import sys, rcbht_jax; print(*sorted(m for m in ('jax', 'numpy', 'sklearn', 'zarr') if m in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
