@@ -226,7 +226,13 @@ def search(
     """
     if len(np.unique(jax.device_get(corpus.y))) < 2:
         raise InputError("thresholds can only be searched on sentences of at least two classes.")
-    run = _Run(corpus, config, options, ScoreCheckpoint(ledger, None if ledger is None else _made_by(corpus, config, options)), chunk)
+    run = _Run(
+        corpus,
+        config,
+        options,
+        ScoreCheckpoint(ledger, None if ledger is None else _made_by(corpus, config, options)),
+        chunk,
+    )
     points = options.points()
     for rung in options.rungs:
         made = run(points, rung, progress)

@@ -90,7 +90,7 @@ def encode_batch(
         host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
-        InputError: wrong shapes, thresholds that are not in order, a length beyond the array, or values that are not finite.
+        InputError: wrong shapes, thresholds out of order, a length beyond the array, or values that are not finite.
     """
     limits, axes = _checked(thresholds, wrench, length), wrench.shape[2]
     schedule = plan(length, _PIECE_WINDOWS * config.window)
