@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def start_run(target: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
-    words = ["simulate", str(target), "--trials", str(options.trials), "--longest", str(options.longest)]
+    words = ["simulate", str(target), "--trials", str(options.trials), "--max-seconds", str(options.longest)]
     code = "import sys; from rcbht_jax.cli.main import main; sys.exit(main(sys.argv[1:]))"
     return subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.DEVNULL)
 

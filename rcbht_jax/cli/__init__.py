@@ -1,1 +1,1 @@
-"""The ``rcbht`` command line; each command is a module that is imported when it is called."""
+"""The ``rcbht`` command line; see :mod:`rcbht_jax.cli.command`."""

@@ -1,20 +1,56 @@
-"""The commands of ``rcbht``, one module each.
+"""What the commands of ``rcbht`` share: the base class, the types of common options, the progress bar.
 
-A command is a frozen dataclass derived from :class:`Command`; its fields are the options, its docstring is
-the help text and holds an example. It is entered in the table of ``rcbht_jax.cli.main``, which imports its module
-only when the command is called.
+A command is a frozen dataclass derived from :class:`Command`; its fields are the options, its docstring is the help
+text and holds an example. Its module imports nothing heavy: ``run`` and ``text`` import what they need, so that help
+and shell completion are quick. A table of commands (see :mod:`rcbht_jax.cli.commands`) names it.
 """
 
 from __future__ import annotations
 
+import sys
+import typing
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import tyro
+
+from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from rcbht_jax.encoding.thresholds import GradientThresholds
+
+
+class MadeBy(NamedTuple):
+    """Mark of an option that names an existing file or folder: the command that makes it, for {path}."""
+
+    command: str
+
+
+STORE = MadeBy('"rcbht simulate {path}", or from recorded trials with "rcbht import hiro DIR {path}"')
+ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
+Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE]
+OutStore = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+Trial = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")]
+OutFigure = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FIGURE.png")]
+OutModel = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")]
+Model = Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
+Thresholds = Annotated[
+    Path | None, tyro.conf.arg(metavar="THRESHOLDS.json"), MadeBy('"rcbht calibrate STORE.zarr -o {path}"')
+]
+Arm = Literal["R", "L"]
+Robot = Literal["hiro", "baxter", "pa10"]
+Task = Literal["states", "outcome", "failure-type"]
 
 
 @dataclass(frozen=True)
 class Command(ABC):
     """Base of all commands: ``run`` computes, ``text`` words the result for people."""
+
+    # Former spellings of options, still accepted: the words of one -> the words that replace them.
+    FORMER: ClassVar[dict[str, str]] = {}
 
     @abstractmethod
     def run(self) -> dict[str, Any]:
@@ -27,3 +63,41 @@ class Command(ABC):
     @abstractmethod
     def text(self, result: dict[str, Any]) -> str:
         """The result of :meth:`run` as text for the terminal."""
+
+    def check_inputs(self) -> None:
+        """Refuse options that name a file or a folder that does not exist.
+
+        Raises:
+            InputError: names the command that makes it.
+        """
+        for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
+            for mark in getattr(hint, "__metadata__", ()):
+                path = getattr(self, name)
+                if isinstance(mark, MadeBy) and path is not None and not path.exists():
+                    raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
+
+
+def progress_bar(name: str, unit: str, total: int | None = None, **options: Any) -> Any:
+    """A tqdm bar on standard error, off where that is not a terminal."""
+    from tqdm import tqdm  # type: ignore[import-untyped]
+
+    return tqdm(total=total, desc=name, unit=f" {unit}", file=sys.stderr, disable=None, **options)
+
+
+def announce(step: int, steps: int, what: str) -> None:
+    """Say on standard error which step of a long command begins."""
+    print(f"[{step}/{steps}] {what}", file=sys.stderr, flush=True)
+
+
+def read_limits(robot: str, file: Path | None, scale: float = 1.0) -> tuple[GradientThresholds, dict[str, Any]]:
+    """The gradient thresholds of a file or of a robot's preset, times a factor, and where they come from.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
+
+    thresholds, source = read_thresholds(file) if file else (preset(robot), {"method": "preset", "robot": robot})
+    if scale == 1:
+        return thresholds, source
+    return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}

@@ -2,70 +2,65 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
-from tqdm import tqdm  # type: ignore[import-untyped]
 
-from rcbht_jax.cli.command import Command
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
+from rcbht_jax.cli.command import Command, Robot, Store, Thresholds, progress_bar, read_limits
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.label_store import list_tracks, write_tracks
-from rcbht_jax.io.store import read_recordings
-from rcbht_jax.labels import LAYERS
-from rcbht_jax.reference.dataset import encode_dataset
-from rcbht_jax.types import LabelTracks, Recordings
+
+if TYPE_CHECKING:
+    from rcbht_jax.types import LabelTracks, Recordings
 
 
 @dataclass(frozen=True)
 class Encode(Command):
-    """Label every recording of a store and keep the label tracks in it.
+    """Encode every recording of a store as labels and add the label tracks to the store.
 
-    Online is the streaming encoder of this library (paper semantics); offline is the authors' program.
+    The online mode is the streaming encoder of this library, as the paper defines it. The offline mode is the authors'
+    published program, which sees the whole trial.
 
     Example: rcbht encode hiro.zarr --mode online --window 5
     """
 
-    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    store: Store
     """Store to label."""
     mode: Literal["online", "offline"] = "online"
-    """Streaming encoder, or the authors' offline taxonomy."""
+    """Streaming encoder, or the authors' offline program."""
     window: int = 5
-    """Samples per straight-line fit (online)."""
-    robot: Literal["hiro", "baxter", "pa10"] = "hiro"
-    """Whose gradient thresholds to use."""
-    thresholds: Path | None = None
-    """Calibrated thresholds to use instead, a file of "rcbht calibrate" (online)."""
+    """Samples per linear fit (online)."""
+    robot: Robot = "hiro"
+    """Robot whose preset gives the gradient thresholds."""
+    thresholds: Thresholds = None
+    """File of "rcbht calibrate" with the gradient thresholds, in place of the preset (online)."""
     scale: float = 1.0
-    """Factor on all thresholds; small ones hear what happens before contact (online)."""
+    """Factor on all thresholds; below 1, smaller gradients get labels of their own (online)."""
     gate: bool = True
-    """Pair only primitives of similar size (online)."""
+    """Combine any two primitives; by default amplitudes must be within a factor of 2, durations of 5 (online)."""
     adj_exempt: bool = True
-    """Keep repeated adjustments apart (online)."""
+    """Merge repeated adjustments; by default they stay separate, which distinguishes AL from SH (online)."""
     contact_first: bool = False
-    """Impulses only lead pairs (online)."""
+    """Let an impulse be the first of a pair only, never the second (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
-    """Filter pipe (online)."""
+    """Filter of each layer; one-slot compares a new label with the accumulated one only (online)."""
     rule: Literal["paper", "similar"] = "paper"
-    """Time-amplitude rule: the paper's, or the reference's older one (online)."""
+    """Rule of durations and amplitudes for merging: the paper's, or that of the authors' older program (online)."""
     latency_cap: float | None = None
-    """Publish a waiting label after at most this many seconds (online)."""
+    """Emit a label that the filter holds back at the latest after this many seconds (online)."""
     version: Literal["master", "a642c8b", "a1ca1d1", "wip"] = "master"
-    """Variant of the authors' program (offline)."""
+    """Revision of the authors' program (offline)."""
     clean: bool = False
-    """With our fixes of the authors' mistakes (offline)."""
+    """Correct the known errors of the authors' program (offline)."""
     name: str | None = None
-    """Name of the label tracks; default online-W5, offline-master, ... after the choices made."""
+    """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.label_store import list_tracks, write_tracks
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.labels import LAYERS
+
         name = self.name or self._default_name()
         if (self.thresholds is not None or self.scale != 1) and self.mode == "offline":
             raise InputError(
@@ -104,33 +99,29 @@ class Encode(Command):
         return "-".join([f"online-W{self.window}", *words])
 
     def _online(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
+        from rcbht_jax.encoding.batch import encode_batch
+        from rcbht_jax.encoding.encoder import EncoderConfig
+
         config = EncoderConfig(
             self.window, recordings.dt, self.gate, self.adj_exempt, self.contact_first, self.pipe, self.rule,
             self.latency_cap,
         )  # fmt: skip
-        thresholds, source = self._thresholds()
+        thresholds, source = read_limits(self.robot, self.thresholds, self.scale)
         total = int(recordings.length.sum())
-        with tqdm(total=total, desc="encode", unit=" samples", unit_scale=True, file=sys.stderr, disable=None) as bar:
-            tracks = encode_batch(
-                config, thresholds, recordings.wrench, recordings.length, progress=lambda n: bar.update(n)
-            )
+        with progress_bar("encode", "samples", total, unit_scale=True) as bar:
+            tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length, progress=bar.update)
         how = {"semantics": "online", "window": self.window, "config": asdict(config)}
         return tracks, {**how, "thresholds": thresholds.limits.tolist(), "thresholds_from": source}
 
-    def _thresholds(self) -> tuple[GradientThresholds, dict[str, Any]]:
-        if self.thresholds is None:
-            chosen, source = preset(self.robot), {"method": "preset", "robot": self.robot}
-        else:
-            chosen, source = read_thresholds(self.thresholds)
-        if self.scale == 1:
-            return chosen, source
-        return GradientThresholds(np.asarray(chosen.limits) * self.scale), {**source, "scale": self.scale}
-
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
-        def bar(indices: Iterable[int]) -> Iterable[int]:
-            wrapped: Iterable[int] = tqdm(indices, desc="encode", unit=" trials", file=sys.stderr, disable=None)
-            return wrapped
+        from rcbht_jax.reference.dataset import encode_dataset
 
-        tracks = encode_dataset(recordings, robot=self.robot, version=self.version, clean=self.clean, progress=bar)
+        tracks = encode_dataset(
+            recordings,
+            robot=self.robot,
+            version=self.version,
+            clean=self.clean,
+            progress=lambda indices: progress_bar("encode", "trials", iterable=indices),
+        )
         choices = {"robot": self.robot, "version": self.version, "clean": self.clean}
         return tracks, {"semantics": "offline", "config": choices}

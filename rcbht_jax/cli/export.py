@@ -1,44 +1,45 @@
-"""``rcbht export``."""
+"""``rcbht export`` and ``rcbht report``."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
-from tqdm import tqdm  # type: ignore[import-untyped]
 
-from rcbht_jax.cli.command import Command
-from rcbht_jax.io.export import export, load
-from rcbht_jax.io.export.write import check_target
+from rcbht_jax.cli.command import ONLINE_MODEL, Command, Store, progress_bar
+from rcbht_jax.errors import InputError
 
 
 @dataclass(frozen=True)
 class Export(Command):
     """Write a store as Parquet, LeRobotDataset v3, MCAP or CSV: a folder with a data card.
 
-    Wrench, times, starts of states, outcomes and labels, all as they are in the store. Nothing is ever replaced.
+    The files have the wrenches, times, onsets of states, outcomes and labels of the store. An existing folder is never
+    replaced.
 
     Example: rcbht export hiro.zarr --format parquet -o hiro-parquet
     """
 
-    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    store: Store
     """Store to export."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")]
     """Folder to create."""
     format: Literal["parquet", "lerobot", "mcap", "csv"] = "parquet"
-    """What to write."""
+    """Format of the files."""
     tracks: str = ""
-    """Label tracks to include, where the store has several."""
+    """Label tracks to include, if the store has several."""
     window: int | None = None
-    """Label now with windows of so many samples, instead of including stored labels."""
+    """Encode now with this many samples per linear fit, instead of including stored labels."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.export import export, load
+        from rcbht_jax.io.export.write import check_target
+
         check_target(self.out)
         data = load(self.store, self.tracks, self.window)
-        with tqdm(total=len(data.recordings), desc="export", unit=" trials", file=sys.stderr, disable=None) as bar:
+        with progress_bar("export", "trials", len(data.recordings)) as bar:
             export(data, self.out, self.format, lambda done: bar.update(done) and None)
         files = [path for path in self.out.rglob("*") if path.is_file()]
         return {
@@ -54,5 +55,82 @@ class Export(Command):
         return (
             f"{result['out']}: {result['recordings']} recordings with "
             f"{result['tracks'] or 'no'} labels as {result['format']}, {result['files']} files, "
-            f"{result['bytes'] / 1e6:.1f} MB; its README.md has a line for the licence"
+            f"{result['bytes'] / 1e6:.1f} MB; add the licence to its README.md"
         )
+
+
+@dataclass(frozen=True)
+class Report(Command):
+    """Write one HTML file about a store: counts, confounds, results, and a browser of trials, labels and beliefs.
+
+    The file is self-contained: it can be mailed, archived, opened without a network, and printed.
+
+    Example: rcbht report hiro.zarr -o report.html --model states.model --results experiments/results
+    """
+
+    store: Store
+    """Store to report on."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="REPORT.html")]
+    """File to write; an existing report is replaced when the new one is complete."""
+    model: Annotated[Path | None, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL] = None
+    """Model file of "rcbht train-online" whose beliefs are shown over time."""
+    results: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
+    tracks: str = ""
+    """Label tracks to show, if the store has several."""
+    window: int | None = None
+    """Encode now with this many samples per linear fit, instead of showing stored labels."""
+    trial: tuple[str, ...] = ()
+    """Trials to show; default --max-trials of them, evenly spaced."""
+    max_trials: int = 100
+    """Number of recordings to show, if --trial names none."""
+    title: str = "Wrench introspection"
+    """Heading of the page."""
+
+    FORMER: ClassVar[dict[str, str]] = {"--most": "--max-trials"}
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.atomic import atomic_write
+        from rcbht_jax.introspection import model as models
+        from rcbht_jax.io.export import load
+        from rcbht_jax.report import Options, page
+        from rcbht_jax.report.page import chosen
+        from rcbht_jax.report.results import read_results
+
+        _check_target(self.out)
+        options = Options(
+            title=self.title,
+            results=None if self.results is None else read_results(self.results),
+            model=None if self.model is None else models.load(self.model),
+            trials=self.trial,
+            most=self.max_trials,
+        )
+        data = load(self.store, self.tracks, self.window)
+        count = len(chosen(data.recordings, options))
+        with progress_bar("report", "trials", count) as bar:
+            text = page(data, options, lambda done: bar.update(done) and None)
+        with atomic_write(self.out) as draft:
+            draft.write_text(text, encoding="utf-8")
+        return {
+            "out": str(self.out),
+            "shown": count,
+            "recordings": len(data.recordings),
+            "tracks": data.tracks_name or None,
+            "results": 0 if options.results is None else len(options.results.rows),
+            "bytes": self.out.stat().st_size,
+        }
+
+    def text(self, result: dict[str, Any]) -> str:
+        return (
+            f"{result['out']}: {result['shown']} of {result['recordings']} recordings, labels "
+            f"{result['tracks'] or 'none'}, {result['results']} results, {result['bytes'] / 1e6:.1f} MB"
+        )
+
+
+def _check_target(out: Path) -> None:
+    if not out.parent.is_dir():
+        raise InputError(f"{out.parent} is not a folder; create it first.")
+    if out.suffix not in (".html", ".htm"):
+        raise InputError(f"{out} does not end in .html; expected a name such as report.html.")
+    if out.is_dir():
+        raise InputError(f"{out} is a folder; choose another name.")

@@ -1,23 +1,31 @@
-"""``rcbht train`` and ``rcbht evaluate``."""
+"""``rcbht train``, ``rcbht evaluate`` and ``rcbht classify``."""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command
-from rcbht_jax.features import FeatureSpec
-from rcbht_jax.io.label_store import choose_tracks
-from rcbht_jax.io.store import read_recordings
-from rcbht_jax.learning.evaluation import EvaluationProtocol, Grammars, evaluate, train
-from rcbht_jax.learning.model_io import save
-from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.cli.command import Command, MadeBy, OutModel, Store, Task
+from rcbht_jax.errors import InputError
 
+if TYPE_CHECKING:
+    from rcbht_jax.learning.evaluation import Grammars
+    from rcbht_jax.learning.model_io import TrainedModel
+    from rcbht_jax.learning.predict import Classification
+    from rcbht_jax.learning.svm import Grid
+    from rcbht_jax.learning.tasks import TaskSpec
+    from rcbht_jax.types import LabelTracks, Recordings
+
+CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
 Family = Literal[
     "sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges",
     "parts", "spread", "together", "order", "levels",
@@ -26,72 +34,84 @@ Family = Literal[
 
 @dataclass(frozen=True)
 class _Learning(Command):
-    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    store: Store
     """Store with label tracks, made by "rcbht encode"."""
-    task: Literal["states", "outcome", "failure-type"] = "states"
-    """What to tell apart."""
+    task: Task = "states"
+    """Classes to distinguish."""
     tracks: tuple[str, ...] = ()
-    """Label tracks to use; "A+B" puts two side by side, and of several choices ("A B+C") the inner folds take one."""
+    """Label tracks to use; A+B concatenates the features of two, and of several choices one is cross-validated."""
     boundaries: Literal["recorded", "harmonised", "merged"] = "harmonised"
-    """States: where rotation ends; merged joins rotation and insertion."""
-    arms: Literal["R", "L", "both"] = "R"
-    """Arm whose labels to read."""
+    """End of the rotation, for the task states; merged joins rotation and insertion."""
+    arm: Literal["R", "L", "both"] = "R"
+    """Arm whose labels to use."""
     source: tuple[str, ...] = ()
-    """Data sets; default all."""
+    """Data sets to use; default all."""
     session: tuple[str, ...] = ()
-    """Recording sessions, for example A B; default all."""
+    """Recording sessions to use, for example A B; default all."""
     features: tuple[Family, ...] = ("histogram", "ngram", "attributes")
-    """Feature families; duration, offset, edges and levels tell data sets apart that words would not."""
+    """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
     ranks: bool = False
-    """Always scale features, by their ranks among the training sentences; recommended with parts, spread and order."""
+    """Replace every feature by its rank in the training set; recommended with parts, spread and order."""
     balance: bool = False
-    """Let offset, edges and levels together, elapsed, and all other families together weigh the same."""
+    """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
-    """Kernels to choose from."""
+    """Kernels to choose from by cross-validation."""
     costs: tuple[float, ...] = tuple(10.0**k for k in range(-5, 5))
-    """Values of C to choose from."""
+    """Values of C to choose from by cross-validation."""
     seed: int = 0
-    """Of the folds."""
+    """Seed of the folds."""
+
+    FORMER: ClassVar[dict[str, str]] = {"--arms": "--arm"}
 
     @property
     def spec(self) -> TaskSpec:
-        return TaskSpec(self.task, self.boundaries, self.arms, self.source, self.session)
+        from rcbht_jax.learning.tasks import TaskSpec
+
+        return TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
 
     @property
     def grid(self) -> Grid:
+        from rcbht_jax.learning.svm import Grid
+
         if self.ranks:
             return Grid(kernels=self.kernels, costs=self.costs, scalings=(True,), ranks=True)
         return Grid(kernels=self.kernels, costs=self.costs)
 
     def read_tracks(self) -> tuple[Grammars, dict[str, dict[str, Any]]]:
-        """The grammars asked for, and how the labels of each name were made."""
+        """The label tracks to choose from, and how those of each name were made."""
+        from rcbht_jax.io.label_store import choose_tracks
+
         choices = [choice.split("+") for choice in self.tracks or ("",)]
-        found = {wanted: choose_tracks(self.store, wanted) for choice in choices for wanted in choice}
-        grammars = [{found[wanted][0]: found[wanted][1] for wanted in choice} for choice in choices]
-        how = {name: attrs for name, _, attrs in found.values()}
+        read = {wanted: choose_tracks(self.store, wanted) for choice in choices for wanted in choice}
+        grammars = [{read[wanted][0]: read[wanted][1] for wanted in choice} for choice in choices]
+        how = {name: attrs for name, _, attrs in read.values()}
         return {"+".join(grammar): grammar for grammar in grammars}, how
 
 
 @dataclass(frozen=True)
 class Evaluate(_Learning):
-    """Measure how well the labels tell states, outcomes or failure types apart.
+    """Measure how well a classifier of the labels distinguishes states, outcomes or failure types.
 
-    Trials are never divided between training and test; kernel, C and scaling are chosen inside the training
-    folds. Beside the score stand what the duration alone and the most frequent class achieve on the same folds.
+    All sentences of a trial are in the same fold; kernel, C and scaling are chosen within the training folds. Two
+    baselines are measured on the same folds: the duration alone, and the most frequent class.
 
     Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
     """
 
     train_on: tuple[str, ...] = ()
-    """Sessions to train on, instead of cross-validation."""
+    """Sessions to train on, in place of cross-validation; needs --test-on."""
     test_on: tuple[str, ...] = ()
     """Sessions to test on."""
     folds: int = 5
     """Folds of the cross-validation."""
     repeats: int = 10
-    """Repetitions of the cross-validation with other folds."""
+    """Repetitions of the cross-validation, each with other folds."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.features import FeatureSpec
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
+
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features, balance=self.balance)
@@ -103,28 +123,39 @@ class Evaluate(_Learning):
         lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
         lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
         lines.append(f"{'':24}accuracy (95% interval)    balanced accuracy")
-        rows = (("labels + SVM", "score"), ("duration alone", "duration_baseline"), ("majority", "majority_baseline"))
+        rows = (
+            ("labels + SVM", "score"),
+            ("duration alone", "duration_baseline"),
+            ("most frequent class", "majority_baseline"),
+        )
         lines += [f"{title:24}{_scores(result[key])}" for title, key in rows]
         if "fold_min_mean_max" in result["score"]:
             low, mean, high = result["score"]["fold_min_mean_max"]
-            lines.append(f"folds of a run, min / mean / max as the paper reports: {low:.3f} / {mean:.3f} / {high:.3f}")
+            lines.append(
+                f"folds of a repetition, min / mean / max as in the paper: {low:.3f} / {mean:.3f} / {high:.3f}"
+            )
         chosen, count = next(iter(result["chosen"].items()))
         lines.append(f"chosen most often: {chosen} ({count} of {sum(result['chosen'].values())} folds)")
-        lines += ["confusion, rows = truth:", *_table(result["classes"], result["confusion"])]
-        return "\n".join([*lines, f"Read with care: {result['confounds']}"])
+        lines += ["confusion matrix, rows = true class:", *_table(result["classes"], result["confusion"])]
+        return "\n".join([*lines, f"Confounds: {result['confounds']}"])
 
 
 @dataclass(frozen=True)
 class Train(_Learning):
-    """Train a classifier on all sentences of a task and write it as a model file.
+    """Train a classifier on all sentences of a task and write it to a model file.
 
     Example: rcbht train hiro.zarr --task states --session A B -o states.model
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")] = Path("rcbht.model")
+    out: OutModel = Path("rcbht.model")
     """Model file to write: arrays and JSON, no code."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.features import FeatureSpec
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.evaluation import train
+        from rcbht_jax.learning.model_io import save
+
         grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features, balance=self.balance)
         model = train(read_recordings(self.store), grammars, self.spec, families, self.grid, how, self.seed)
@@ -147,6 +178,93 @@ class Train(_Learning):
         )
 
 
+@dataclass(frozen=True)
+class Classify(Command):
+    """Classify every sentence of a store with a model of "rcbht train", and write a table.
+
+    The table has a row per sentence: trial, arm, session, start and end in seconds, predicted class, true class (empty
+    if the store has none), and a decision value for each pair of classes, positive for the first. If the store has
+    true classes, the accuracy is printed, separately for trials that the model was trained on. The labels must come
+    from an encoder with the settings of the training.
+
+    Example: rcbht classify new.zarr --model states.model -o classes.csv
+    """
+
+    store: Store
+    """Store with label tracks, made by "rcbht encode"."""
+    model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
+    """Model file of "rcbht train"."""
+    tracks: str = ""
+    """Label tracks to use in place of those of the training; A+B where the model uses two."""
+    source: tuple[str, ...] = ()
+    """Data sets to classify; default all."""
+    session: tuple[str, ...] = ()
+    """Recording sessions to classify; default all."""
+    outcome: tuple[Literal["success", "failure", "unknown"], ...] = ()
+    """Outcomes of the trials to classify; default those of the training, and unknown ones."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
+    """Table to write: .csv, or .jsonl for JSON lines."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.atomic import atomic_write
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.model_io import load
+        from rcbht_jax.learning.predict import classify, task_of
+
+        if self.out.suffix not in (".csv", ".jsonl"):
+            raise InputError(f"{self.out} must end in .csv or .jsonl, which selects the format.")
+        model = load(self.model)
+        spec = task_of(model, self.source, self.session, self.outcome)
+        tracks = self._read_tracks(model)
+        recordings = read_recordings(self.store)
+        predicted = classify(model, recordings, tracks, spec)
+        write = _csv if self.out.suffix == ".csv" else _json_lines
+        with atomic_write(self.out) as draft:
+            draft.write_text(write(predicted, lines_of(predicted, recordings)), encoding="utf-8")
+        counts = Counter(predicted.said.tolist())
+        return {
+            "out": str(self.out),
+            "task": spec.task,
+            "sentences": len(predicted.said),
+            "classes": {name: counts[name] for name in predicted.classes},
+            "dropped": predicted.items.dropped,
+            "known": int((predicted.known & ~predicted.seen).sum()),
+            "accuracy": predicted.accuracy(),
+            "trained_on": int(predicted.seen.sum()),
+            "accuracy_of_those": predicted.accuracy(seen=True),
+        }
+
+    def _read_tracks(self, model: TrainedModel) -> dict[str, LabelTracks]:
+        """The labels that the model reads, by the names that it gives them."""
+        from rcbht_jax.io.label_store import choose_tracks
+        from rcbht_jax.learning.predict import check_encoders, encoders_of
+
+        names = list(encoders_of(model))
+        given = self.tracks.split("+") if self.tracks else names
+        if len(given) != len(names):
+            raise InputError(
+                f"the model reads {len(names)} label tracks ({' + '.join(names)}); --tracks names {len(given)}."
+            )
+        read = {name: choose_tracks(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
+        check_encoders(model, {name: attrs for name, (_, _, attrs) in read.items()})
+        return {name: labels for name, (_, labels, _) in read.items()}
+
+    def text(self, result: dict[str, Any]) -> str:
+        counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
+        lines = [f"{result['out']}: {result['sentences']} sentences; {counts}"]
+        lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
+        if result["accuracy"] is None and result["accuracy_of_those"] is None:
+            lines.append("The store has no true classes to compare with.")
+        if result["accuracy"] is not None:
+            lines.append(f"accuracy: {result['accuracy']:.3f} on {result['known']} sentences of known class")
+        if result["accuracy_of_those"] is not None:
+            lines.append(
+                f"accuracy on training data: {result['accuracy_of_those']:.3f} on {result['trained_on']} sentences, "
+                "which does not apply to new trials"
+            )
+        return "\n".join(lines)
+
+
 def _scores(score: dict[str, Any]) -> str:
     return "     ".join(_interval(score[key]) for key in ("accuracy", "balanced_accuracy"))
 
@@ -163,3 +281,36 @@ def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
         f"{name:{width}}" + "".join(f"  {count:8d}" for count in row)
         for name, row in zip(classes, confusion, strict=True)
     ]
+
+
+def lines_of(predicted: Classification, recordings: Recordings) -> list[dict[str, Any]]:
+    """One line per sentence, without the decision values."""
+    spans = predicted.items.intervals
+    columns = {
+        "source": recordings.source[predicted.items.row],
+        "trial": recordings.trial[predicted.items.row],
+        "arm": recordings.arm[predicted.items.row] if len(spans) == 1 else np.full(len(predicted.said), "both"),
+        "session": recordings.session[predicted.items.row],
+        "start": np.round(spans[0].start * recordings.dt, 6),
+        "end": np.round(spans[0].end * recordings.dt, 6),
+        "class": predicted.said,
+        "truth": predicted.items.name,
+    }
+    return [dict(zip(columns, row, strict=True)) for row in zip(*(c.tolist() for c in columns.values()), strict=True)]
+
+
+def _csv(predicted: Classification, lines: list[dict[str, Any]]) -> str:
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow([*lines[0], *predicted.pairs])
+    writer.writerows([*line.values(), *values] for line, values in zip(lines, predicted.decision.tolist(), strict=True))
+    return table.getvalue()
+
+
+def _json_lines(predicted: Classification, lines: list[dict[str, Any]]) -> str:
+    decisions = (dict(zip(predicted.pairs, values, strict=True)) for values in predicted.decision.tolist())
+    texts = (
+        json.dumps(line | {"truth": line["truth"] or None, "decision": decision}, ensure_ascii=False, allow_nan=False)
+        for line, decision in zip(lines, decisions, strict=True)
+    )
+    return "".join(f"{text}\n" for text in texts)

@@ -1,78 +1,188 @@
-"""``rcbht stream``, and what it shares with ``rcbht serve``."""
+"""``rcbht train-online``, ``stream``, ``serve`` and ``export-model``: beliefs from a stream of wrenches."""
 
 from __future__ import annotations
 
 import json
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tyro
 
-from rcbht_jax._util import compile_cache
-from rcbht_jax.cli.command import Command
+from rcbht_jax.cli.command import (
+    ONLINE_MODEL,
+    Arm,
+    Command,
+    Model,
+    OutModel,
+    Robot,
+    Store,
+    Task,
+    Thresholds,
+    progress_bar,
+    read_limits,
+)
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, Event
-from rcbht_jax.introspection.introspector import Introspector
-from rcbht_jax.introspection.model import load
-from rcbht_jax.introspection.session import Session, paced
-from rcbht_jax.io.messages import Message, Sample, read_live
-from rcbht_jax.io.playback import read_folder, read_store
-from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
+
+if TYPE_CHECKING:
+    from rcbht_jax.events import Event
+    from rcbht_jax.introspection.session import Session
+    from rcbht_jax.io.messages import Message
+    from rcbht_jax.io.rosbags import McapWriter
+
+
+@dataclass(frozen=True)
+class TrainOnline(Command):
+    """Train a model that computes beliefs from a stream: one classifier per task, calibrated on held-out trials.
+
+    Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
+    """
+
+    store: Store
+    """Store of recordings; label tracks are not needed."""
+    task: tuple[Task, ...] = ("states",)
+    """Tasks, each with a classifier of its own."""
+    detect: bool = False
+    """Also learn to detect when a sub-task begins, for streams that do not announce it."""
+    false_alarms: float = 0.0
+    """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
+    source: tuple[str, ...] = ()
+    """Data sets to use; default all."""
+    session: tuple[str, ...] = ()
+    """Recording sessions to use; default all."""
+    relative: bool = False
+    """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
+    window: int = 5
+    """Samples per linear fit."""
+    robot: Robot = "hiro"
+    """Robot whose preset gives the gradient thresholds."""
+    thresholds: Thresholds = None
+    """File of "rcbht calibrate" with the gradient thresholds, in place of the preset."""
+    seed: int = 0
+    """Seed of the folds."""
+    out: OutModel = Path("online.model")
+    """Model file to write: arrays and JSON, no code."""
+
+    FORMER: ClassVar[dict[str, str]] = {
+        "--tasks": "--task", "--features relative": "--relative", "--features all": "",
+    }  # fmt: skip
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.encoding.encoder import EncoderConfig
+        from rcbht_jax.introspection.model import save
+        from rcbht_jax.introspection.training import HeadSpec, train_model
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.tasks import CONFOUNDS, TaskSpec
+
+        recordings = read_recordings(self.store)
+        tasks = [(task, False) for task in self.task] + [("states", True)] * self.detect
+        specs = tuple(
+            HeadSpec(
+                TaskSpec(task, sources=self.source, sessions=self.session),
+                relative=self.relative,
+                phase=phase,
+                false_alarms=self.false_alarms,
+            )
+            for task, phase in tasks
+        )
+        config = EncoderConfig(window=self.window, dt=recordings.dt)
+        thresholds, _ = read_limits(self.robot, self.thresholds)
+        with progress_bar("train", "snapshots") as bar:
+
+            def progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done)
+
+            model = train_model(recordings, specs, config, thresholds, self.seed, progress)
+        save(self.out, model)
+        heads = {
+            head.name: {
+                "classes": list(head.classes),
+                "kernel": head.machine.svm.spec.kernel,
+                "cost": head.machine.svm.spec.cost,
+                "features": int(head.machine.svm.center.size),
+                "confounds": CONFOUNDS[spec.task.task],
+            }
+            for spec, head in zip(specs, model.heads, strict=True)
+        }
+        return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
+
+    def text(self, result: dict[str, Any]) -> str:
+        lines = [f"{result['model']}: {len(result['heads'])} classifier(s)"]
+        for name, head in result["heads"].items():
+            classes = ", ".join(head["classes"])
+            svm = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"
+            lines.append(f"{name}: {classes}; {svm}")
+            lines.append(f"  confounds: {head['confounds']}")
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
 class Source(Command):
     """Options of the commands that read a stream."""
 
-    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
-    """Where the wrenches come from."""
-    model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL")] = Path("online.model")
-    """Model file made by "rcbht train-online"."""
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
+    """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
+    model: Model = Path("online.model")
+    """Model file of "rcbht train-online"."""
     trial: tuple[str, ...] = ()
     """Trials of a store; default all, one after the other."""
-    arm: Literal["R", "L"] = "R"
+    arm: Arm = "R"
     """Arm of a recorded trial."""
     starts: Literal["harmonised", "recorded", "none", "detected"] = "harmonised"
-    """Where the sub-tasks of a recorded trial begin; detected = the model finds out (train-online --detect)."""
+    """Begin of the sub-tasks of a recorded trial; detected = by the model (train-online --detect)."""
     topic: str = ""
-    """Topic of a bag, where several carry wrenches."""
+    """Topic of a bag, if several have wrenches."""
     rate: float = 10.0
     """Beliefs per second; 0 = one per window."""
-    k: float = 0.70
-    """Probability above which a belief is certain."""
+    certainty: float = 0.70
+    """Probability above which a belief counts as certain."""
     speed: float = 0.0
-    """Pace of a recording: 1 = as recorded, 0 = as fast as possible."""
-    bridge: float = 0.05
-    """Gaps up to this many seconds are bridged; after longer ones everything starts anew."""
-    silent: float = 1.0
-    """Report a live source that says nothing for so many seconds."""
+    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
+    max_gap: float = 0.05
+    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder."""
+    timeout: float = 1.0
+    """Report a live source that is silent for this many seconds."""
     compile_cache: Path | None = None
-    """Folder for the compiled chain, so that the next start is quick; default in your cache folder."""
+    """Folder for the compiled chain, which shortens the next start; default in the user's cache folder."""
+
+    FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
 
     def opened(self) -> tuple[Session, Iterator[Message]]:
         """A session with its model compiled, and the messages for it.
 
         Raises:
-            InputError: no such model, no such source, or options that make no sense.
+            InputError: no such model, no such source, or options that contradict each other.
         """
+        from rcbht_jax._util import compile_cache
+        from rcbht_jax.introspection.introspector import Introspector
+        from rcbht_jax.introspection.model import load
+        from rcbht_jax.introspection.session import Session
+
         if not 0 <= self.speed < float("inf"):
-            raise InputError(f"A stream cannot be replayed at {self.speed} times its pace; give zero or more.")
+            raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
         messages = self._messages()
         compile_cache.use(self.compile_cache)
-        introspector = Introspector(load(self.model), self.rate or None, self.k, detect=self.starts == "detected")
-        session = Session(introspector, self.bridge)
+        introspector = Introspector(
+            load(self.model), self.rate or None, self.certainty, detect=self.starts == "detected"
+        )
+        session = Session(introspector, self.max_gap)
         introspector.warm_up()
         return session, messages
 
     def _messages(self) -> Iterator[Message]:
+        from rcbht_jax.io.messages import read_live
+        from rcbht_jax.io.playback import read_folder, read_store
+        from rcbht_jax.io.rosbags import is_bag, read_bag
+
         if self.source == "-":
-            return read_live(sys.stdin.buffer, self.silent)
+            return read_live(sys.stdin.buffer, self.timeout)
         path = Path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
         if is_bag(path):
@@ -81,16 +191,16 @@ class Source(Command):
             return read_store(path, self.trial, self.arm, starts)
         if path.is_dir():
             return read_folder(path, self.arm, starts)
-        raise InputError(f"{path} is no store, trial, bag or MCAP file; give - to read JSON lines on standard input.")
+        raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
 
 
 @dataclass(frozen=True)
 class Stream(Source):
-    """Beliefs and events from a stream of wrenches, as JSON lines.
+    """Compute beliefs and events from a stream of wrenches, as JSON lines.
 
-    SOURCE is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
+    INPUT is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
     input, such as {"time": 0.005, "wrench": [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins.
-    What is odd about the stream (gaps, repeated or late readings, NaN, jitter, silence) is told as events, too.
+    Irregularities of the stream (gaps, repeated or late samples, NaN, jitter, silence) are reported as events.
 
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
     """
@@ -98,37 +208,113 @@ class Stream(Source):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
     """File for the events; default standard output."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
-    """Also write wrench, labels, beliefs and events as MCAP for Foxglove and PlotJuggler."""
+    """MCAP file for wrench, labels, beliefs and events, to open in Foxglove or PlotJuggler."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.session import paced
+        from rcbht_jax.io.rosbags import McapWriter
+
         session, messages = self.opened()
-        told: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         with ExitStack() as stack:
             out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap)) if self.mcap else None
             for message in paced(messages, self.speed):
                 events = session.feed(message)
                 for event in events:
-                    told[type(event).__name__] += 1
+                    counts[type(event).__name__] += 1
                     out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
                 if events:
                     out.flush()
                 if mcap is not None:
                     _record(mcap, session, message, events)
-        return {"source": self.source, "messages": dict(session.counts), "events": dict(told)}
+        return {"source": self.source, "messages": dict(session.counts), "events": dict(counts)}
 
     def text(self, result: dict[str, Any]) -> str:
         # Standard output belongs to the events.
-        words = ", ".join(f"{count} {name}" for name, count in (result["messages"] | result["events"]).items())
-        print(f"{result['source']}: {words or 'nothing'}", file=sys.stderr)
+        print(f"{result['source']}: {_counts(result['messages'] | result['events'])}", file=sys.stderr)
         return ""
+
+
+@dataclass(frozen=True)
+class Serve(Source):
+    """Show a stream on a live web page: the wrench, its labels and the beliefs.
+
+    INPUT is as for "rcbht stream". The page loads nothing from the network, accepts no input, and is reachable from
+    this machine only, unless --host is given. Ctrl-C stops the server.
+
+    Example: rcbht serve hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model
+    """
+
+    host: str = "127.0.0.1"
+    """Address to serve at; 0.0.0.0 makes the page reachable from other machines."""
+    port: int = 8080
+    """Port; 0 = any free port."""
+    speed: float = 1.0
+    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
+    stay: bool = True
+    """Exit when the input ends, instead of showing its end until Ctrl-C."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.session import paced
+        from rcbht_jax.report.live_page import Frames, PageServer
+
+        session, messages = self.opened()
+        with PageServer(session, self.host, self.port) as server:
+            print(f"Open {server.url} in a browser; Ctrl-C stops the server.", file=sys.stderr, flush=True)
+            frames = Frames(session, server.broadcast)
+            for message in paced(messages, self.speed):
+                frames.feed(message)
+            frames.flush()
+            while self.stay:
+                time.sleep(0.5)
+        return {"source": self.source, "messages": dict(session.counts)}
+
+    def text(self, result: dict[str, Any]) -> str:
+        return f"{result['source']}: {_counts(result['messages'])}"
+
+
+@dataclass(frozen=True)
+class ExportModel(Command):
+    """Write the whole chain of a model, from wrench to beliefs, as StableHLO that runs with JAX alone.
+
+    The file examples/run_chain.py of the sources runs it without rcbht-jax.
+
+    Example: rcbht export-model states.model -o states.chain
+    """
+
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL"), ONLINE_MODEL]
+    """Model file of "rcbht train-online"."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CHAIN")] = Path("online.chain")
+    """File to write: a zip archive of StableHLO, the initial state and a description."""
+    platforms: tuple[Literal["cpu", "cuda", "rocm", "tpu"], ...] = ("cpu", "cuda")
+    """Platforms to compile for."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.model import load
+        from rcbht_jax.introspection.stablehlo import write_chain
+
+        meta = write_chain(self.out, load(self.model), self.platforms)
+        return {"chain": str(self.out), "bytes": self.out.stat().st_size, **meta}
+
+    def text(self, result: dict[str, Any]) -> str:
+        heads = ", ".join(head["name"] for head in result["heads"])
+        platforms = " and ".join(result["platforms"])
+        return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
 
 
 def _record(mcap: McapWriter, session: Session, message: Message, events: list[Event]) -> None:
     """Write one message's part of the MCAP."""
+    from rcbht_jax.events import Belief
+    from rcbht_jax.io.messages import Sample
+
     if isinstance(message, Sample) and np.isfinite(message.wrench).all():
         mcap.wrench(session.time, message.wrench)
     for event in events:
         mcap.event(event)
     if any(isinstance(event, Belief) for event in events):
         mcap.labels(session.time, session.introspector.labels[:, 0])
+
+
+def _counts(numbers: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in numbers.items()) or "nothing"

@@ -1,1 +1,1 @@
-"""The commands of ``rcbht`` that simulate; entered by name in the table of ``rcbht_jax.cli.main``."""
+"""The commands of ``rcbht`` that simulate; see :mod:`sim_mjx.cli.commands`."""

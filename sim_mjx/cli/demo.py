@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command
-from rcbht_jax.cli.demo_recorded import DemoRecorded
+from rcbht_jax.cli.command import Command, announce
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
+from rcbht_jax.cli.store import ImportHiro
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.label_store import read_tracks
-from rcbht_jax.io.store import read_recordings, read_simulation
-from rcbht_jax.plots import label_map, save
-from rcbht_jax.types import Recordings
 from sim_mjx.cli.simulate import Simulate
 from sim_mjx.cli.view import View
+
+if TYPE_CHECKING:
+    from rcbht_jax.types import Recordings
 
 PRESET: Literal["A"] = "A"
 WINDOW = 5
@@ -30,11 +28,12 @@ WINDOW = 5
 KERNELS: tuple[Literal["linear", "rbf"], ...] = ("linear", "rbf")
 COSTS, REPEATS = (0.1, 1.0, 10.0, 100.0), 2
 STEPS = 5
+RECORDED = "REAL_HIRO_ONE_SA_SUCCESS"
 
 
 @dataclass(frozen=True)
 class Demo(Command):
-    """The whole chain without any data: simulate, label, train, evaluate, draw pictures, sum up.
+    """Run the whole chain on simulated trials: simulate, encode, train, evaluate, plot, summarise.
 
     Half of the simulated trials are nominal, half have a fault. With --data the chain runs on the authors' recorded
     trials instead.
@@ -43,34 +42,36 @@ class Demo(Command):
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path("demo-out")
-    """Folder for stores, models, pictures and the summary; what an earlier demo left there is replaced."""
+    """Folder for stores, models, pictures and the summary; those of an earlier demo are replaced."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder of the authors' data sets, to use instead of a simulation."""
+    """Folder of the authors' data sets, to use in place of a simulation."""
     trials: int = 200
     """Trials to simulate."""
     seed: int = 0
-    """Determines them."""
+    """Seed of the random numbers."""
 
     def run(self) -> dict[str, Any]:
         if self.data is not None:
-            return DemoRecorded(self.data, self.out).run()
+            return _run_recorded(self.data, self.out)
         if self.trials < 40:
             raise InputError(f"{self.trials} trials are too few to train and test on; expected at least 40.")
+        from rcbht_jax.io.store import read_recordings
+
         start = time.perf_counter()
         self.out.mkdir(parents=True, exist_ok=True)
         store = self.out / "trials.zarr"
-        _say(1, f"simulate {self.trials} trials of session {PRESET}'s controller on {os.cpu_count()} cores")
+        announce(1, STEPS, f"simulate {self.trials} trials of session {PRESET}'s controller on {os.cpu_count()} cores")
         simulated = Simulate(store, preset=PRESET, trials=self.trials, seed=self.seed, overwrite=True).run()
-        _say(2, f"label them with the streaming encoder, windows of {WINDOW} samples")
+        announce(2, STEPS, f"encode them with the streaming encoder, windows of {WINDOW} samples")
         encoded = Encode(store, window=WINDOW).run()
-        _say(3, "train a classifier of states and one of outcomes")
+        announce(3, STEPS, "train a classifier of states and one of outcomes")
         models = [self._train(store, task) for task in ("states", "outcome")]
-        _say(4, f"evaluate both, {REPEATS} times five folds")
+        announce(4, STEPS, f"evaluate both by {REPEATS} x 5-fold cross-validation")
         scores = {
             task: Evaluate(store, task=task, kernels=KERNELS, costs=COSTS, repeats=REPEATS).run()
             for task in ("states", "outcome")
         }
-        _say(5, "draw pictures")
+        announce(5, STEPS, "plot")
         pictures = self._draw(store, encoded["name"])
         recordings = read_recordings(store)
         result = {
@@ -95,6 +96,10 @@ class Demo(Command):
         return str(Train(store, task=task, kernels=KERNELS, costs=COSTS, out=path).run()["model"])
 
     def _draw(self, store: Path, tracks_name: str) -> list[Path]:
+        from rcbht_jax.io.label_store import read_tracks
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.plots import label_map, save
+
         recordings, (tracks, _) = read_recordings(store), read_tracks(store, tracks_name)
         paths = []
         for name, fault in (("success", "none"), ("failure", "jamming")):
@@ -111,8 +116,10 @@ class Demo(Command):
 
 def _first(recordings: Recordings, store: Path, fault: str, outcome: str) -> str | None:
     """Name of the first trial with a fault and an outcome."""
-    found = np.flatnonzero((read_simulation(store)["fault"] == fault) & (recordings.outcome == outcome))
-    return str(recordings.trial[found[0]]) if len(found) else None
+    from rcbht_jax.io.store import read_simulation
+
+    rows = np.flatnonzero((read_simulation(store)["fault"] == fault) & (recordings.outcome == outcome))
+    return str(recordings.trial[rows[0]]) if len(rows) else None
 
 
 def _summary(result: dict[str, Any]) -> str:
@@ -129,9 +136,9 @@ def _summary(result: dict[str, Any]) -> str:
         ),
         f"Labelled    {labels}",
         "",
-        *_score("States", result["evaluation"]["states"], "which of the four states a sentence of labels comes from"),
-        *_score("Outcome", result["evaluation"]["outcome"], "whether the whole trial's sentence ends in a snap"),
-        "            States differ in length, faults in when they end a trial: compare with duration alone.",
+        *_score("States", result["evaluation"]["states"], "state from the labels within it"),
+        *_score("Outcome", result["evaluation"]["outcome"], "success or failure from the labels of the whole trial"),
+        "            Durations differ between states and between faults: compare with duration alone.",
         "",
         f"Models      {', '.join(result['models'])}",
         *(f"{'Pictures' if i == 0 else '':12}{path}" for i, path in enumerate(result["pictures"])),
@@ -141,9 +148,69 @@ def _summary(result: dict[str, Any]) -> str:
 
 def _score(title: str, score: dict[str, Any], what: str) -> list[str]:
     rows = (("labels + SVM", "score"), ("duration alone", "duration_baseline"), ("most frequent", "majority_baseline"))
-    lines = [f"{title:12}{what}: balanced accuracy on trials not trained on"]
+    lines = [f"{title:12}{what}: balanced accuracy on held-out trials"]
     return lines + [f"            {name:16}{score[key]['balanced_accuracy']['mean']:.3f}" for name, key in rows]
 
 
-def _say(step: int, what: str) -> None:
-    print(f"[{step}/{STEPS}] {what}", file=sys.stderr, flush=True)
+def _run_recorded(data: Path, out: Path) -> dict[str, Any]:
+    """The chain on the authors' real trials: import, encode, evaluate, plot, summarise.
+
+    Raises:
+        InputError: ``data`` is not a folder of their data sets.
+    """
+    if not data.is_dir():
+        raise InputError(f"{data} is not a folder; give the folder of the authors' data sets: --data DIR.")
+    start = time.perf_counter()
+    out.mkdir(parents=True, exist_ok=True)
+    store, summary = out / "hiro.zarr", out / "summary.txt"
+    announce(1, 4, f"import {data} into {store}")
+    imported = ImportHiro(data, store, overwrite=True).run()
+    announce(2, 4, "encode every recording with the streaming encoder")
+    encoded = Encode(store, window=WINDOW).run()
+    announce(3, 4, "evaluate a classifier of the states of the real trials by 5 x 5-fold cross-validation")
+    evaluate = Evaluate(store, source=(RECORDED,), repeats=5)
+    scores = evaluate.run()
+    announce(4, 4, "plot")
+    result = {
+        "recordings": len(imported["imported"]),
+        "left_out": len(imported["skipped"]),
+        "labels": encoded["labels"],
+        "evaluation": scores,
+        "pictures": [str(path) for path in _draw_recorded(out, store, encoded["name"])],
+        "summary": str(summary),
+        "seconds": time.perf_counter() - start,
+    }
+    labels = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
+    lines = [
+        f"rcbht demo, {result['seconds']:.0f} s",
+        f"{result['recordings']} recordings imported, {result['left_out']} left out",
+        f"labels: {labels}",
+        "",
+        evaluate.text(scores),
+        "",
+        "pictures:",
+        *(f"  {path}" for path in result["pictures"]),
+    ]
+    summary.write_text("\n".join(lines) + "\n")
+    return result
+
+
+def _draw_recorded(out: Path, store: Path, tracks_name: str) -> list[Path]:
+    from rcbht_jax.io.label_store import read_tracks
+    from rcbht_jax.io.store import read_recordings
+    from rcbht_jax.plots import label_map, save, trial_figure
+
+    recordings, (tracks, _) = read_recordings(store), read_tracks(store, tracks_name)
+    paths = []
+    for session in ("A", "B"):
+        rows = np.flatnonzero(recordings.session == session)
+        if rows.size:
+            row = int(rows[rows.size // 2])
+            paths.append(out / f"trial-{recordings.trial[row]}.png")
+            save(trial_figure(recordings, tracks, row, window=WINDOW), paths[-1])
+    paths.append(out / "label-map.png")
+    save(
+        label_map(recordings, tracks, "llb", select=recordings.source == RECORDED, by="state", title=RECORDED),
+        paths[-1],
+    )
+    return paths

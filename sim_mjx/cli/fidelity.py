@@ -1,60 +1,75 @@
-"""``rcbht fidelity``."""
+"""``rcbht fidelity`` and ``rcbht fidelity fit``."""
 
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
-from matplotlib.figure import Figure
 
 import rcbht_jax
-from rcbht_jax._util import checkpoint
-from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax.cli.command import Command
+from rcbht_jax.cli.command import Command, MadeBy, announce, progress_bar
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.store import read_attrs, read_recordings
-from rcbht_jax.plots import save
-from sim_mjx.synthesis import pipeline
-from sim_mjx.validation import fidelity, sessions
 
-Measured = tuple[dict[str, Any], Figure | None]
+if TYPE_CHECKING:
+    from sim_mjx.randomization.overrides import Physical
+    from sim_mjx.validation.system_id import Bound, Fit, Generation, Search
+
+Measured = tuple[dict[str, Any], Any]  # values of the report, figure or None
+HIRO = MadeBy('"rcbht import hiro DIR {path}"')
+Session = Literal["A", "B", "C", "openhrp"]
+
+# Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
+BOUNDS = {
+    "parts.tab_stiffness": (3e3, 3e4, "log"),
+    "parts.hook_overlap": (2e-4, 1.2e-3, "log"),
+    "parts.seat_depth": (1.5e-3, 3.5e-3, "linear"),
+    "parts.friction": (0.05, 0.6, "linear"),
+    "parts.slot_play": (5e-4, 2.5e-3, "linear"),
+    "parts.mount_stiffness[0]": (1.5e3, 1.5e4, "log"),
+    "parts.mount_stiffness[1]": (1.5e3, 1.5e4, "log"),
+    "parts.mount_stiffness[2]": (3e3, 2e4, "log"),
+    "parts.mount_damping[2]": (20.0, 200.0, "log"),
+    "parts.roll": (-0.02, 0.02, "linear"),
+    "sensor.delay": (3.6, 9.4, "linear"),
+}
 
 
 @dataclass(frozen=True)
 class Fidelity(Command):
-    """Measure how much the simulation can be trusted, into a folder of report.json, report.txt and pictures.
+    """Measure the fidelity of the simulation and write report.json, report.txt and pictures to a folder.
 
-    Is the solver converged; do the engines agree; does the arm stand where the recorded one stood; how alike are
-    the wrenches of each session? What needs recordings is left out without them. Interrupted, it goes on where it
-    stopped when called again: finished parts wait in OUT/parts.
+    Four measurements: convergence of the solver, agreement of the engines, position of the arm along recorded
+    approaches, similarity of the wrenches of each session. Those that need recordings are skipped without them. After
+    an interruption the same command resumes: finished measurements are in OUT/parts.
 
-    Example: rcbht fidelity fidelity-out --recorded hiro.zarr --data ../shared/data/hiro
+    Example: rcbht fidelity -o fidelity-out --recorded hiro.zarr --data ../shared/data/hiro
     """
 
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = Path("fidelity-out")
-    """Folder to write to; made if it is not there."""
-    recorded: Annotated[Path | None, tyro.conf.arg(metavar="HIRO.zarr")] = None
-    """Store of the recorded trials, made by "rcbht import hiro": for the signatures."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path("fidelity-out")
+    """Folder to write to; created if it does not exist."""
+    recorded: Annotated[Path | None, tyro.conf.arg(metavar="HIRO.zarr"), HIRO] = None
+    """Store of "rcbht import hiro" with the recorded trials, to compare wrenches with."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder of the recorded trials: for the kinematics."""
-    sessions: tuple[Literal["A", "B", "C", "openhrp"], ...] = ("A", "B", "C", "openhrp")
-    """Sessions whose signatures are compared."""
+    """Folder of the recorded trials, to compare positions of the arm with."""
+    session: tuple[Session, ...] = ("A", "B", "C", "openhrp")
+    """Sessions whose wrenches are compared."""
     engines: tuple[Literal["mjx", "warp"], ...] = ()
-    """Engines to hold against the native one; slow without a graphics card."""
+    """Engines to compare with the native one; slow without a GPU."""
     trials: int = 64
-    """Randomised trials for solver and engines."""
-    longest: float = 13.0
-    """Stop them after this many seconds."""
+    """Randomised trials to compare solver and engines on."""
+    max_seconds: float = 13.0
+    """Longest duration of these trials, s."""
     seed: int = 0
-    """Of all trials."""
+    """Seed of all trials."""
+
+    FORMER: ClassVar[dict[str, str]] = {"--sessions": "--session", "--longest": "--max-seconds"}
 
     def run(self) -> dict[str, Any]:
         start = time.perf_counter()
@@ -63,7 +78,7 @@ class Fidelity(Command):
         (self.out / "parts").mkdir(parents=True, exist_ok=True)
         report: dict[str, Any] = {"rcbht_jax": rcbht_jax.__version__, "seed": self.seed}
         for place, (name, job) in enumerate(jobs.items()):
-            print(f"[{place + 1}/{len(jobs)}] {name}", file=sys.stderr, flush=True)
+            announce(place + 1, len(jobs), name)
             report[name] = self._part(name, job)
         missing = {"kinematics": self.data, "signatures": self.recorded}
         report["left_out"] = [name for name, given in missing.items() if given is None]
@@ -75,16 +90,19 @@ class Fidelity(Command):
         return f"{table(result)}\n\n{result['folder']}: report.json, report.txt, pictures ({result['seconds']:.0f} s)"
 
     def _check(self) -> None:
-        if self.trials < 4 or not 0.0 < self.longest < 1000.0:
-            raise InputError(f"{self.trials} trials of {self.longest} s: expected at least 4, and a positive time.")
+        if self.trials < 4 or not 0.0 < self.max_seconds < 1000.0:
+            raise InputError(f"{self.trials} trials of {self.max_seconds} s: expected at least 4, and a positive time.")
         if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"{self.out} is a file; name a folder.")
+            raise InputError(f"{self.out} is a file; expected a folder.")
         if self.data is not None and not self.data.is_dir():
             raise InputError(f"{self.data} is not a folder; expected that of the authors' data sets.")
 
     def _jobs(self) -> dict[str, Callable[[], Measured]]:
-        """What is to be measured, in order; raises now what could not be measured later."""
-        options = (self.trials, self.seed, self.longest)
+        """The measurements, in order; wrong input is found now, before the first of them."""
+        from rcbht_jax.io.store import read_recordings
+        from sim_mjx.validation import fidelity, sessions
+
+        options = (self.trials, self.seed, self.max_seconds)
         jobs: dict[str, Callable[[], Measured]] = {"solver": lambda: (fidelity.convergence(*options), None)}
         for engine in self.engines:
             jobs[f"engine {engine}"] = partial(_parity, engine, *options)
@@ -93,13 +111,15 @@ class Fidelity(Command):
             jobs["kinematics"] = lambda: (fidelity.kinematics(data), None)
         if self.recorded is not None:
             recordings = read_recordings(self.recorded)
-            for name in self.sessions:
+            for name in self.session:
                 target = sessions.recorded(recordings, name)
                 jobs[f"session {name}"] = partial(fidelity.session, target, None, self.seed)
         return jobs
 
     def _part(self, name: str, job: Callable[[], Measured]) -> dict[str, Any]:
         """Measure one part, unless an earlier run with the same options, data and code has."""
+        from rcbht_jax._util import checkpoint
+
         path = self.out / "parts" / f"{name.replace(' ', '-')}.json"
         made_by = self._made_by()
         with suppress(InputError):  # of other options or code, or damaged: measured again
@@ -107,87 +127,218 @@ class Fidelity(Command):
                 return earlier
         result, figure = job()
         if figure is not None:
+            from rcbht_jax.plots import save
+
             save(figure, self.out / f"{name.replace(' ', '-')}.png")
         checkpoint.save(path, made_by, result)
         return result
 
     def _made_by(self) -> list[Any]:
-        """Everything that a part depends on."""
+        """Everything that a measurement depends on."""
+        from rcbht_jax.io.store import read_attrs
+        from sim_mjx.synthesis import pipeline
+
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
         folder = None if self.data is None else str(self.data.resolve())
-        return [pipeline.code_hash(), self.trials, self.longest, self.seed, data, folder]
+        return [pipeline.code_hash(), self.trials, self.max_seconds, self.seed, data, folder]
 
 
 def _parity(engine: str, trials: int, seed: int, longest: float) -> Measured:
+    from sim_mjx.validation import fidelity
+
     return fidelity.parity(engine, trials, seed, longest), None
 
 
 def _write(path: Path, text: str) -> None:
+    from rcbht_jax._util.atomic import atomic_write
+
     with atomic_write(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as a table: what was measured, its limit, whether it holds."""
+    """The report as a table: measurement, limit, verdict."""
     lines = [_solver(report["solver"])]
     lines += [_engine(value) for name, value in report.items() if name.startswith("engine ")]
     for name, row in report.get("kinematics", {}).items():
-        said = f"{row['rms_mm']:.4f} mm, {row['rms_degrees']:.4f} deg rms over {row['trials']} approaches"
-        lines.append(_line(f"kinematics {name}", said, "{:g} mm, {:g} deg".format(*row["limits"]), row["holds"]))
+        value = f"{row['rms_mm']:.4f} mm, {row['rms_degrees']:.4f} deg rms over {row['trials']} approaches"
+        lines.append(_line(f"kinematics {name}", value, "{:g} mm, {:g} deg".format(*row["limits"]), row["holds"]))
     lines += [line for name, value in report.items() if name.startswith("session ") for line in _session(name, value)]
     if report["left_out"]:
-        lines.append(f"left out without recordings: {', '.join(report['left_out'])}")
+        lines.append(f"skipped without recordings: {', '.join(report['left_out'])}")
     return "\n".join(lines)
 
 
-def _snaps(found: dict[str, Any]) -> str:
-    counts = "none in {}, one in {}, two in {}, more in {}".format(*found["trials_with_0_1_2_more"])
-    if not found["drop_N_5_50_95_percent"]:
+def _snaps(row: dict[str, Any]) -> str:
+    counts = "none in {}, one in {}, two in {}, more in {}".format(*row["trials_with_0_1_2_more"])
+    if not row["drop_N_5_50_95_percent"]:
         return counts
-    release, drop = found["release_N_5_50_95_percent"][1], found["drop_N_5_50_95_percent"][1]
+    release, drop = row["release_N_5_50_95_percent"][1], row["drop_N_5_50_95_percent"][1]
     return f"{counts}; median release {release} N, drop {drop} N"
 
 
-def _line(name: str, said: str, limit: str = "", holds: bool | None = None) -> str:
+def _line(name: str, value: str, limit: str = "", holds: bool | None = None) -> str:
     verdict = "" if holds is None else ("ok" if holds else "MISSED")
-    return f"{name:20}{said:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
+    return f"{name:20}{value:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
 
 
 def _solver(row: dict[str, Any]) -> str:
     step, limits = row["step"], row["limits"]
-    said = f"{step['force']:.2g} N, {step['moment']:.2g} Nm from converged, {row['trials']} trials"
-    return _line("solver", said, f"{limits['force']:g} N, {limits['moment']:g} Nm", row["holds"])
+    value = f"{step['force']:.2g} N, {step['moment']:.2g} Nm from converged, {row['trials']} trials"
+    return _line("solver", value, f"{limits['force']:g} N, {limits['moment']:g} Nm", row["holds"])
 
 
 def _engine(row: dict[str, Any]) -> str:
-    said = (
+    value = (
         f"{row['force_until_contact']:.2g} N until contact, labels {min(row['labels'].values()):.1%}, "
         f"outcome {row['same_outcome']:.1%}"
     )
     limits = row["limits"]
     limit = f"{limits['force']:g} N, {limits['labels']:.0%}, {limits['outcome']:.0%}"
-    return _line(f"engine {row['engine']}", said, limit, row["holds"])
+    return _line(f"engine {row['engine']}", value, limit, row["holds"])
 
 
 def _session(name: str, row: dict[str, Any]) -> list[str]:
     lines = []
     if row["mated"]:
-        said = f"coverage {row['coverage']:.2f}, W1/sd {row['w1_over_sd']:.2f}, DTW/sd {row['dtw_over_sd']:.2f}"
+        value = f"coverage {row['coverage']:.2f}, W1/sd {row['w1_over_sd']:.2f}, DTW/sd {row['dtw_over_sd']:.2f}"
         limit = "{coverage}, {w1_over_sd}, {dtw_over_sd}".format(**row["limits"]) if row["limits"] else ""
-        lines.append(_line(name, f"{said}; {row['mated']} of {row['trials']} mated", limit, row["holds"]))
+        lines.append(_line(name, f"{value}; {row['mated']} of {row['trials']} mated", limit, row["holds"]))
     else:
         lines.append(_line(name, f"none of {row['trials']} trials mated for a second", holds=False))
     if row["onsets"] is not None:
         pairs = zip(row["onsets"], row["recorded_onsets"], strict=True)
-        said = ", ".join(f"{found:.2f} ({recorded:.2f})" for found, recorded in pairs)
-        lines.append(_line("", f"onsets (recorded): {said} s"))
+        times = ", ".join(f"{simulated:.2f} ({recorded:.2f})" for simulated, recorded in pairs)
+        lines.append(_line("", f"onsets (recorded): {times} s"))
     if row["ring"] and row["recorded_ring"]:
         values = [row[which][key] for key in ("hertz", "peak") for which in ("ring", "recorded_ring")]
         lines.append(_line("", "ring (recorded): {:.2f} ({:.2f}) Hz, peak {:.1f} ({:.1f}) N".format(*values)))
-    for which, found in (("snaps", row["snaps"]), ("recorded snaps", row["recorded_snaps"])):
-        if found and found["trials"]:
-            lines.append(_line("", f"{which} of seated trials: {_snaps(found)}"))
+    for which, snaps in (("snaps", row["snaps"]), ("recorded snaps", row["recorded_snaps"])):
+        if snaps and snaps["trials"]:
+            lines.append(_line("", f"{which} of seated trials: {_snaps(snaps)}"))
     lines.append(_line("", f"all four tabs seated: {row['seated']:.1%}"))
     if "outcomes_as_recorded" in row:
         lines[-1] += "; outcomes as recorded: {} of {}".format(*row["outcomes_as_recorded"])
     return lines
+
+
+@dataclass(frozen=True)
+class FidelityFit(Command):
+    """Fit physical parameters of parts and sensor to the wrenches of a recorded session.
+
+    The search is CMA-ES on the native engine, with all candidates of a generation in one batch. Its state is saved
+    beside the result; the same command resumes it, also with more --generations.
+
+    Example: rcbht fidelity fit hiro.zarr --session B -o b.json
+    """
+
+    recorded: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="HIRO.zarr"), HIRO]
+    """Store of "rcbht import hiro" with the recorded trials."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT.json")]
+    """File of parameters to write, for "rcbht simulate --physical"; an existing one is replaced."""
+    session: Session = "B"
+    """Recorded session."""
+    parameters: tuple[str, ...] = tuple(BOUNDS)
+    """Parameters to fit, for example parts.friction, parts.hook_overlap[0:2] or sensor.delay."""
+    bound: tuple[str, ...] = ()
+    """Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units."""
+    fixed: tuple[str, ...] = ()
+    """Parameters with a fixed value, as NAME=VALUE."""
+    trials: int | None = None
+    """Simulated trials per candidate; default 4 for session A, 9 for the others."""
+    outcomes: bool = False
+    """Also penalise trials whose outcome differs from the recorded one (session B; three times slower)."""
+    snaps: bool = False
+    """Also penalise seated trials without a snap in the force, if the recorded ones have it; simulates whole trials."""
+    population: int = 12
+    """Candidates per generation."""
+    generations: int = 30
+    """Generations of the search."""
+    initial_std: float = 0.15
+    """Standard deviation of the first generation about the present values, as a fraction of the ranges."""
+    seed: int = 0
+    """Seed of the search and of the simulated noise."""
+
+    FORMER: ClassVar[dict[str, str]] = {"--spread": "--initial-std"}
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.store import read_recordings
+        from sim_mjx.randomization import overrides
+        from sim_mjx.validation import sessions
+        from sim_mjx.validation.system_id import fit
+
+        start = time.perf_counter()
+        if not self.out.absolute().parent.is_dir():
+            raise InputError(f"{self.out.parent} is not a folder; create it, or choose another.")
+        target = sessions.recorded(read_recordings(self.recorded), self.session)
+        fixed = tuple((name, _number(value)) for name, value in map(_assignment, self.fixed))
+        overrides.check((*fixed, *((name, 0.0) for name in self.parameters)))
+        trials = self.trials or (4 if self.session == "A" else 9)
+        sessions.trials_of(self.session, trials, physical=fixed)  # refuses a wrong count before the work
+        objective = sessions.SessionObjective(target, trials, self.seed, self.outcomes, self.snaps, fixed)
+        search = self._search(fixed, trials, len(target.profiles))
+        checkpoint = self.out.with_name(f"{self.out.name}.search")
+        with progress_bar("fit", "generations", self.generations) as bar:
+            best = fit(objective, search, checkpoint=checkpoint, progress=lambda now, best: _show(bar, now, best))
+        values = dict(fixed) | best.values
+        summary = {"session": self.session, "loss": best.loss, "generations": len(best.generations)}
+        overrides.write(self.out, values, summary)
+        return {**summary, "values": values, "file": str(self.out), "seconds": time.perf_counter() - start}
+
+    def text(self, result: dict[str, Any]) -> str:
+        lines = [f"{result['file']}: loss {result['loss']:.4f} after {result['generations']} generations"]
+        return "\n".join(lines + [f"  {name:26} {value:.6g}" for name, value in result["values"].items()])
+
+    def _search(self, fixed: Physical, trials: int, recorded: int) -> Search:
+        from sim_mjx.validation.system_id import Bound, Search
+
+        usual = {name: Bound(low, high, log=scale == "log") for name, (low, high, scale) in BOUNDS.items()}
+        ranges = {name: _range(text) for name, text in map(_assignment, self.bound)}
+        unknown = [name for name in self.parameters if name not in usual | ranges]
+        if unknown:
+            raise InputError(f"{unknown[0]} has no default range; give one: --bound {unknown[0]}=LOW:HIGH.")
+        unused = [name for name in ranges if name not in self.parameters]
+        if unused:
+            raise InputError(f"A range is given for {unused[0]}, which is not fitted; add it to --parameters.")
+        bounds = {name: (usual | ranges)[name] for name in self.parameters}
+        settings = {
+            "session": self.session, "recorded_trials": recorded, "trials": trials, "outcomes": self.outcomes,
+            "snaps": self.snaps, "fixed": [list(pair) for pair in fixed],
+        }  # fmt: skip
+        begin = {name: _present(self.session, name, bound) for name, bound in bounds.items()}
+        return Search(bounds, self.population, self.generations, self.seed, begin, self.initial_std, settings)
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise InputError(f"{text!r} is not NAME=VALUE.")
+    return name, value
+
+
+def _range(text: str) -> Bound:
+    from sim_mjx.validation.system_id import Bound
+
+    low, _, high = text.partition(":")
+    return Bound(_number(low), _number(high))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is not a number.") from None
+
+
+def _present(session: str, name: str, bound: Bound) -> float:
+    """The present value of a parameter, clipped to its range; the mean if it has several elements."""
+    from sim_mjx.assembly import parts, sensor
+    from sim_mjx.randomization import overrides
+
+    sensor_params = sensor.simulated_sensor() if session == "openhrp" else sensor.real_sensor(session)
+    return min(max(overrides.value(parts.nominal(session), sensor_params, name), bound.low), bound.high)
+
+
+def _show(bar: Any, now: Generation, best: Fit) -> None:
+    bar.set_postfix_str(f"loss {best.loss:.4f}, this generation {now.best:.4f}, step {now.step:.3f}", refresh=False)
+    bar.update(now.number - bar.n)

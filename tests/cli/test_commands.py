@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rcbht_jax.cli.main import COMMANDS, main
+from rcbht_jax.cli.main import all_commands, main
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning.model_io import load
@@ -129,6 +129,7 @@ def test_wrong_input_ends_with_one_sentence(
     assert len([line for line in err.splitlines() if line.strip()]) == 1 or "invalid" in err.lower(), err
 
 
+NEED_NO_STORE = ("bench", "completion", "demo", "simulate", "fidelity")
 option = st.sampled_from(
     [
         "--window",
@@ -150,7 +151,7 @@ word = st.one_of(option, st.text(max_size=6), st.integers(-3, 3).map(str), st.fl
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    command=st.sampled_from([name for name in COMMANDS if name not in ("bench", "demo", "simulate", "fidelity")]),
+    command=st.sampled_from([name for name in all_commands() if name not in NEED_NO_STORE]),
     rest=st.lists(word, max_size=5),
 )
 def test_any_words_give_a_sentence_or_help(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax.cli.main import COMMANDS, _parse, main
+from rcbht_jax.cli.main import command_name, main, parse
 from rcbht_jax.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,8 +25,8 @@ def blocks(page: Path, language: str) -> list[str]:
 def commands(page: Path) -> list[str]:
     """Lines that call rcbht, without comments, pipes and redirections."""
     lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
-    found = [re.search(r"\brcbht [^|#<>]*", line) for line in lines]
-    return [match[0].strip() for match in found if match]
+    matches = [re.search(r"\brcbht [^|#<>]*", line) for line in lines]
+    return [match[0].strip() for match in matches if match]
 
 
 CODE = [(page, number) for page in PAGES[1:] for number in range(len(blocks(page, "python")))]
@@ -46,10 +46,10 @@ def test_python_runs(page: Path, number: int) -> None:
 @pytest.mark.parametrize(("page", "line"), CALLS, ids=lambda value: getattr(value, "stem", value))
 def test_commands_have_these_options(page: Path, line: str) -> None:
     words = shlex.split(line)[1:]
-    count = next(n for n in range(len(words), -1, -1) if " ".join(words[:n]) in COMMANDS)
-    rest = [word for word in words[count:] if word != "--json"]
+    name = command_name(words)
+    assert name, f"{page.name}: {line}"
     try:
-        _parse(" ".join(words[:count]), rest)
+        parse(name, [word for word in words[name.count(" ") + 1 :] if word != "--json"])
     except InputError as error:
         pytest.fail(f"{page.name}: {line}: {error}")
 
@@ -60,8 +60,8 @@ def test_the_tutorial_works_as_it_stands(
     monkeypatch.chdir(tmp_path)
     for line in commands(ROOT / "docs" / "tutorial.md"):
         assert main(shlex.split(line)[1:]) == 0, f"{line}\n{capsys.readouterr().err}"
-    said = capsys.readouterr().out
-    assert "duration alone" in said
+    output = capsys.readouterr().out
+    assert "duration alone" in output
     beliefs = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
     assert any(event["event"] == "Belief" and event["head"] == "states" for event in beliefs)
     assert (tmp_path / "report.html").read_text().startswith("<!doctype html>")

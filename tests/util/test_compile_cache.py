@@ -49,7 +49,9 @@ def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
 LIGHT = """
 import sys
-import rcbht_jax.cli.serve
+from rcbht_jax.introspection import introspector, model, session
+from rcbht_jax.io import messages, playback, rosbags
+from rcbht_jax.report import live_page
 print(sorted({"sklearn", "pandas", "matplotlib", "scipy.stats"} & set(sys.modules)))
 """
 
@@ -63,7 +65,7 @@ def test_a_stream_keeps_its_chain(tmp_path: Path) -> None:
     """The command finds the chain that an earlier start compiled."""
     model_files.save(tmp_path / "m", model())
     (tmp_path / "in.jsonl").write_text(('{"wrench": [0, 0, 0, 0, 0, 0]}\n') * 20)
-    command = [sys.executable, "-m", "rcbht_jax.cli.main", "stream", "-", "-m", str(tmp_path / "m")]
+    command = [sys.executable, "-m", "rcbht_jax.cli", "stream", "-", "-m", str(tmp_path / "m")]
     command += ["--compile-cache", str(tmp_path / "cache"), "--json"]
     times = []
     for _ in range(2):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_simulation
 from sim_mjx.cli import demo
 

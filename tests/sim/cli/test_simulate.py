@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_recordings
 from sim_mjx.synthesis import shards
 from tests.support.fake_simulation import tree
 
-SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--longest", "0.1"]
+SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--max-seconds", "0.1"]
 
 
 def test_interrupted_and_called_again_it_gives_the_same_store(
@@ -37,7 +37,7 @@ def test_interrupted_and_called_again_it_gives_the_same_store(
         assert main.main(["simulate", str(two), *SHORT]) == 130
     assert not two.exists()
     assert main.main(["simulate", str(two), *SHORT]) == 0
-    assert "4 of them had been simulated before" in capsys.readouterr().out
+    assert "4 of them were simulated earlier" in capsys.readouterr().out
     assert tree(one) == tree(two)
     recordings = read_recordings(two)
     assert recordings.session.tolist() == ["sim-C"] * 6
@@ -52,7 +52,7 @@ def test_interrupted_and_called_again_it_gives_the_same_store(
         (["--trials", "0"], "number of trials is 0"),
         (["--seed", "-1"], "seed is -1"),
         (["--nominal-share", "1.5"], "nominal share is 1.5"),
-        (["--longest", "-2"], "longest trial is -2.0 s"),
+        (["--max-seconds", "-2"], "longest trial is -2.0 s"),
         (["--shard", "0"], "shard's number of trials is 0"),
         (["--preset", "D"], "options are wrong"),
         (["--engine", "abacus"], "options are wrong"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
@@ -158,14 +158,15 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     monkeypatch.setattr(fidelity, "session", few)
     words = [
         "fidelity",
+        "-o",
         str(out),
         "--recorded",
         str(hiro_store),
-        "--sessions",
+        "--session",
         "C",
         "--trials",
         "4",
-        "--longest",
+        "--max-seconds",
         "0.3",
     ]
     assert main.main(words) == 130
@@ -173,7 +174,7 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     assert main.main(words) == 0
     assert calls == ["solver", "C", "C"]  # the solver's part was kept
     text = capsys.readouterr().out
-    assert "left out without recordings: kinematics" in text
+    assert "skipped without recordings: kinematics" in text
     assert "session C" in text
     report = json.loads((out / "report.json").read_text())
     assert (
@@ -212,7 +213,7 @@ def test_mistakes_are_one_sentence(
     words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main.main(["fidelity", "out", *words]) == 2
+    assert main.main(["fidelity", "-o", "out", *words]) == 2
     assert sentence in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
 
@@ -235,8 +236,8 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
     assert main.main([*words, "-o", str(tmp_path / "s.json"), "--snaps", "--generations", "1"]) == 0
     for wrong, sentence in (
         (["--parameters", "parts.colour"], "no physical parameter"),
-        (["--parameters", "parts.position[0]"], "has no usual range"),
-        (["--bound", "parts.roll=0:1"], "not searched"),
+        (["--parameters", "parts.position[0]"], "has no default range"),
+        (["--bound", "parts.roll=0:1"], "not fitted"),
         (["--bound", "parts.friction"], "not NAME=VALUE"),
         (["--fixed", "parts.friction=much"], "not a number"),
     ):

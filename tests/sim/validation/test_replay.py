@@ -15,7 +15,7 @@ import zarr
 from PIL import Image
 from scipy.spatial import ConvexHull
 
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli import main
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_recordings
@@ -154,7 +154,7 @@ def test_both_arms_of_a_two_arm_trial_move(
     both = [dat.read_timed(folder / f"{arm}_Angles.dat", "joint angles").values[50, :6] for arm in "RL"]
     np.testing.assert_array_equal(led.qpos[50, two_arm().joints], np.concatenate(both))
     path = tmp_path / "two.zarr"
-    short = ["--preset", "two", "--trials", "1", "--longest", "0.2", "--nominal-share", "1"]
+    short = ["--preset", "two", "--trials", "1", "--max-seconds", "0.2", "--nominal-share", "1"]
     assert main.main(["simulate", str(path), *short]) == 0
     out = tmp_path / "two.png"
     assert main.main(["view", str(path), "sim-two-000000", "--arm", "L", "-o", str(out)]) == 0

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_attrs, read_simulation
 from sim_mjx.assembly import parts, sensor
@@ -164,7 +164,7 @@ def test_wrong_parameters_are_one_sentence(pair: tuple[str, float], sentence: st
 def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "fit.json", tmp_path / "t.zarr"
     overrides.write(path, {"parts.friction": 0.123}, {})
-    words = ["simulate", str(out), "--preset", "C", "--trials", "2", "--longest", "0.1", "--nominal-share", "1"]
+    words = ["simulate", str(out), "--preset", "C", "--trials", "2", "--max-seconds", "0.1", "--nominal-share", "1"]
     assert main.main([*words, "--physical", str(path)]) == 0
     simulation = read_simulation(out)
     low, high = DomainRandomization().friction

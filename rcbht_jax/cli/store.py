@@ -1,34 +1,79 @@
-"""``rcbht info``."""
+"""``rcbht import hiro`` and ``rcbht info``."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command
-from rcbht_jax.io.label_store import list_tracks
-from rcbht_jax.io.store import read_attrs, read_recordings
-from rcbht_jax.types import Recordings
+from rcbht_jax.cli.command import Command, OutStore, Store, progress_bar
+
+if TYPE_CHECKING:
+    from rcbht_jax.types import Recordings
+
+
+@dataclass(frozen=True)
+class ImportHiro(Command):
+    """Import recorded trials of the HIRO robot (folders of R_Torques.dat and its companions) into a store.
+
+    Broken trials are reported and left out; exact copies are imported once.
+
+    Example: rcbht import hiro ../shared/data/hiro hiro.zarr
+    """
+
+    directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """Folder of the data sets, or one data set."""
+    out: OutStore
+    """Store to create, for example hiro.zarr."""
+    overwrite: bool = False
+    """Replace an existing store, once the new one is complete."""
+
+    FORMER: ClassVar[dict[str, str]] = {"-o": "", "--out": ""}
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.hiro.importer import import_hiro
+
+        report = import_hiro(
+            self.directory, self.out, self.overwrite, lambda folders: progress_bar("import", "trials", iterable=folders)
+        )
+        return {"store": str(self.out), **report.to_dict()}
+
+    def text(self, result: dict[str, Any]) -> str:
+        sets = Counter(name.rsplit("/", 2)[0] for name in result["imported"] if name.count("/") > 1)
+        lines = [f"{len(result['imported'])} recordings in {result['store']}"]
+        lines += [f"  {count:5d}  {source}" for source, count in sorted(sets.items())]
+        for title, key in (("left out", "skipped"), ("exact copies", "duplicates"), ("warnings", "warnings")):
+            if result[key]:
+                lines.append(f"{title}: {len(result[key])}")
+                lines += [f"  {_sentence(path, reason)}" for path, reason in result[key]]
+        return "\n".join(lines)
+
+
+def _sentence(path: str, reason: str) -> str:
+    """Messages of the parser begin with the path already."""
+    return reason if reason.startswith(path) else f"{path}: {reason}"
 
 
 @dataclass(frozen=True)
 class Info(Command):
     """Summarise a store: recordings by source, session and outcome, missing state times, label tracks.
 
-    Reads the whole store and so checks it, too.
+    Reads the whole store and verifies its checksum.
 
     Example: rcbht info hiro.zarr
     """
 
-    store: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
+    store: Store
     """Store to describe."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.label_store import list_tracks
+        from rcbht_jax.io.store import read_attrs, read_recordings
+
         recordings, attrs = read_recordings(self.store), read_attrs(self.store)
         keys = zip(recordings.source, recordings.session, recordings.outcome, recordings.arm, strict=True)
         rows = [tuple(str(word) for word in key) for key in keys]
@@ -60,12 +105,13 @@ class Info(Command):
                 f"{'/'.join(str(count) for count in group['onsets_missing'])}"
             )
         notes = ", ".join(f"{flag} {count}" for flag, count in result["notes"].items())
-        tracks = ", ".join(result["label_tracks"])
-        return "\n".join([*lines, "", f"notes: {notes or 'none'}", f"label tracks: {tracks or 'none'}"])
+        tracks = ", ".join(result["label_tracks"]) or f'none; make them with "rcbht encode {result["store"]}"'
+        return "\n".join([*lines, "", f"notes: {notes or 'none'}", f"label tracks: {tracks}"])
 
 
 def _describe(recordings: Recordings, key: tuple[str, ...], member: np.ndarray) -> dict[str, Any]:
     """One row of the summary: the recordings that ``member`` [recording] selects."""
+
     seconds = recordings.length[member] * recordings.dt
     return {
         **dict(zip(("source", "session", "outcome", "arm"), key, strict=True)),

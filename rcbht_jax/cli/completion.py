@@ -1,0 +1,130 @@
+"""``rcbht completion``."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from rcbht_jax.cli.command import Command
+
+COMMON = {"--help": (), "--json": ()}
+
+
+@dataclass(frozen=True)
+class Completion(Command):
+    """Print the script that completes commands, options and their values in a shell.
+
+    For bash, write it to ~/.local/share/bash-completion/completions/rcbht.
+
+    For zsh, write it to ~/.rcbht.zsh and add "source ~/.rcbht.zsh" to ~/.zshrc, after compinit.
+
+    For fish, write it to ~/.config/fish/completions/rcbht.fish.
+
+    Example: rcbht completion bash
+    """
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    """Shell to complete in."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.cli.main import all_commands, command_class
+
+        table = {name: COMMON | options_of(command_class(name)) for name in all_commands()}
+        summaries = {name: summary for name, (_, summary) in all_commands().items()}
+        script = _fish(table, summaries) if self.shell == "fish" else _bash(table, self.shell == "zsh")
+        return {"shell": self.shell, "script": script}
+
+    def text(self, result: dict[str, Any]) -> str:
+        return result["script"].rstrip()
+
+
+Options = dict[str, tuple[str, ...]]  # option -> its values, where they are a fixed set
+
+
+def options_of(command: type[Command]) -> Options:
+    """The options of a command, and what each may be where it is one of a fixed set."""
+    hints = typing.get_type_hints(command, include_extras=True)
+    options: Options = {}
+    for field in dataclasses.fields(command):
+        hint, name = hints[field.name], field.name.replace("_", "-")
+        extras = hint.__metadata__ if typing.get_origin(hint) is Annotated else ()
+        if tyro.conf.Positional in extras:
+            continue
+        options[f"--no-{name}" if field.default is True else f"--{name}"] = _choices(hint)
+    return options
+
+
+def _choices(hint: Any) -> tuple[str, ...]:
+    """The strings of a Literal, also within a tuple or a union."""
+    if typing.get_origin(hint) is Literal:
+        return tuple(map(str, typing.get_args(hint)))
+    return tuple(word for part in typing.get_args(hint) for word in _choices(part))
+
+
+def _children(table: dict[str, Options]) -> dict[str, list[str]]:
+    """The words that may follow those typed so far: {"": ["info", "plot", ...], "plot": ["trial", "map", ...]}."""
+    children: dict[str, list[str]] = {}
+    for name in table:
+        words = name.split()
+        for count, word in enumerate(words):
+            following = children.setdefault(" ".join(words[:count]), [])
+            following.extend([word] if word not in following else [])
+    return children
+
+
+def _bash(table: dict[str, Options], zsh: bool) -> str:
+    """One function; zsh runs it by its emulation of bash's completion. Other words are completed as files."""
+    children = _children(table)
+    commands = "|".join(f'"{name}"' for name in dict.fromkeys([*children, *table]) if name)
+    values = {
+        f"{name} {option}": choices for name, options in table.items() for option, choices in options.items() if choices
+    }
+    head = "autoload -U +X bashcompinit && bashcompinit\n" if zsh else ""
+    return f"""{head}_rcbht() {{
+  local current="${{COMP_WORDS[COMP_CWORD]}}" command="" option="" words="" word
+  for word in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
+    case "$word" in
+    -*) option="$word" ;;
+    *) [ -z "$option" ] && _rcbht_is_command "${{command:+$command }}$word" && command="${{command:+$command }}$word" ;;
+    esac
+  done
+  case "$current" in
+  -*) case "$command" in
+{_cases(table)}    esac ;;
+  *) case "$command${{option:+ $option}}" in
+{_cases(children)}{_cases(values)}    esac ;;
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "$current"))
+}}
+_rcbht_is_command() {{
+  case "$1" in
+  {commands}) return 0 ;;
+  esac
+  return 1
+}}
+complete -o default -F _rcbht rcbht
+"""
+
+
+def _cases(words: Mapping[str, Iterable[str]]) -> str:
+    return "".join(f'    "{typed}") words="{" ".join(following)}" ;;\n' for typed, following in words.items())
+
+
+def _fish(table: dict[str, Options], summaries: dict[str, str]) -> str:
+    lines = []
+    for typed, following in _children(table).items():
+        where = f"__fish_seen_subcommand_from {typed}" if typed else "__fish_use_subcommand"
+        for word in following:
+            summary = summaries.get(f"{typed} {word}".strip(), "").replace("'", "\\'")
+            lines.append(f"complete -c rcbht -n '{where}' -a '{word}' -d '{summary}'")
+    for name, options in table.items():
+        where = " && ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
+        for option, choices in options.items():
+            values = f" -x -a '{' '.join(choices)}'" if choices else ""
+            lines.append(f"complete -c rcbht -n '{where}' -l {option[2:]}{values}")
+    return "\n".join(lines) + "\n"

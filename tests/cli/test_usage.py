@@ -1,0 +1,177 @@
+"""What helps to find a command: quick help, suggestions, completion, hints, progress, commands of other packages."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import io
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli import commands, main
+from rcbht_jax.cli.command import progress_bar
+from rcbht_jax.cli.completion import options_of
+from tests.cli.test_commands import synthetic
+
+HEAVY = {"jax", "matplotlib", "mujoco", "optax", "rosbags", "scipy", "sklearn", "zarr"}
+ALL_HELP = f"""
+import contextlib, io, sys
+from rcbht_jax.cli import main
+for name in main.all_commands():
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main.main([*name.split(), "--help"]) == 0
+    assert "Example: rcbht " + name in out.getvalue(), name
+print(sorted({HEAVY!r} & set(sys.modules)))
+"""
+
+
+def cpu_seconds(*words: str) -> float:
+    """Median CPU time of three runs of Python, which other processes on the machine hardly change."""
+    times = []
+    for _ in range(3):
+        process = subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = status
+        assert status == 0
+        times.append(usage.ru_utime + usage.ru_stime)
+    return statistics.median(times)
+
+
+def test_no_help_imports_what_only_running_needs() -> None:
+    done = subprocess.run([sys.executable, "-c", ALL_HELP], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_help_is_as_quick_as_importing_jax() -> None:
+    assert cpu_seconds("-m", "rcbht_jax.cli", "calibrate", "--help") < 1.3 * cpu_seconds("-c", "import jax")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("encdoe x.zarr", "rcbht has no command 'encdoe x.zarr'; did you mean encode?"),
+        ("plot mpa x.zarr", "did you mean plot map"),
+        ("plot", "trial"),
+        ("import hrio a b", "did you mean import hiro?"),
+        ("simulat x.zarr", "did you mean simulate?"),
+        ("qqqq", '"rcbht --help" lists the commands'),
+        ("encode x.zarr --windw 5", "rcbht encode has no option --windw; did you mean --window?"),
+        ("encode x.zarr --gate", "did you mean --no-gate"),
+        ("train x.zarr --feature ngram", "did you mean --features?"),
+        ("train x.zarr --qqqq=1", '"rcbht train --help" lists the options'),
+    ],
+)
+def test_mistyped_words_get_suggestions(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(words.split()) == 2
+    captured = capsys.readouterr()
+    assert sentence in captured.out + captured.err
+    assert len(captured.err.splitlines()) <= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "former", "present"),
+    [
+        ("evaluate", "x --arms both", "x --arm both"),
+        ("calibrate", "x -o t.json --ledger s.npz", "x -o t.json --checkpoint s.npz"),
+        ("train-online", "x --tasks outcome --features relative", "x --task outcome --relative"),
+        ("train-online", "x --features all --detect", "x --detect"),
+        ("stream", "- --k 0.9 --bridge 0.1 --silent 2", "- --certainty 0.9 --max-gap 0.1 --timeout 2"),
+        ("simulate", "--longest 3 -o x.zarr", "x.zarr --max-seconds 3"),
+        ("report", "x -o r.html --most 3", "x -o r.html --max-trials 3"),
+    ],
+)
+def test_former_spellings_of_options_mean_the_same(name: str, former: str, present: str) -> None:
+    assert main.parse(name, former.split()) == main.parse(name, present.split())
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_has_every_command_and_option(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for name in main.all_commands():
+        words = name.split()
+        assert words[-1] in script
+        for option in options_of(main.command_class(name)):
+            assert (f"-l {option[2:]}" if shell == "fish" else option) in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.parametrize(
+    ("typed", "completions"),
+    [
+        ("rcbht pl", "plot"),
+        ("rcbht plot ", "trial beliefs map"),
+        ("rcbht plot map --la", "--layer"),
+        ("rcbht plot map x.zarr --layer ", "primitive mc llb"),
+        ("rcbht encode x.zarr --robot b", "baxter"),
+        ("rcbht train x.zarr --costs 1 2 --k", "--kernels"),
+        ("rcbht encode ", ""),
+    ],
+)
+def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["completion", "bash"]) == 0
+    (tmp_path / "rcbht").write_text(capsys.readouterr().out)
+    words = " ".join(f'"{word}"' for word in typed.split(" "))
+    code = (
+        f'source "$1"; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); _rcbht; echo "${{COMPREPLY[*]}}"'
+    )
+    done = subprocess.run(
+        ["bash", "-c", code, "-", str(tmp_path / "rcbht")], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.strip() == completions
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ("info no.zarr", "rcbht import hiro DIR no.zarr"),
+        ("evaluate STORE", "rcbht encode STORE"),
+        ("classify STORE -m no.model", "rcbht train STORE.zarr -o no.model"),
+        ("stream STORE", "rcbht train-online STORE.zarr -o online.model"),
+        ("report STORE -o r.html -m no.model", "rcbht train-online STORE.zarr -o no.model"),
+        ("encode STORE --thresholds no.json", "rcbht calibrate STORE.zarr -o no.json"),
+        ("simulate new.zarr --physical no.json", "rcbht fidelity fit HIRO.zarr -o no.json"),
+        ("fidelity fit no.zarr -o f.json", "rcbht import hiro DIR no.zarr"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_command_that_makes_it(
+    words: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from rcbht_jax.io.store import write_recordings
+
+    monkeypatch.chdir(tmp_path)
+    write_recordings(Path("STORE"), synthetic(), {})
+    assert main.main(words.split()) == 2
+    assert f'"{hint}"' in capsys.readouterr().err
+
+
+def test_progress_is_shown_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    for stream, shown in ((io.StringIO(), False), (Terminal(), True)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        with progress_bar("encode", "trials", total=3) as bar:
+            bar.update(3)
+        assert ("encode: 100%" in stream.getvalue()) == shown
+
+
+def test_another_package_brings_commands_by_an_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "simulate" in main.all_commands()
+    assert not any("sim_mjx" in target for target, _ in commands.COMMANDS.values())
+    entry = EntryPoint("other", "json:encoder.ESCAPE_DCT", main.GROUP)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry] if group == main.GROUP else [])
+    main.all_commands.cache_clear()
+    try:
+        names = set(main.all_commands())
+    finally:
+        monkeypatch.undo()
+        main.all_commands.cache_clear()
+    assert names == {*commands.COMMANDS, *entry.load()}
