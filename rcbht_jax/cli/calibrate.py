@@ -10,7 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Command, Robot, Store, Task, Thresholds, progress_bar, read_limits
+from rcbht_jax.cli.command import (
+    Arm,
+    Boundaries,
+    Command,
+    Flag,
+    Robot,
+    Sessions,
+    Sources,
+    Store,
+    Task,
+    Thresholds,
+    Window,
+    progress_bar,
+    read_limits,
+)
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,21 +56,14 @@ class Calibrate(Command):
     """Calibration method."""
     task: Task = "states"
     """Classes that the labels are to separate."""
-    boundaries: Literal["recorded", "harmonised", "merged"] = "harmonised"
-    """End of the rotation, for the task states; merged joins rotation and insertion."""
+    boundaries: Boundaries = "harmonised"
     arm: Arm = "R"
-    """Arm to calibrate on."""
-    source: tuple[str, ...] = ()
-    """Data sets to use; default all."""
-    session: tuple[str, ...] = ()
-    """Recording sessions to use; default all."""
-    window: int = 5
-    """Samples per linear fit."""
+    source: Sources = ()
+    session: Sessions = ()
+    window: Window = 5
     robot: Robot = "hiro"
-    """Robot whose preset is the starting point."""
     thresholds: Thresholds = None
-    """File of thresholds to start from, in place of the preset (search and gradient)."""
-    own_axes: bool = False
+    own_axes: Flag = False
     """Give every axis limits of its own, instead of copying them between axes as the authors do (context)."""
     groups: Literal["axis", "kind", "all"] = "kind"
     """Thresholds for each axis, for forces and for moments, or for all axes together (search)."""
@@ -74,7 +81,7 @@ class Calibrate(Command):
     """Training steps (gradient)."""
     loss: Literal["logistic", "hinge", "fit"] = "logistic"
     """Loss of the classifier (gradient)."""
-    straight_through: bool = False
+    straight_through: Flag = False
     """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
     plot: Path | None = None
     """Figure to write: the thresholds over the gradients of each axis and state."""

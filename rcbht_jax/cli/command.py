@@ -29,20 +29,53 @@ class MadeBy(NamedTuple):
     command: str
 
 
+def option(text: str, default: str | None = None, **more: Any) -> Any:
+    """An option's help, and what stands for its default value there."""
+    hint = None if default is None else default and f"(default: {default})"
+    return tyro.conf.arg(help=text, help_behavior_hint=hint, **more)
+
+
+# Options that several commands have; one without a text is described by the docstring of its field.
 STORE = MadeBy('"rcbht simulate {path}", or from recorded trials with "rcbht import hiro DIR {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
 Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE]
-OutStore = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr")]
-Trial = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TRIAL")]
-OutFigure = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FIGURE.png")]
-OutModel = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="MODEL")]
-Model = Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
-Thresholds = Annotated[
-    Path | None, tyro.conf.arg(metavar="THRESHOLDS.json"), MadeBy('"rcbht calibrate STORE.zarr -o {path}"')
+LabelledStore = Annotated[
+    Path, tyro.conf.Positional, option('Store with label tracks, made by "rcbht encode".', metavar="STORE.zarr"), STORE
 ]
-Arm = Literal["R", "L"]
-Robot = Literal["hiro", "baxter", "pa10"]
+OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr")]
+Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
+Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
+Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
+SourcePrefix = Annotated[
+    str, option("Data set, or the start of its name, if several have a trial of this name.", "")
+]
+Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for example A B.", "all")]
+Arm = Annotated[Literal["R", "L"], option("Arm whose wrench to use.")]
 Task = Literal["states", "outcome", "failure-type"]
+Boundaries = Annotated[
+    Literal["recorded", "harmonised", "merged"],
+    option("End of the rotation, for the task states; merged joins rotation and insertion."),
+]
+Window = Annotated[int, option("Samples per linear fit.")]
+NewWindow = Annotated[
+    int | None, option("Encode now with this many samples per linear fit.", "use the stored labels", metavar="INT")
+]
+Robot = Annotated[Literal["hiro", "baxter", "pa10"], option("Robot whose preset gives the gradient thresholds.")]
+Thresholds = Annotated[
+    Path | None,
+    option('File of "rcbht calibrate" with gradient thresholds, in place of the preset.', "", metavar="FILE.json"),
+    MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
+]
+Model = Annotated[Path, option('Model file of "rcbht train-online".', aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
+OutModel = Annotated[Path, option("Model file to write: arrays and JSON, no code.", aliases=["-o"], metavar="MODEL")]
+OutFigure = Annotated[
+    Path,
+    option("Figure to write: .png, .svg or .pdf; an existing one is replaced.", aliases=["-o"], metavar="OUT.png"),
+]
+CompileCache = Annotated[
+    Path | None, option("Folder for compiled programs, which shortens the next start.", "user's cache", metavar="DIR")
+]
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rcbht_jax.cli.command import Command, Robot, Store, Thresholds, progress_bar, read_limits
+from rcbht_jax.cli.command import Command, Flag, Robot, Store, Thresholds, Window, progress_bar, read_limits
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,19 +29,16 @@ class Encode(Command):
     """Store to label."""
     mode: Literal["online", "offline"] = "online"
     """Streaming encoder, or the authors' offline program."""
-    window: int = 5
-    """Samples per linear fit (online)."""
+    window: Window = 5
     robot: Robot = "hiro"
-    """Robot whose preset gives the gradient thresholds."""
     thresholds: Thresholds = None
-    """File of "rcbht calibrate" with the gradient thresholds, in place of the preset (online)."""
     scale: float = 1.0
     """Factor on all thresholds; below 1, smaller gradients get labels of their own (online)."""
-    gate: bool = True
+    gate: Flag = True
     """Combine any two primitives; by default amplitudes must be within a factor of 2, durations of 5 (online)."""
-    adj_exempt: bool = True
+    adj_exempt: Flag = True
     """Merge repeated adjustments; by default they stay separate, which distinguishes AL from SH (online)."""
-    contact_first: bool = False
+    contact_first: Flag = False
     """Let an impulse be the first of a pair only, never the second (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label with the accumulated one only (online)."""
@@ -51,7 +48,7 @@ class Encode(Command):
     """Emit a label that the filter holds back at the latest after this many seconds (online)."""
     version: Literal["master", "a642c8b", "a1ca1d1", "wip"] = "master"
     """Revision of the authors' program (offline)."""
-    clean: bool = False
+    clean: Flag = False
     """Correct the known errors of the authors' program (offline)."""
     name: str | None = None
     """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import ONLINE_MODEL, Command, Store, progress_bar
+from rcbht_jax.cli.command import ONLINE_MODEL, Command, NewWindow, Store, Tracks, progress_bar
 from rcbht_jax.errors import InputError
 
 
@@ -28,10 +28,8 @@ class Export(Command):
     """Folder to create."""
     format: Literal["parquet", "lerobot", "mcap", "csv"] = "parquet"
     """Format of the files."""
-    tracks: str = ""
-    """Label tracks to include, if the store has several."""
-    window: int | None = None
-    """Encode now with this many samples per linear fit, instead of including stored labels."""
+    tracks: Tracks = ""
+    window: NewWindow = None
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.export import export, load
@@ -76,10 +74,8 @@ class Report(Command):
     """Model file of "rcbht train-online" whose beliefs are shown over time."""
     results: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
-    tracks: str = ""
-    """Label tracks to show, if the store has several."""
-    window: int | None = None
-    """Encode now with this many samples per linear fit, instead of showing stored labels."""
+    tracks: Tracks = ""
+    window: NewWindow = None
     trial: tuple[str, ...] = ()
     """Trials to show; default --max-trials of them, evenly spaced."""
     max_trials: int = 100

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command, MadeBy, OutModel, Store, Task
+from rcbht_jax.cli.command import (
+    Boundaries,
+    Command,
+    Flag,
+    LabelledStore,
+    MadeBy,
+    OutModel,
+    Sessions,
+    Sources,
+    Task,
+)
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,25 +44,21 @@ Family = Literal[
 
 @dataclass(frozen=True)
 class _Learning(Command):
-    store: Store
-    """Store with label tracks, made by "rcbht encode"."""
+    store: LabelledStore
     task: Task = "states"
     """Classes to distinguish."""
     tracks: tuple[str, ...] = ()
     """Label tracks to use; A+B concatenates the features of two, and of several choices one is cross-validated."""
-    boundaries: Literal["recorded", "harmonised", "merged"] = "harmonised"
-    """End of the rotation, for the task states; merged joins rotation and insertion."""
+    boundaries: Boundaries = "harmonised"
     arm: Literal["R", "L", "both"] = "R"
     """Arm whose labels to use."""
-    source: tuple[str, ...] = ()
-    """Data sets to use; default all."""
-    session: tuple[str, ...] = ()
-    """Recording sessions to use, for example A B; default all."""
+    source: Sources = ()
+    session: Sessions = ()
     features: tuple[Family, ...] = ("histogram", "ngram", "attributes")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
-    ranks: bool = False
+    ranks: Flag = False
     """Replace every feature by its rank in the training set; recommended with parts, spread and order."""
-    balance: bool = False
+    balance: Flag = False
     """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
     """Kernels to choose from by cross-validation."""
@@ -148,7 +154,6 @@ class Train(_Learning):
     """
 
     out: OutModel = Path("rcbht.model")
-    """Model file to write: arrays and JSON, no code."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
@@ -190,16 +195,13 @@ class Classify(Command):
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
 
-    store: Store
-    """Store with label tracks, made by "rcbht encode"."""
+    store: LabelledStore
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
     """Model file of "rcbht train"."""
     tracks: str = ""
     """Label tracks to use in place of those of the training; A+B where the model uses two."""
-    source: tuple[str, ...] = ()
-    """Data sets to classify; default all."""
-    session: tuple[str, ...] = ()
-    """Recording sessions to classify; default all."""
+    source: Sources = ()
+    session: Sessions = ()
     outcome: tuple[Literal["success", "failure", "unknown"], ...] = ()
     """Outcomes of the trials to classify; default those of the training, and unknown ones."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Arm, Command, Model, OutFigure, Store, Trial
+from rcbht_jax.cli.command import Arm, Command, LabelledStore, Model, OutFigure, SourcePrefix, Store, Tracks, Trial
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,18 +24,13 @@ class PlotTrial(Command):
     Example: rcbht plot trial hiro.zarr 20121127-HIROSA-S-05 -o trial.png
     """
 
-    store: Store
-    """Store with label tracks, made by "rcbht encode"."""
+    store: LabelledStore
     trial: Trial
-    """Name of the trial."""
     out: OutFigure
-    """Figure to write: .png, .svg or .pdf; an existing one is replaced."""
     arm: Arm | None = None
     """Arm to plot, if the trial has both."""
-    source: str = ""
-    """Data set, or the beginning of its name, if several have a trial of this name."""
-    tracks: str = ""
-    """Label tracks to plot, if the store has several."""
+    source: SourcePrefix = ""
+    tracks: Tracks = ""
     seconds: tuple[float, float] | None = None
     """Start and end of the interval to show, s; default the whole trial."""
 
@@ -68,10 +63,8 @@ class PlotMap(Command):
     Example: rcbht plot map hiro.zarr -o map.png --layer llb --source REAL
     """
 
-    store: Store
-    """Store with label tracks, made by "rcbht encode"."""
+    store: LabelledStore
     out: OutFigure
-    """Figure to write: .png, .svg or .pdf; an existing one is replaced."""
     layer: Literal["primitive", "mc", "llb"] = "llb"
     """Layer of the labels."""
     by: Literal["word", "state"] = "word"
@@ -80,8 +73,7 @@ class PlotMap(Command):
     """Number of words to show; default all."""
     source: tuple[str, ...] = ()
     """Data sets to show, or the beginnings of their names, for example REAL; default all."""
-    tracks: str = ""
-    """Label tracks to plot, if the store has several."""
+    tracks: Tracks = ""
 
     FORMER: ClassVar[dict[str, str]] = {"--words": "--max-words"}
 
@@ -114,15 +106,11 @@ class PlotBeliefs(Command):
     store: Store
     """Store of recordings."""
     trial: Trial
-    """Name of the trial."""
     out: OutFigure
-    """Figure to write: .png, .svg or .pdf; an existing one is replaced."""
     model: Model = Path("online.model")
-    """Model file of "rcbht train-online"."""
     arm: Arm = "R"
-    """Arm to plot, if the trial has both."""
     starts: Literal["harmonised", "recorded", "detected"] = "harmonised"
-    """Begin of the sub-tasks; detected = by the model (train-online --detect)."""
+    """Onsets of the sub-tasks; detected = found by the model (train-online --detect)."""
     rate: float = 10.0
     """Beliefs per second."""
 

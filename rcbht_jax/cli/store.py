@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command, OutStore, Store, progress_bar
+from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
 
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
@@ -28,8 +28,7 @@ class ImportHiro(Command):
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of the data sets, or one data set."""
     out: OutStore
-    """Store to create, for example hiro.zarr."""
-    overwrite: bool = False
+    overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
 
     FORMER: ClassVar[dict[str, str]] = {"-o": "", "--out": ""}

@@ -19,12 +19,17 @@ from rcbht_jax.cli.command import (
     ONLINE_MODEL,
     Arm,
     Command,
+    CompileCache,
+    Flag,
     Model,
     OutModel,
     Robot,
+    Sessions,
+    Sources,
     Store,
     Task,
     Thresholds,
+    Window,
     progress_bar,
     read_limits,
 )
@@ -48,26 +53,20 @@ class TrainOnline(Command):
     """Store of recordings; label tracks are not needed."""
     task: tuple[Task, ...] = ("states",)
     """Tasks, each with a classifier of its own."""
-    detect: bool = False
+    detect: Flag = False
     """Also learn to detect when a sub-task begins, for streams that do not announce it."""
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
-    source: tuple[str, ...] = ()
-    """Data sets to use; default all."""
-    session: tuple[str, ...] = ()
-    """Recording sessions to use; default all."""
-    relative: bool = False
+    source: Sources = ()
+    session: Sessions = ()
+    relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
-    window: int = 5
-    """Samples per linear fit."""
+    window: Window = 5
     robot: Robot = "hiro"
-    """Robot whose preset gives the gradient thresholds."""
     thresholds: Thresholds = None
-    """File of "rcbht calibrate" with the gradient thresholds, in place of the preset."""
     seed: int = 0
     """Seed of the folds."""
     out: OutModel = Path("online.model")
-    """Model file to write: arrays and JSON, no code."""
 
     FORMER: ClassVar[dict[str, str]] = {
         "--tasks": "--task", "--features relative": "--relative", "--features all": "",
@@ -130,13 +129,11 @@ class Source(Command):
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: Model = Path("online.model")
-    """Model file of "rcbht train-online"."""
     trial: tuple[str, ...] = ()
     """Trials of a store; default all, one after the other."""
     arm: Arm = "R"
-    """Arm of a recorded trial."""
     starts: Literal["harmonised", "recorded", "none", "detected"] = "harmonised"
-    """Begin of the sub-tasks of a recorded trial; detected = by the model (train-online --detect)."""
+    """Onsets of the sub-tasks of a recorded trial; detected = found by the model (train-online --detect)."""
     topic: str = ""
     """Topic of a bag, if several have wrenches."""
     rate: float = 10.0
@@ -149,8 +146,7 @@ class Source(Command):
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder."""
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
-    compile_cache: Path | None = None
-    """Folder for the compiled chain, which shortens the next start; default in the user's cache folder."""
+    compile_cache: CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
 
@@ -252,7 +248,7 @@ class Serve(Source):
     """Port; 0 = any free port."""
     speed: float = 1.0
     """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
-    stay: bool = True
+    stay: Flag = True
     """Exit when the input ends, instead of showing its end until Ctrl-C."""
 
     def run(self) -> dict[str, Any]:

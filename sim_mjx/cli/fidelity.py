@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 import rcbht_jax
-from rcbht_jax.cli.command import Command, MadeBy, announce, progress_bar
+from rcbht_jax.cli.command import Command, Flag, MadeBy, announce, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -246,9 +246,9 @@ class FidelityFit(Command):
     """Parameters with a fixed value, as NAME=VALUE."""
     trials: int | None = None
     """Simulated trials per candidate; default 4 for session A, 9 for the others."""
-    outcomes: bool = False
+    outcomes: Flag = False
     """Also penalise trials whose outcome differs from the recorded one (session B; three times slower)."""
-    snaps: bool = False
+    snaps: Flag = False
     """Also penalise seated trials without a snap in the force, if the recorded ones have it; simulates whole trials."""
     population: int = 12
     """Candidates per generation."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import Command, MadeBy, OutStore, progress_bar
+from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, progress_bar
 
 if TYPE_CHECKING:
     from sim_mjx.synthesis.pipeline import SynthesisProgress
@@ -28,7 +28,6 @@ class Simulate(Command):
     """
 
     out: OutStore
-    """Store to create, for example trials.zarr."""
     preset: Literal["A", "B", "C", "openhrp", "two", "two-fixed"] = "A"
     """Recorded session whose controller is simulated; two = two arms, the left one compliant, two-fixed = fixed."""
     trials: int = 200
@@ -47,9 +46,8 @@ class Simulate(Command):
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None
     """File of "rcbht fidelity fit" with physical parameters, in place of the preset's."""
-    compile_cache: Path | None = None
-    """Folder for the compiled programs of mjx and warp; default in the user's cache folder."""
-    overwrite: bool = False
+    compile_cache: CompileCache = None
+    overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}

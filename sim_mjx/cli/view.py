@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Command, Store, Trial, progress_bar
+from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,17 +36,13 @@ class View(Command):
     store: Store
     """Store made by "rcbht simulate" or "rcbht import hiro"."""
     trial: Trial
-    """Name of the trial, for example sim-B-000003 or 20121127-HIROSA-S-35."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = None
     """File to write; default the viewer, without a display TRIAL.png."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
     arm: Arm = "R"
-    """Arm whose wrench to plot, if the trial has both."""
-    source: str = ""
-    """Data set, or the beginning of its name, if several have a trial of this name."""
-    tracks: str = ""
-    """Label tracks to plot, if the store has several; without any, the trial is encoded for the picture."""
+    source: SourcePrefix = ""
+    tracks: Tracks = ""
     speed: float = 1.0
     """Playback speed in viewer and film: 1 = real time."""
 
