@@ -46,9 +46,7 @@ OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", meta
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
-SourcePrefix = Annotated[
-    str, option("Data set, or the start of its name, if several have a trial of this name.", "")
-]
+SourcePrefix = Annotated[str, option("Data set, or the start of its name, if several have a trial of this name.", "")]
 Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for example A B.", "all")]
 Arm = Annotated[Literal["R", "L"], option("Arm whose wrench to use.")]
 Task = Literal["states", "outcome", "failure-type"]

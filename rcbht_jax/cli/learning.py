@@ -24,6 +24,7 @@ from rcbht_jax.cli.command import (
     Sessions,
     Sources,
     Task,
+    progress_bar,
 )
 from rcbht_jax.errors import InputError
 
@@ -121,7 +122,9 @@ class Evaluate(_Learning):
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features, balance=self.balance)
-        result = evaluate(read_recordings(self.store), grammars, self.spec, families, protocol, how)
+        recordings, folds = read_recordings(self.store), 1 if self.train_on else self.folds * self.repeats
+        with progress_bar("evaluate", "folds", folds) as bar:
+            result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -163,7 +166,9 @@ class Train(_Learning):
 
         grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features, balance=self.balance)
-        model = train(read_recordings(self.store), grammars, self.spec, families, self.grid, how, self.seed)
+        recordings, grid = read_recordings(self.store), self.grid
+        with progress_bar("train", "folds", grid.inner) as bar:
+            model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update)
         save(self.out, model)
         chosen = model.svm.spec
         return {
@@ -219,10 +224,13 @@ class Classify(Command):
         spec = task_of(model, self.source, self.session, self.outcome)
         tracks = self._read_tracks(model)
         recordings = read_recordings(self.store)
-        predicted = classify(model, recordings, tracks, spec)
         write = _csv if self.out.suffix == ".csv" else _json_lines
-        with atomic_write(self.out) as draft:
-            draft.write_text(write(predicted, lines_of(predicted, recordings)), encoding="utf-8")
+        with progress_bar("classify", "steps", 2) as bar:
+            predicted = classify(model, recordings, tracks, spec)
+            bar.update(1)
+            with atomic_write(self.out) as draft:
+                draft.write_text(write(predicted, lines_of(predicted, recordings)), encoding="utf-8")
+            bar.update(1)
         counts = Counter(predicted.said.tolist())
         return {
             "out": str(self.out),

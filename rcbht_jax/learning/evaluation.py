@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -91,6 +91,7 @@ def evaluate(
     features: FeatureSpec | Mapping[str, FeatureSpec],
     protocol: EvaluationProtocol,
     label_attrs: Mapping[str, Any] | None = None,
+    progress: Callable[[int], Any] | None = None,
 ) -> EvaluationResult:
     """Score the labels on a task.
 
@@ -101,6 +102,7 @@ def evaluate(
         features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.
         label_attrs: how the labels were made; goes into the result.
+        progress: called with 1 after each fold of the SVM.
 
     Raises:
         InputError: unknown sessions, too few trials for the folds, or fewer than two classes.
@@ -116,7 +118,7 @@ def evaluate(
     }
     matrices = {name: found.values for name, (found, _) in made.items()}
     weights = {name: weight for name, (_, weight) in made.items()}
-    return score(items, matrices, protocol, asdict(task), provenance, weights)
+    return score(items, matrices, protocol, asdict(task), provenance, weights, progress)
 
 
 def score(
@@ -126,10 +128,11 @@ def score(
     task: dict[str, Any],
     provenance: dict[str, Any],
     weights: Mapping[str, Weight] | None = None,
+    progress: Callable[[int], Any] | None = None,
 ) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits."""
     learners = {
-        "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights),
+        "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights, progress),
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
@@ -192,6 +195,7 @@ def train(
     grid: Grid | None = None,
     encoder: Mapping[str, Any] | None = None,
     seed: int = 0,
+    progress: Callable[[int], Any] | None = None,
 ) -> TrainedModel:
     """Fit on all sentences of a task, with hyper-parameters chosen by grouped cross-validation among them.
 
@@ -204,6 +208,7 @@ def train(
         encoder: how the labels were made, thresholds included (JSON values), by the names of the labels where
             grammars are given; stored in the model, by name only where the chosen grammar has several encoders.
         seed: of the folds.
+        progress: called with 1 after each inner fold of the choice of hyper-parameters.
 
     Raises:
         InputError: fewer than two classes, or a class with a single trial.
@@ -212,7 +217,7 @@ def train(
     made = candidates(tracks, items, features)
     matrices = {name: found.values for name, (found, _) in made.items()}
     weights = {name: weight for name, (_, weight) in made.items()}
-    chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights)
+    chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights, progress)
     best, weight = made[chosen.features]
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})

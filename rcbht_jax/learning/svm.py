@@ -12,7 +12,7 @@ score. Items of one group (a trial) are never on both sides.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -260,6 +260,7 @@ def select(
     grid: Grid,
     seed: int,
     weights: Mapping[str, Weight] | None = None,
+    progress: Callable[[int], Any] | None = None,
 ) -> SvmSpec:
     """The grid's best choice by grouped cross-validation on the items given (training items).
 
@@ -270,6 +271,7 @@ def select(
         grid: choices; fewer inner folds are used when a class has fewer trials than ``grid.inner``.
         seed: of the folds.
         weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
+        progress: called with 1 after each fold.
     """
     paths = grid.paths(list(candidates))
     if grid.single and len(paths) == 1:
@@ -283,6 +285,8 @@ def select(
                 scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
             said = _said(scaled, y, train, test, spec, grid.costs)
             scores[i] += [_score(y[test], s, grid.balanced) for s in said]
+        if progress:
+            progress(1)
     best = int(scores.round(9).argmax())
     return replace(paths[best // len(grid.costs)], cost=grid.costs[best % len(grid.costs)])
 

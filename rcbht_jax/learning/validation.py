@@ -36,6 +36,7 @@ def nested_svm(
     groups: NDArray[Any],
     grid: Grid,
     weights: Mapping[str, Weight] | None = None,
+    progress: Callable[[int], Any] | None = None,
 ) -> Estimator:
     """SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
@@ -45,6 +46,7 @@ def nested_svm(
         groups: trial ``[item]``.
         grid: what to choose from.
         weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
+        progress: called with 1 after each prediction.
 
     Raises:
         InputError: a matrix has another number of items or a value that is not finite.
@@ -62,6 +64,8 @@ def nested_svm(
         spec = select(inside, y[train], groups[train], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
         said = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
+        if progress:
+            progress(1)
         return said, asdict(spec)
 
     return learn
