@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -32,14 +31,12 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     assert "--json" in out
 
 
-def test_overview_imports_no_command_and_is_quick() -> None:
+def test_overview_imports_no_command() -> None:
     code = (
         "import sys; from rcbht_jax.cli import main; assert main.main(['--help']) == 0; "
-        "sys.exit(any(m in sys.modules for m in ('jax', 'zarr', 'numpy')))"
+        "sys.exit(any(m in sys.modules for m in ('jax', 'numpy', 'tyro', 'zarr')))"
     )
-    start = time.perf_counter()
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
-    assert time.perf_counter() - start < 1.0
 
 
 @pytest.mark.parametrize(
