@@ -81,7 +81,7 @@ def test_trials_trained_on_are_told_apart(place: Path, tmp_path: Path, capsys: p
     assert result["accuracy"] == np.mean(right["B"])
     assert list(lines[0]["decision"])[:2] == ["approach/rotation", "approach/insertion"]
     assert main(["classify", *map(str, words)]) == 0
-    assert "says nothing about new ones" in capsys.readouterr().out
+    assert "does not apply to new trials" in capsys.readouterr().out
 
 
 def test_other_names_of_the_same_labels(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,7 +124,7 @@ def test_without_any_sentence(place: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("set.zarr", "--model", "none.model"), "not a readable model file"),
+        (("set.zarr", "--model", "none.model"), "rcbht train STORE.zarr"),
         (("none.zarr", "--model", "one.model"), "none.zarr"),
         (("set.zarr", "--model", "one.model", "-o", "classes.txt"), ".csv or .jsonl"),
         (("set.zarr", "--model", "one.model", "--tracks", "none"), "no label tracks none"),

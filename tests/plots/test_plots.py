@@ -334,9 +334,9 @@ def test_commands_write_figures(store: Path, capsys: pytest.CaptureFixture[str])
             ["trial", "t1"],
             "Several recordings are called t1; choose one with --arm or --source: GOOD arm R, BAD arm R.",
         ),
-        (["trial", "t22"], "There is no trial t22; names like it: t2, t1."),
-        (["trial", "t2", "--arm", "L"], "There is no trial t2 of arm L; names like it: t2, t1."),
-        (["map", "--source", "UGLY"], "No data set begins with 'UGLY'; the store holds: GOOD, BAD."),
+        (["trial", "t22"], "There is no trial t22; similar names: t2, t1."),
+        (["trial", "t2", "--arm", "L"], "There is no trial t2 of arm L; similar names: t2, t1."),
+        (["map", "--source", "UGLY"], "No data set begins with 'UGLY'; the store has: GOOD, BAD."),
         (["map", "--tracks", "W20"], 'has no label tracks W20; run "rcbht encode" first, or choose one it has'),
     ],
 )
