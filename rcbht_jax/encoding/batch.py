@@ -72,8 +72,8 @@ def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS)
 def encode_batch(
     config: EncoderConfig,
     thresholds: Thresholds,
-    wrench: Float[np.ndarray, "recording time axis"],
-    length: Int[np.ndarray, " recording"],
+    wrench: NDArray[np.floating],
+    length: NDArray[np.int32],
     *,
     progress: Callable[[int], None] | None = None,
 ) -> LabelTracks:
@@ -82,8 +82,8 @@ def encode_batch(
     Args:
         config: static configuration.
         thresholds: limits ``[axis, 4]``, or ``[recording, axis, 4]``.
-        wrench: float32 or float64, any number of axes, N and Nm; the dtype decides the precision.
-        length: samples that count.
+        wrench: float32 or float64 ``[recording, time, axis]``, N and Nm; the dtype decides the precision.
+        length: int ``[recording]``, samples that count.
         progress: called with the number of samples done since the last call.
 
     Returns:

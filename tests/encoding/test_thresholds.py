@@ -61,7 +61,7 @@ def test_free_parameters_round_trip() -> None:
 )
 def test_bad_thresholds_are_refused(limits: np.ndarray) -> None:
     with pytest.raises(InputError):
-        GradientThresholds(limits).validate()
+        thresholds.validate(limits)
 
 
 def test_unknown_robot_is_refused() -> None:
