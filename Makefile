@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo docs bench figures peers reproduce constraints clean
+.PHONY: help venv test lint format demo docs packages bench figures peers reproduce constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -27,10 +27,11 @@ $(INSTALLED): pyproject.toml constraints.txt
 test: $(INSTALLED) ## run all tests
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
-lint: $(INSTALLED) ## check style and types
+lint: $(INSTALLED) ## check style, types and which room imports which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 
 format: $(INSTALLED) ## put the style right
 	$(BIN)/ruff check --fix .
@@ -41,6 +42,9 @@ demo: $(INSTALLED) ## simulate, label, train, evaluate, draw: OUT=folder; on rec
 
 docs: $(INSTALLED) ## build the documentation into the folder site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+packages: $(INSTALLED) ## build sdist and wheel, and try them in fresh environments outside the repository
+	.ci/packages $(BIN)/python
 
 bench: $(INSTALLED) ## measure the encoders on this machine
 	$(BIN)/rcbht bench

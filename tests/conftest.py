@@ -54,6 +54,12 @@ def golden_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
+def external_dir() -> Path:
+    """Recordings of other robots and laboratories; parts of each set are absent."""
+    return _external("RCBHT_EXTERNAL", "../shared/data/external")
+
+
+@pytest.fixture(scope="session")
 def hiro_store(hiro_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All data sets imported once per session; read only."""
     path = tmp_path_factory.mktemp("store") / "hiro.zarr"

@@ -9,12 +9,13 @@ import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.types import Recordings
+if TYPE_CHECKING:
+    from rcbht_jax.types import Recordings
 
 
 def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:

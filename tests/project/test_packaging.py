@@ -169,3 +169,9 @@ def test_the_long_description_needs_no_repository() -> None:
     short = script.outside_the_repository(readme)
     assert relative(short) == []
     assert re.findall(r"^#+ .*|^```.*", short, re.M) == re.findall(r"^#+ .*|^```.*", readme, re.M)
+
+
+def test_the_install_page_lists_the_extras() -> None:
+    listed = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)
+    experiments = {"bench", "peers", "search"}
+    assert set(listed) == set(PROJECT["optional-dependencies"]) - experiments
