@@ -26,6 +26,7 @@ import importlib, pkgutil, sys
 class Without:
     def __init__(self, finder):
         self.finder = finder
+        self.find_distributions = getattr(finder, "find_distributions", lambda context: iter(()))
 
     def find_spec(self, name, path=None, target=None):
         return None if name.split(".")[0] in sys.argv[1:] else self.finder.find_spec(name, path, target)
