@@ -20,7 +20,6 @@ from rcbht_jax.events import Belief
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import AXES, LAYERS
-from rcbht_jax.plots.trial import state_marks
 from rcbht_jax.types import LabelTracks, Recordings
 
 LEVELS = 16_000  # steps between the smallest and the largest value of an axis: finer than sensors resolve
@@ -73,6 +72,8 @@ def pack(
     Returns:
         what the page needs to decode and name it (JSON values), and the blob (base64).
     """
+    from rcbht_jax.plots.trial import state_marks  # matplotlib, which a live page does without
+
     samples = int(recordings.length[row])
     codes, lowest, step = quantised(recordings.wrench[row, :samples].T)
     wide: list[NDArray[Any]] = []
