@@ -40,9 +40,10 @@ from rcbht_jax.learning.tasks import FAILURE_TYPES, STATES, TaskSpec, extract_fe
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.scene import one_arm
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
-from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import DomainRandomization, sample_batch
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.calibration_data import states_corpus, whole_corpus
 
 SEED = 0
@@ -96,7 +97,7 @@ def rollouts(run: Run) -> dict[str, Any]:
     share = 1.0 if given.task == "states" else 0.0
     spec = DomainRandomization(nominal_share=share, faults=("pose",), longest=given.longest)
     start = time.perf_counter()
-    params, faults = sample_batch(given.preset, SEED, range(given.trials), spec)
+    params, faults = get_scenario(given.preset).draw_batch(SEED, range(given.trials), spec)
     drawn = round(time.perf_counter() - start, 2)
     short = replace(params, task=replace(params.task, timeout=np.full(given.trials, 0.2)))
     _, compiling = seconds_of(lambda: device.run(scene, short, impl).wrench)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rcbht_jax.features.recipes import PLAIN, SIGNAL, UNTIMED
-from sim_mjx.presets.sessions import PRESETS
+from sim_mjx.presets import ONE_ARM as PRESETS
 
 # Families of features that selection may choose from, simple ones first: ties go to the earlier.
 CANDIDATES = {

@@ -22,8 +22,8 @@ from rcbht_jax.io.store import read_recordings
 from rcbht_jax.io.tare import tare
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
-from sim_mjx.presets.sessions import PRESETS
-from sim_mjx.randomization.trials import SIMULATED, DomainRandomization
+from sim_mjx.presets import ONE_ARM as PRESETS
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
 
 SEED = 20
@@ -127,7 +127,7 @@ def make(folder: Path, level: str, preset: str) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     spec = SETS[level].spec
-    if preset == SIMULATED and level != "ideal":
+    if not PRESETS[preset].real and level != "ideal":
         spec = replace(spec, sensor=WORN)
     job = pipeline.SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 

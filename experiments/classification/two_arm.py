@@ -19,17 +19,18 @@ import numpy as np
 from experiments._lib.results_io import pictures, write_result
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly import kinematics
 from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
 from sim_mjx.engines import native
+from sim_mjx.presets import TWO_ARM
 from sim_mjx.presets import two_arm as presets
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.randomization.two_arm import REPEATED
-from sim_mjx.registry import TWO_ARM
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation import signature
 from sim_mjx.validation.solver_convergence import certify
 
@@ -42,7 +43,7 @@ NAMES = {"R": "right", "L": "left"}
 
 def simulated(name: str, count: int, spec: DomainRandomization) -> tuple[Rollouts, list[str], float]:
     """Trials of a preset, their faults and the seconds that the physics took."""
-    params, faults = TWO_ARM.draw_batch(name, SEED, range(count), spec)
+    params, faults = get_scenario(name).draw_batch(SEED, range(count), spec)
     start = time.perf_counter()
     run = native.simulate(two_arm(), params)
     return run, [fault.kind for fault in faults], time.perf_counter() - start
@@ -76,7 +77,7 @@ def forward_kinematics(root: Path) -> dict[str, Any]:
 
 def recorded_approach(root: Path) -> dict[str, Any]:
     """The preset's waypoints and inverse kinematics against the recorded angles up to just before contact."""
-    task = presets.task()
+    task = presets.TASK
     near, turn, still = [], [], []
     for folder in sorted(root.iterdir()):
         q = angles(folder, "R")
@@ -93,7 +94,7 @@ def recorded_approach(root: Path) -> dict[str, Any]:
         "right, planned against recorded approach from 2 s on, rms degrees": rms(np.concatenate(turn)),
         "left, largest change of a recorded angle, rad": float(max(still)),
         "left, recorded pose against the preset's, rad": float(
-            max(np.abs(angles(folder, "L")[0] - presets.hold("two").home).max() for folder in root.iterdir())
+            max(np.abs(angles(folder, "L")[0] - presets.HOLD.home).max() for folder in root.iterdir())
         ),
     }
 
@@ -171,7 +172,7 @@ def way_of_left_hand(run: Rollouts) -> dict[str, Any]:
 def by_gain() -> dict[str, Any]:
     """Way of the left hand and seating in trials like the recorded ones, by the left arm's share of the gains."""
     out: dict[str, Any] = {}
-    params, _ = TWO_ARM.draw_batch("two", SEED, range(LIKE_RECORDED), REPEATED)
+    params, _ = get_scenario("two").draw_batch(SEED, range(LIKE_RECORDED), REPEATED)
     for share, goal in [*((share, 1.0) for share in SHARES), (presets.HOLD_SHARE, 0.0)]:
         factor, held = share / presets.HOLD_SHARE, params.hold
         held = replace(
@@ -202,7 +203,7 @@ def main() -> None:
     recorded, _ = read_hiro(root)
     result: dict[str, Any] = {"recorded trials": len(recorded) // 2, "forward kinematics": forward_kinematics(root)}
     mild = DomainRandomization(nominal_share=1.0)
-    for name in presets.PRESETS:
+    for name in TWO_ARM:
         run, _, _ = simulated(name, LIKE_RECORDED, REPEATED)
         varied, faults, seconds = simulated(name, MILD, mild)
         result[name] = {
@@ -212,7 +213,7 @@ def main() -> None:
             "faulty": seating(*simulated(name, FAULTY, DomainRandomization(nominal_share=0.0))),
         }
     result["way of the left hand by share of the right arm's gains"] = by_gain()
-    params, _ = TWO_ARM.draw_batch("two", SEED, range(CERTIFIED), mild)
+    params, _ = get_scenario("two").draw_batch(SEED, range(CERTIFIED), mild)
     certificate = certify(params, two_arm)
     result["certificate of the solver"] = asdict(certificate) | {"converged": certificate.converged}
     write_result("two_arm", "python -m experiments.classification.two_arm", result, seed=SEED)

@@ -22,8 +22,8 @@ from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
-from sim_mjx.presets import two_arm
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets import TWO_ARM
 from sim_mjx.randomization.trials import DomainRandomization
 
 SEED = 0
@@ -75,7 +75,7 @@ def interval(score: dict[str, Any]) -> dict[str, float]:
 def main() -> None:
     recorded, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE)
     mild = DomainRandomization(nominal_share=1.0)
-    made = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in two_arm.PRESETS}
+    made = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in TWO_ARM}
     note = (
         "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms; "
         "words = sentence, histogram, ngram and attributes; richer words by ranks, levels as heavy as all others; "

@@ -21,8 +21,8 @@ from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.io.store import read_recordings, read_simulation
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
-from sim_mjx.presets import sessions
-from sim_mjx.randomization.trials import MATING_BEGINS, DomainRandomization
+from sim_mjx.presets import preset as preset_of
+from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 
 # Kind -> what a grade is, and the fields of the distributions that each grade sets.
@@ -120,10 +120,16 @@ def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
         touched &= False  # the part stands beyond the reach of the hand's
     gone = np.array(TABS)[truth["hook_overlap"].argmin(1)]
     cause = np.char.add(f"{kind} ", gone) if kind == "missing-tab" else np.full(len(recordings), kind)
-    planned = sessions.preset(preset)
-    mating = truth["way_time"][:, -1] + MATING_BEGINS[preset] - planned.way_time[-1]
+    session = preset_of(preset)
+    mating = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
     mating = np.where(np.isfinite(recordings.onset[:, 3]), recordings.onset[:, 3], mating)
     grades = np.full(len(recordings), grade)
     return Trials(
-        recordings, np.full(len(recordings), kind), grades, touched, cause, truth["stop"], mating + planned.mating_time
+        recordings,
+        np.full(len(recordings), kind),
+        grades,
+        touched,
+        cause,
+        truth["stop"],
+        mating + session.task.mating_time,
     )

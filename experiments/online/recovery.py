@@ -30,8 +30,9 @@ from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, stack
 from sim_mjx.assembly.scene import one_arm
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.presets import preset
 from sim_mjx.randomization import trials as randomize
 
 PRESET = "C"
@@ -53,7 +54,7 @@ def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
     """Trials with the hand ``offsets`` [trial, 2] (m) beside the part, mildly randomised otherwise."""
     trials = []
     for index, (dx, dy) in enumerate(offsets, start=first):
-        one, _ = randomize.sample(PRESET, seed, index, MILD)
+        one, _ = randomize.sample(preset(PRESET), seed, index, MILD)
         moved = one.task.way_position + np.array([dx, dy, 0.0])
         trials.append(replace(one, task=replace(one.task, way_position=moved)))
     return native.simulate(one_arm(), stack(trials))

@@ -15,8 +15,9 @@ from experiments._lib.results_io import write_result
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, one_arm
-from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import DomainRandomization, sample_batch
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import parity, reference
 from sim_mjx.validation.solver_convergence import certify
 
@@ -25,9 +26,9 @@ CERTIFIED = 64  # trials
 
 
 def trials_of(count: int, longest: float, nominal_share: float = 0.5) -> TrialParams:
-    return sample_batch(PRESET, SEED, range(count), DomainRandomization(nominal_share=nominal_share, longest=longest))[
-        0
-    ]
+    spec = DomainRandomization(nominal_share=nominal_share, longest=longest)
+    params: TrialParams = get_scenario(PRESET).draw_batch(SEED, range(count), spec)[0]
+    return params
 
 
 def speed(engine: str, params: TrialParams, scene: Scene | None = None) -> dict[str, float]:

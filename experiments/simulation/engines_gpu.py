@@ -1,8 +1,8 @@
 """The engines on a GPU: parity with C MuJoCo, steps per second, and a whole synthesis with labels and storage.
 
-Run on a machine with a GPU: python -m experiments.simulation.engines_gpu --engine mjx --out result.json [--sections ...]
-Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten after each, so
-that an interruption keeps what was measured. Times are seconds; compilation is apart.
+Run on a machine with a GPU: python -m experiments.simulation.engines_gpu --engine mjx --out result.json
+[--sections ...]. Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten
+after each, so that an interruption keeps what was measured. Times are seconds; compilation is apart.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from experiments._lib.results_io import machine
 from experiments.simulation.engines import SEED, trials_of
 from sim_mjx import engines
 from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
-from sim_mjx.assembly.task import ENDED
+from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline, records
 from sim_mjx.validation.engine_parity import parity, reference

@@ -17,9 +17,12 @@ import numpy as np
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import one_arm
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
-from sim_mjx.presets import sessions as presets
-from sim_mjx.randomization import trials
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets import preset as preset_of
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation import sessions, signature
 
 SEED = 0
@@ -39,23 +42,22 @@ def similarity(reference: np.ndarray, run: Rollouts) -> dict[str, Any]:
 
 
 def mild(preset: str, count: int, **options: Any) -> tuple[Rollouts, float]:
-    drawn, _ = trials.sample_batch(preset, SEED, range(count), trials.DomainRandomization(nominal_share=1.0, **options))
+    drawn, _ = get_scenario(preset).draw_batch(SEED, range(count), DomainRandomization(nominal_share=1.0, **options))
     start = time.perf_counter()
     run = native.simulate(one_arm(), drawn)
     return run, time.perf_counter() - start
 
 
 def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
-    run = native.simulate(one_arm(), sessions.trials_of(session, seed=SEED))
+    run = native.simulate(one_arm(), sessions.trials_of(preset_of(session), seed=SEED))
     out: dict[str, Any] = {"signature": similarity(reference, run)}
     out["median onsets, s"] = np.round(np.nanmedian(sessions.harmonised(run), axis=0), 3).tolist()
     ring = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
     out["ring of Fz in mating"] = ring and {name: round(value, 2) for name, value in ring.items()}
-    if session == "B":
-        out["outcomes that agree with the 25 recorded"] = sessions.agreement(run)
-        out["seated"] = [
-            f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(sessions.GRID, run.seated.all(1), strict=True) if seat
-        ]
+    cells = preset_of(session).placements
+    if cells:
+        out["outcomes that agree with the 25 recorded"] = sessions.agreement(preset_of(session), run)
+        out["seated"] = [f"{dx:+d} {dy:+d}" for (dx, dy), seat in zip(cells, run.seated.all(1), strict=True) if seat]
     return out
 
 
@@ -65,12 +67,12 @@ def main() -> None:
         f"{session}, as recorded": as_recorded(session, golden[key].astype(float))
         for session, key in REFERENCES.items()
     }
-    for preset in presets.PRESETS:
+    for preset in ONE_ARM:
         run, seconds = mild(preset, MILD)
         row = {
             "seated": round(float(run.seated.all(1).mean()), 3),
             "median onsets, s": np.round(np.nanmedian(run.onset, axis=0), 3).tolist(),
-            "mean simulated seconds": round(float(run.length.mean()) * presets.CONTROL_PERIOD, 2),
+            "mean simulated seconds": round(float(run.length.mean()) * CONTROL_PERIOD, 2),
             "trials per minute": round(MILD / seconds * 60),
         }
         result[f"{preset}, {MILD} mildly randomised"] = row

@@ -26,8 +26,10 @@ from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import native
-from sim_mjx.presets import sessions as presets
-from sim_mjx.randomization.trials import DomainRandomization, sample, sample_batch
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets import preset as preset_of
+from sim_mjx.randomization.trials import DomainRandomization, sample
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation import sessions
 from sim_mjx.validation.replay import Recorder, seated_snaps
 
@@ -40,9 +42,10 @@ ROLLS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # degrees
 def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
     """Share of mildly randomised trials, within half a millimetre, in which all four tabs are past their lips."""
     seated, diverged, start = [], 0, time.perf_counter()
+    scenario, mild = get_scenario(preset), DomainRandomization(nominal_share=1.0)
     for first in range(0, trials, BLOCK):
         indices = range(first, min(first + BLOCK, trials))
-        run = native.simulate(one_arm(), sample_batch(preset, SEED, indices, DomainRandomization(nominal_share=1.0))[0])
+        run = native.simulate(one_arm(), scenario.draw_batch(SEED, indices, mild)[0])
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
@@ -74,7 +77,7 @@ def success_map(
     spec = DomainRandomization(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
     trials = []
     for index, (r, y, x) in enumerate(cells):
-        trial = sample(MAP_PRESET, SEED, index, spec)[0]
+        trial = sample(preset_of(MAP_PRESET), SEED, index, spec)[0]
         way = trial.task.way_position + np.array([x, y, 0.0]) * 1e-3
         turned = trial.task.way_rpy + np.array([np.radians(r), 0.0, 0.0])
         trials.append(replace(trial, task=replace(trial.task, way_position=way, way_rpy=turned)))
@@ -97,8 +100,9 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
             title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
         )
         if roll == 0 and MAP_PRESET == "B":
-            for cell in sessions.GRID:
-                off = cell in sessions.RECORDED_OFF
+            session = preset_of(MAP_PRESET)
+            for cell in session.placements:
+                off = cell in session.off_seat
                 panel.plot(*cell, "x" if off else "o", color="black", markersize=5, markerfacecolor="none")
     panels[0].set_ylabel("y, mm")
     figure.colorbar(image, ax=panels.tolist(), label="share of trials that seat all four tabs", shrink=0.85)
@@ -112,7 +116,7 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
 
 def simulated_snaps(session: str, count: int | None = None) -> dict[str, Any]:
     """Snaps in the raw force of a session's seated trials."""
-    params = sessions.trials_of(session, count, seed=SEED)
+    params = sessions.trials_of(preset_of(session), count, seed=SEED)
     recorder = Recorder(one_arm(), len(params.command_delay))
     return seated_snaps(native.simulate(one_arm(), params, watch=recorder.watch), recorder)
 
@@ -124,7 +128,7 @@ def recorded_snaps(folder: Path) -> dict[str, Any]:
 
 
 def rates() -> dict[str, Any]:
-    return {preset: seating(preset) for preset in presets.PRESETS}
+    return {preset: seating(preset) for preset in ONE_ARM}
 
 
 def mapped() -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from sim_mjx.assembly import kinematics
+from rcbht_jax.robots import kinematics
 
 Array = Any
 

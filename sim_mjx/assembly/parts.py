@@ -5,13 +5,13 @@ wrist; the female part stands on a compliant mount.
 A tab is a spring-loaded sphere that slides along the hand's fore-aft direction; a lip is a box whose edge it must
 pass: force rises with the tab's deflection, drops when the tip is past the edge, rises again at the seat.
 Only spheres against boxes touch, through explicit pairs, because every engine agrees on those.
-Source: design page "HIRO task" (CAD facts, contact stiffness) and the recordings: the point of the hand that stays
-still while session A rotates, and the centre of pressure, which visits the four corners.
+Sources: the CAD model, and the recordings: the point of the hand that stays still while session A rotates, and the
+centre of pressure, which visits the four corners.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import jax
@@ -54,92 +54,6 @@ class PartParams:
     roll: Array  # rad, turn of the female part about the vertical
 
 
-STIFF_FEET = (0.005, 0.95, 0.99, 0.0005)
-
-
-def _session_a() -> PartParams:
-    """Fitted to session A's signature, ring and onsets: soft feet, a mount of 6.7 N/mm."""
-    return PartParams(
-        tab_stiffness=np.array([8.61e3, 8.61e3, 4.0e3, 4.0e3]),
-        tab_damping=np.full(4, 150.0),
-        hook_overlap=np.array([0.506e-3, 0.358e-3, 0.671e-3, 0.246e-3]),
-        slot_play=np.array(1.131e-3),
-        seat_depth=np.array(2.736e-3),
-        foot_spread=np.array(0.5e-3),
-        foot_offset=np.array([-4.083e-3, 0.233e-3]),
-        rear_rise=np.array([-0.5e-3, -1.207e-3]),
-        foot_contact=np.array([0.01884, 0.696, 0.96, 2.2e-3]),
-        friction=np.array(0.05),
-        mount_stiffness=np.array([6.4e3, 10.08e3, 6.713e3]),
-        mount_damping=np.array([10.0, 120.0, 52.1]),
-        position=np.array([-1.95e-3, 1.937e-3, 1.1e-3]),
-        roll=np.array(0.01017),
-    )
-
-
-def _session_b() -> PartParams:
-    """Fitted to session B's signature, snaps and outcomes over its grid of offsets."""
-    return PartParams(
-        tab_stiffness=np.array([10.95e3, 10.95e3, 11.92e3, 11.92e3]),
-        tab_damping=np.full(4, 88.95),
-        hook_overlap=np.array([0.372e-3, 0.7132e-3, 0.9852e-3, 0.8226e-3]),
-        slot_play=np.array(1.485e-3),
-        seat_depth=np.array(2.635e-3),
-        foot_spread=np.array(11.01e-3),
-        foot_offset=np.array([-12.77e-3, -16.0e-3]),
-        rear_rise=np.array([1.414e-3, 0.3481e-3]),
-        foot_contact=np.array([0.01503, 0.95, 0.96, 0.3e-3]),
-        friction=np.array(0.2841),
-        mount_stiffness=np.array([8.174e3, 3.71e3, 4.535e3]),
-        mount_damping=np.array([138.5, 120.0, 10.7]),
-        position=np.array([0.8531e-3, -0.2595e-3, 1.106e-3]),
-        roll=np.array(0.02),
-    )
-
-
-def _session_c() -> PartParams:
-    """Session B's parts where session C's stood: from the height of first touch and its onset."""
-    b = _session_b()
-    return replace(b, position=b.position + np.array([0.001, 0.0, 0.0486]))
-
-
-def _openhrp() -> PartParams:
-    """Stiff parts with hardly a hook, as in the authors' rigid simulation, where that stood."""
-    return PartParams(
-        tab_stiffness=np.full(4, 10.1e3),
-        tab_damping=np.full(4, 80.0),
-        hook_overlap=np.full(4, 0.3e-3),
-        slot_play=np.array(1.9e-3),
-        seat_depth=np.array(2.626e-3),
-        foot_spread=np.array(2e-3),
-        foot_offset=np.zeros(2),
-        rear_rise=np.zeros(2),
-        foot_contact=np.array(STIFF_FEET),
-        friction=np.array(0.216),
-        mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
-        mount_damping=np.array([120.0, 120.0, 98.5]),
-        position=np.array([0.004, 0.0, 0.0492]),
-        roll=np.array(0.0079),
-    )
-
-
-SESSIONS = {"A": _session_a, "B": _session_b, "C": _session_c, "openhrp": _openhrp}
-
-
-def nominal(session: str = "A") -> PartParams:
-    """Parts as one session had them.
-
-    Those of A and B were found by black-box search on the recorded signatures ("rcbht fidelity fit" does the like);
-    within a session they are effective values: what matters is the wrench they make together.
-
-    Raises:
-        InputError: unknown session.
-    """
-    if session not in SESSIONS:
-        raise InputError(f"There are no parts of session {session!r}; expected one of {', '.join(SESSIONS)}.")
-    return SESSIONS[session]()
-
-
 TIP_RADIUS = 0.002  # m
 MOUNT_MASS = 0.3  # kg
 
@@ -171,6 +85,8 @@ def _tab_place(index: int) -> tuple[float, float]:
 def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> None:
     """Hang the male part on the tool: four sliding tabs and four feet that meet the seat.
 
+    Places, springs and contacts of the compiled parts are provisional: :func:`model_fields` gives a trial's.
+
     Args:
         spec: of the scene. arm: that holds the part.
         grip: m, wrist frame, where the hand holds it, from the recorded place of the one-arm sessions.
@@ -195,7 +111,7 @@ def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> N
         )  # fmt: skip
         tool.add_geom(
             name=f"{arm}FOOT_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
-            pos=np.add(_foot(index, nominal()), grip), rgba=(0.25, 0.45, 0.75, 1.0),
+            pos=(up + FOOT_HEIGHT, left + aside, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
         )  # fmt: skip
 
 
@@ -222,19 +138,17 @@ def add_female(
             name=f"MOUNT_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis],
             stiffness=[1e4, 0.0, 0.0], damping=[60.0, 0.0, 0.0],
         )  # fmt: skip
-    usual = nominal()
     for index, name in enumerate(TABS):
-        places = _boxes(index, usual)
+        aft, aside = _tab_place(index)
         for kind, size in (("LIP", LIP), ("BLOCK1", BLOCK), ("BLOCK2", BLOCK)):
-            _add_box(mount, f"{kind}_{name}", size, places[kind])
-        for kind in ("LIP", "BLOCK1", "BLOCK2"):
+            _add_box(mount, f"{kind}_{name}", size, (aft, aside, -size[2]))
             _add_pair(spec, f"{arm}TIP_{name}", f"{kind}_{name}")
         _add_pair(spec, f"{arm}FOOT_{name}", "SEAT")
-    _add_box(mount, "SEAT", (0.035, 0.045, 0.004), _seat(usual))
+    _add_box(mount, "SEAT", (0.035, 0.045, 0.004), (-TAB_SPACING[0] / 2, 0.0, -0.005))
 
 
-def _add_box(body: mujoco.MjsBody, name: str, size: Vector, place: NDArray[np.float64]) -> None:
-    # a geom compiled at its body's origin would stay there: MuJoCo then never reads its position
+def _add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
+    # never at the body's origin: MuJoCo would then ignore the position that a trial sets
     body.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
         rgba=(0.3, 0.3, 0.3, 1.0),

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_mjx.assembly import kinematics, sensor, task
+from rcbht_jax.robots import kinematics
+from sim_mjx.assembly import sensor, task
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
-from sim_mjx.assembly.task import TaskState
-from sim_mjx.presets.sessions import TaskParams
+from sim_mjx.assembly.task import TaskParams, TaskState
 
 Array = Any
 

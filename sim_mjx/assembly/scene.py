@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.rollout import ONE_ARM, Program
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD
 
 SUBSTEPS = 2  # physics steps per control period
 ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough

@@ -1,7 +1,4 @@
-"""The wrist sensor as the robot logs it: delay, bias, noise, quantisation, tare, low-pass filter, world frame.
-
-Source: design page "HIRO task", controller facts, point 4, and the data audit's noise figures.
-"""
+"""The wrist sensor as the robot logs it: delay, bias, noise, quantisation, tare, low-pass filter, world frame."""
 
 from __future__ import annotations
 
@@ -10,13 +7,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-
-from rcbht_jax.errors import InputError
 
 Array = Any
-# m, wrist frame; M = r x F during session A's early rotation (R^2 of My .998) with r from the kinematic pivot
-REFERENCE = (-0.0484, -0.0003, -0.001)
 LONGEST_DELAY = 12  # control periods that the buffers can hold
 
 
@@ -49,42 +41,6 @@ class SensorState:
     filtered: Array  # [6] filter state
     buffer: Array  # [LONGEST_DELAY, 6] readings, newest first
     tare: Array  # [6] first reading
-
-
-# Per session: control periods of delay, m that moments refer to, N and Nm read in free space since the tare.
-# Delays as the ringing after mating shows, points from the search that fitted the parts.
-REAL: dict[str, tuple[int, tuple[float, float, float], tuple[float, ...]]] = {
-    "A": (11, (-0.0463, 0.0014, -0.0019), (-0.023, -0.003, -0.023, -0.0006, 0.0008, -0.0001)),
-    "B": (11, (-0.0491, -0.0007, -0.0014), (-0.314, -0.411, -0.059, -0.0198, 0.0061, -0.0021)),
-    "C": (11, (-0.0491, -0.0007, -0.0014), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
-}
-
-
-def real_sensor(session: str = "A") -> SensorParams:
-    """The JR3 chain of sessions A, B and C.
-
-    Raises:
-        InputError: unknown session.
-    """
-    if session not in REAL:
-        raise InputError(f"There is no sensor of session {session!r}; expected one of {', '.join(REAL)}.")
-    delay, reference, bias = REAL[session]
-    return SensorParams(
-        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064),
-        delay=np.array(delay, np.int32),
-        noise=np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038]),
-        step=np.array([0.024, 0.008, 0.008, 0.0008, 0.0008, 0.0008]),
-        bias=np.array(bias), tared=np.array(1.0), reference=np.array(reference),
-    )  # fmt: skip
-
-
-def simulated_sensor() -> SensorParams:
-    """The OpenHRP chain: 2.4 Hz, DC gain 1, hardly any noise."""
-    return SensorParams(
-        a=np.array(0.92681), b=np.array(0.073196), c=np.array(1.0), d=np.array(0.0), delay=np.array(1, np.int32),
-        noise=np.full(6, 1e-5), step=np.full(6, 1e-6), bias=np.zeros(6), tared=np.array(0.0),
-        reference=np.array(REFERENCE),
-    )  # fmt: skip
 
 
 def begin(params: SensorParams, first: Array) -> SensorState:

@@ -14,12 +14,46 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_mjx.assembly import kinematics
+from rcbht_jax.robots import kinematics
 from sim_mjx.assembly.controllers import approach, force_law, goals_in_world
-from sim_mjx.presets.sessions import CONTROL_PERIOD, WORLD, TaskParams
 
 Array = Any
-APPROACH, ROTATION, INSERTION, PRE_MATING, MATING, ENDED = range(6)
+CONTROL_PERIOD = 0.005  # s, the robot's and the sensor's
+STATES = ("approach", "rotation", "insertion", "mating")
+WRIST, WORLD = 0.0, 1.0  # frames of set-points
+NEVER, ALWAYS = -np.inf, np.inf  # thresholds that never or always end a phase
+NO_STOP = 1e4  # s, longer than any trial
+APPROACH, ROTATION, INSERTION, PRE_MATING, MATING, ENDED = range(6)  # phases
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TaskParams:
+    """What the controller does, from the home pose to the end of mating.
+
+    Set-points and gains have one row per force-controlled phase: rotation, insertion, pre-mating, mating. The
+    recorded state marks name approach, rotation, insertion, mating; pre-mating counts as insertion.
+    """
+
+    home: Array  # [6] rad, joint angles at time zero
+    way_time: Array  # [2] s, when the two waypoints are reached
+    way_position: Array  # [2, 3] m, TCP
+    way_rpy: Array  # [2, 3] rad
+    contact_force: Array  # N, wrist-frame Fx that ends the approach
+    contact_after: Array  # s, not before
+    frame: Array  # 0 = set-points in the wrist frame, 1 = in the world frame
+    force: Array  # [4, 3] N, set-point F*
+    moment: Array  # [4, 3] Nm, set-point M*
+    force_gain: Array  # rad/(Nm) per control period
+    moment_gain: Array  # [4] rad/(Nm) per control period
+    leave_after: Array  # [4] s, shortest stay in a phase
+    leave_wrist: Array  # [4] rad, leave when joint 4 (wrist pitch) is below ...
+    leave_pitch: Array  # [4] rad, ... or the hand's pitch is below
+    leave_moment: Array  # [4] Nm, and the measured My is above
+    mating_time: Array  # s, recorded after mating begins
+    timeout: Array  # s, the trial ends unfinished
+    stop: Array  # s, from then on the robot keeps still in whatever phase it is, and its logger goes on
+    rest: Array  # s, recorded after mating, the robot keeping still
 
 
 @jax.tree_util.register_dataclass

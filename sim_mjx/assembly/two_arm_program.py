@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sim_mjx.assembly import kinematics, sensor, task
+from rcbht_jax.robots import kinematics
+from sim_mjx.assembly import sensor, task
 from sim_mjx.assembly.controllers import force_law
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
-from sim_mjx.assembly.task import TaskState
-from sim_mjx.presets.sessions import TaskParams
+from sim_mjx.assembly.task import TaskParams, TaskState
 
 Array = Any
 

@@ -274,7 +274,7 @@ class FidelityFit(Command):
         fixed = tuple((name, _number(value)) for name, value in map(_assignment, self.fixed))
         overrides.check((*fixed, *((name, 0.0) for name in self.parameters)))
         trials = self.trials or (4 if self.session == "A" else 9)
-        sessions.trials_of(self.session, trials, physical=fixed)  # refuses a wrong count before the work
+        sessions.trials_of(target.session, trials, physical=fixed)  # refuses a wrong count before the work
         objective = sessions.SessionObjective(target, trials, self.seed, self.outcomes, self.snaps, fixed)
         search = self._search(fixed, trials, len(target.profiles))
         checkpoint = self.out.with_name(f"{self.out.name}.search")
@@ -332,11 +332,11 @@ def _number(text: str) -> float:
 
 def _present(session: str, name: str, bound: Bound) -> float:
     """The present value of a parameter, clipped to its range; the mean if it has several elements."""
-    from sim_mjx.assembly import parts, sensor
+    from sim_mjx.presets import preset
     from sim_mjx.randomization import overrides
 
-    sensor_params = sensor.simulated_sensor() if session == "openhrp" else sensor.real_sensor(session)
-    return min(max(overrides.value(parts.nominal(session), sensor_params, name), bound.low), bound.high)
+    nominal = preset(session)
+    return min(max(overrides.value(nominal.parts, nominal.sensor, name), bound.low), bound.high)
 
 
 def _show(bar: Any, now: Generation, best: Fit) -> None:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from sim_mjx.assembly import task
 from sim_mjx.assembly.rollout import LogRow, Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 
 Array = Any
 LANES = 16

@@ -14,8 +14,8 @@ from rcbht_jax.labels import AXES, COLORS
 from rcbht_jax.plots.canvas import label_legend, new_figure
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.assembly.parts import TABS
+from sim_mjx.assembly.task import STATES
 from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
-from sim_mjx.presets.sessions import STATES
 from sim_mjx.validation.replay import PASSES, Replay
 
 INCHES, DPI = (16.0, 14.5), 100

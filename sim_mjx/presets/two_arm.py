@@ -8,104 +8,95 @@ trials to 0.01 N and 0.01 Nm. Thresholds are the joint angles at which the recor
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rcbht_jax.errors import InputError
-from sim_mjx.assembly import parts, sensor
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.assembly.task import NEVER, NO_STOP, WRIST, Array, TaskParams
 from sim_mjx.assembly.two_arm_program import HoldParams
-from sim_mjx.presets.sessions import NEVER, NO_STOP, WRIST, TaskParams
+from sim_mjx.presets.session import SessionPreset, openhrp_sensor
 
-# The left arm under force control, and kept still as in the recordings.
-PRESETS = ("two", "two-fixed")
-# of the right arm's gains: the holding hand then stays within a millimetre of its place, with all of them within three
+# share of the right arm's gains: the holding hand then stays within 1 mm of its place; with all of them, within 3 mm
 HOLD_SHARE = 0.2
 QUARTER = np.pi / 2
 YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
-# N and Nm, right and left wrist, mean of the recorded approaches after the first waypoint; the recordings begin at
-# zero and reach it as the filter lets them
-OFFSET = np.array(
-    [0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107, 0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]
-)  # fmt: skip
-CHATTER = 1.1  # recorded wrenches taken back through the filter: sd / mean of Fx within 0.2 s, 1.0-1.5 while they press
+SIDEWAYS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # the part's y is the world's z, and the hand leans about it
+
+# Of the right arm; in mating it keeps still, whatever the last row says.
+TASK = TaskParams(
+    home=np.array([0.197087, 0.0622684, -1.66923, -1.29718, -0.180523, -0.0861625]),
+    way_time=np.array([2.0, 5.0]),
+    way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
+    way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
+    contact_force=np.array(0.55),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
+    contact_after=np.array(4.0),
+    frame=np.array(WRIST),
+    force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
+    moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 80.0, 0.0], [0.0, 80.0, 0.0]]),
+    force_gain=np.array(5e-5),
+    moment_gain=np.full(4, 3.5e-6),
+    leave_after=np.zeros(4),
+    leave_wrist=np.array([-0.03327, -0.1672, -0.23213, NEVER]),
+    leave_pitch=np.full(4, NEVER),
+    leave_moment=np.full(4, NEVER),
+    mating_time=np.array(0.57),
+    timeout=np.array(20.0),
+    stop=np.array(NO_STOP),
+    rest=np.array(0.0),
+)
+# Found by black-box search on both arms' recorded signatures.
+PARTS = PartParams(
+    tab_stiffness=np.array([2330.0, 2330.0, 3030.0, 3030.0]),
+    tab_damping=np.full(4, 80.0),
+    hook_overlap=np.array([0.296e-3, 0.296e-3, 0.364e-3, 0.364e-3]),
+    slot_play=np.array(1.706e-3),
+    seat_depth=np.array(7.515e-3),
+    foot_spread=np.array(11.3e-3),
+    foot_offset=np.zeros(2),
+    rear_rise=np.array([2.84e-3, 1.2e-3]),
+    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
+    friction=np.array(0.263),
+    mount_stiffness=np.array([873.0, 2300.0, 802.0]),  # the grip of the left hand, softer than a stand
+    mount_damping=np.array([120.0, 120.0, 98.5]),
+    position=np.array([-0.1e-3, 0.0, 1.77e-3]),
+    roll=np.array(0.0102),
+)
+# Of the left arm: along and about the hand's own axes what the recorded left wrist felt on average; nothing across.
+HOLD = HoldParams(
+    home=np.array([-0.23289, 0.0790619, -1.68294, 1.29484, -0.21605, 0.0938121]),
+    force=np.array([[0.27, 0.0, 0.0], [0.99, 0.0, 0.0], [4.94, 0.0, 0.0], [1.35, 0.0, 0.0]]),
+    moment=np.array([[0.0, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.65, 0.0], [0.0, 0.16, 0.0]]),
+    force_gain=np.array(5e-5 * HOLD_SHARE),
+    moment_gain=np.array(3.5e-6 * HOLD_SHARE),
+)
 
 
-def task() -> TaskParams:
-    """What the right arm does; in mating it keeps still, whatever the last row says."""
-    return TaskParams(
-        home=np.array([0.197087, 0.0622684, -1.66923, -1.29718, -0.180523, -0.0861625]),
-        way_time=np.array([2.0, 5.0]),
-        way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
-        way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
-        contact_force=np.array(0.55),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
-        contact_after=np.array(4.0),
-        frame=np.array(WRIST),
-        force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
-        moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 80.0, 0.0], [0.0, 80.0, 0.0]]),
-        force_gain=np.array(5e-5),
-        moment_gain=np.full(4, 3.5e-6),
-        leave_after=np.zeros(4),
-        leave_wrist=np.array([-0.03327, -0.1672, -0.23213, NEVER]),
-        leave_pitch=np.full(4, NEVER),
-        leave_moment=np.full(4, NEVER),
-        mating_time=np.array(0.57),
-        timeout=np.array(20.0),
-        stop=np.array(NO_STOP),
-        rest=np.array(0.0),
-    )
+@dataclass(frozen=True, kw_only=True)
+class TwoArmPreset(SessionPreset):
+    """What the left arm adds; task, parts and sensor are the right arm's."""
+
+    hold: HoldParams
+    left_sensor: SensorParams
+    offset: Array  # [12] N and Nm, what right and left wrist read in free space
+    chatter: float  # standard deviation of the contact force from tick to tick, as a share of itself
 
 
-def hold(name: str) -> HoldParams:
-    """What the left arm does.
-
-    Args:
-        name: one of ``PRESETS``.
-
-    Raises:
-        InputError: unknown name.
-    """
-    if name not in PRESETS:
-        raise InputError(f"There is no two-arm preset {name!r}; expected one of {', '.join(PRESETS)}.")
-    share = HOLD_SHARE if name == "two" else 0.0
-    # along and about the hand's own axes what the recorded left wrist felt on average; nothing across
-    return HoldParams(
-        home=np.array([-0.23289, 0.0790619, -1.68294, 1.29484, -0.21605, 0.0938121]),
-        force=np.array([[0.27, 0.0, 0.0], [0.99, 0.0, 0.0], [4.94, 0.0, 0.0], [1.35, 0.0, 0.0]]),
-        moment=np.array([[0.0, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.65, 0.0], [0.0, 0.16, 0.0]]),
-        force_gain=np.array(5e-5 * share),
-        moment_gain=np.array(3.5e-6 * share),
-    )
-
-
-def right_sensor() -> SensorParams:
-    """OpenHRP's chain; the point that moments refer to was found with the parts."""
-    return replace(sensor.simulated_sensor(), tared=np.array(1.0), reference=np.array([-0.030, 0.0, -0.0177]))
-
-
-def left_sensor() -> SensorParams:
-    """The same of the left wrist."""
-    return replace(right_sensor(), reference=np.array([-0.109, 0.0, -0.0748]))
-
-
-def nominal() -> PartParams:
-    """Parts of the two-arm trials; values found by black-box search on both arms' recorded signatures."""
-    return replace(
-        parts.nominal(),
-        tab_stiffness=np.array([2330.0, 2330.0, 3030.0, 3030.0]),
-        tab_damping=np.full(4, 80.0),
-        hook_overlap=np.array([0.296e-3, 0.296e-3, 0.364e-3, 0.364e-3]),
-        slot_play=np.array(1.706e-3),
-        seat_depth=np.array(7.515e-3),
-        foot_spread=np.array(11.3e-3),
-        foot_offset=np.zeros(2),
-        rear_rise=np.array([2.84e-3, 1.2e-3]),
-        foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
-        friction=np.array(0.263),
-        mount_stiffness=np.array([873.0, 2300.0, 802.0]),  # the grip of the left hand, softer than a stand
-        mount_damping=np.array([120.0, 120.0, 98.5]),
-        position=np.array([-0.1e-3, 0.0, 1.77e-3]),
-        roll=np.array(0.0102),
-    )
+TWO = TwoArmPreset(
+    name="two",
+    task=TASK,
+    parts=PARTS,
+    sensor=openhrp_sensor((-0.030, 0.0, -0.0177), tared=1.0),  # reference from the search that fitted the parts
+    left_sensor=openhrp_sensor((-0.109, 0.0, -0.0748), tared=1.0),
+    mating_begins=15.67,
+    real=False,
+    across=SIDEWAYS,
+    turns=SIDEWAYS,
+    hold=HOLD,
+    # mean of the recorded approaches after the first waypoint; the recordings rise to it as fast as the filter
+    offset=np.array([0.364, -0.438, -0.524, 0.0290, -0.0253, 0.0107, 0.103, 0.613, -0.698, -0.0171, -0.0247, -0.0173]),
+    chatter=1.1,  # recorded wrenches taken back through the filter: sd / mean of Fx within 0.2 s, 1.0-1.5 under load
+)
+# The left arm keeps still, as in the recordings.
+TWO_FIXED = replace(TWO, name="two-fixed", hold=replace(HOLD, force_gain=np.array(0.0), moment_gain=np.array(0.0)))

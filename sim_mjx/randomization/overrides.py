@@ -17,10 +17,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
-from sim_mjx.synthesis.shards import write_atomically
 
 Group = TypeVar("Group", PartParams, SensorParams)
 Physical = tuple[tuple[str, float], ...]  # name, value; hashable
@@ -67,7 +67,7 @@ def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
     return group
 
 
-def value(part: PartParams, touch: SensorParams, name: str) -> float:
+def value(parts: PartParams, sensor: SensorParams, name: str) -> float:
     """What one trial has of a parameter; the mean where the name covers several elements.
 
     Raises:
@@ -75,7 +75,7 @@ def value(part: PartParams, touch: SensorParams, name: str) -> float:
     """
     check(((name, 0.0),))
     owner, attribute, where = _place(name)
-    array = np.asarray(getattr(part if owner == "parts" else touch, attribute))
+    array = np.asarray(getattr(parts if owner == "parts" else sensor, attribute))
     _check_place(name, array, where)
     return float(np.mean(array[where]))
 
@@ -99,7 +99,8 @@ def write(path: Path, values: Mapping[str, float], about: Mapping[str, Any]) -> 
     """Write parameters as a JSON file, atomically, with what is known about them."""
     check(tuple(values.items()))
     text = json.dumps({"format": FORMAT, "values": dict(values), **about}, indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda file: file.write(text.encode()))
+    with atomic_write(path) as draft:
+        draft.write_text(text)
 
 
 def read(path: Path) -> Physical:

@@ -1,13 +1,13 @@
 """Randomised trials and faults: a seed and an index determine a trial, whatever batch it is simulated in.
 
 Every trial has its own Philox stream: the seed is the key, the index the highest word of the counter, so that
-streams never overlap. Deviations are those of the hand from the part, as the recorded failure names have them
-(design page "HIRO task", data audit): +x = the hand is too far forward, +y too far left, +r turned to the left.
+streams never overlap. Deviations are those of the hand from the part, as in the names of the recorded failures:
++x = the hand is too far forward, +y too far left, +r turned to the left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,20 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assembly import parts, sensor
+from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import TABS, PartParams
-from sim_mjx.assembly.rollout import TrialParams, stack
+from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
-from sim_mjx.presets import sessions
-from sim_mjx.presets.sessions import TaskParams
-from sim_mjx.randomization import overrides as physical
+from sim_mjx.assembly.task import TaskParams
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets.session import Range, SessionPreset
+from sim_mjx.randomization import overrides
 from sim_mjx.randomization.overrides import Physical
 
-Range = tuple[float, float]
-SIMULATED = "openhrp"  # the preset without a real sensor, servo or tare
-# Median start of mating in the recordings, s; page "HIRO task", data audit.
-MATING_BEGINS = {"A": 16.32, "B": 11.74, "C": 7.98, "openhrp": 9.34}
-# How often the recorded failures deviate in which directions; same source.
+# How often the recorded failures deviate in which directions.
 PATTERNS = {"x": 31, "y": 44, "r": 55, "xy": 59, "xr": 58, "yr": 72, "xyr": 79}
 
 
@@ -36,7 +33,8 @@ PATTERNS = {"x": 31, "y": 44, "r": 55, "xy": 59, "xr": 58, "yr": 72, "xyr": 79}
 class DomainRandomization:
     """What varies between trials; ranges are uniform distributions (lowest, highest).
 
-    Sources: "audit", "CAD", "controller" are sections of the design page "HIRO task"; "chosen" is ours.
+    The end of each comment is the source: "recordings" = measured in them, "CAD" = the model of the parts,
+    "controller" = regression on the logged references, "signature" = the comparison with session B, "chosen" = ours.
     """
 
     nominal_share: float = 0.5  # of the trials without a fault; chosen
@@ -44,31 +42,31 @@ class DomainRandomization:
         "pose", "jamming", "wedging", "missing-tab", "moved-part", "early-stop",
     )  # fmt: skip
     longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
-    # s, for which the record goes on after the planned end of the trial, the robot keeping still, as by a logger that
-    # knows nothing of a fault; None = it ends when the robot has done its work, or has stopped early
+    # s, for which recording continues after the planned end of the trial, the robot keeping still, as by a logger that
+    # knows nothing of a fault; None = it ends when the task is done or the robot has stopped
     logs_on: float | None = None
     physical: Physical = ()  # nominal parameters of parts and sensor that replace the preset's, by name
-    sensor: str | None = None  # session whose wrist sensor is worn, noise and drift included; None = the preset's
+    sensor: str | None = None  # session whose wrist sensor is used, noise and drift included; None = the preset's
 
-    shift: Range = (-5e-4, 5e-4)  # m, hand in x and y without a fault: seated by A, B, OpenHRP
+    shift: Range = (-5e-4, 5e-4)  # m, hand in x and y without a fault: seated in A, B, OpenHRP
     turn: Range = (-0.005, 0.005)  # rad, hand about the vertical without a fault; chosen
-    stiffness: Range = (0.85, 1.15)  # factor per tab: release force 11-18 N about its mean; audit
+    stiffness: Range = (0.85, 1.15)  # factor per tab: release force 11-18 N about its mean; recordings
     overlap: Range = (0.93, 1.07)  # factor on each tab's hook overlap: 0.06 mm of moulding; chosen
-    friction: Range = (0.8, 1.2)  # factor: of the fitted value; chosen
-    mount: Range = (0.85, 1.15)  # factor: contact stiffness 5-8 N/mm; signature metric
+    friction: Range = (0.8, 1.2)  # factor; chosen
+    mount: Range = (0.85, 1.15)  # factor: contact stiffness 5-8 N/mm; signature
     gain: Range = (0.95, 1.05)  # factor, force and moment law each; chosen
-    goal: Range = (0.97, 1.03)  # factor, force and moment set-points each; regression, controller 2
+    goal: Range = (0.97, 1.03)  # factor, force and moment set-points each; controller
     speed: Range = (0.97, 1.03)  # factor of the approach; chosen, below B's against C's (7-15 mm/s)
-    lag: tuple[int, int] = (5, 5)  # control periods from command to servo, both included: 25 of 20-25 ms; servo
-    noise: Range = (0.8, 1.25)  # factor on the sensor's noise; audit gives one value per session
-    force_bias: Range = (-0.3, 0.3)  # N, drift since the tare, each axis: <= .4 N; audit
-    moment_bias: Range = (-0.02, 0.02)  # Nm, likewise; C's free space My is -.045; audit
+    lag: tuple[int, int] = (5, 5)  # control periods from command to servo, both included; recordings: 20-25 ms
+    noise: Range = (0.8, 1.25)  # factor on the sensor's noise; recordings give one value per session
+    force_bias: Range = (-0.3, 0.3)  # N, drift since the tare, each axis: <= 0.4 N; recordings
+    moment_bias: Range = (-0.02, 0.02)  # Nm, likewise; session C's My in free space is -0.045; recordings
     tare: Range = (0.97, 1.0)  # share of the tool's weight that the tare removes; chosen
     mating: Range | None = None  # s, recorded after mating begins; None = the preset's own time
 
-    fault_x: Range = (0.0, 0.020)  # m, pose fault; recorded failures 0-19.7 mm; audit
-    fault_y: Range = (-0.0105, 0.0105)  # m, pose fault; recorded failures +-10.5 mm; audit
-    fault_roll: Range = (-0.5235, 0.5235)  # rad, pose fault; recorded failures +-30 degrees; audit
+    fault_x: Range = (0.0, 0.020)  # m, pose fault; recordings: 0-19.7 mm
+    fault_y: Range = (-0.0105, 0.0105)  # m, pose fault; recordings: +-10.5 mm
+    fault_roll: Range = (-0.5235, 0.5235)  # rad, pose fault; recordings: +-30 degrees
     jam_friction: Range = (3.0, 5.0)  # factor: a rough hook; alone it creeps past its lip in time; chosen
     jam_overlap: Range = (1.65e-3, 1.85e-3)  # m, each hook: nearly the tip's radius, which no tab passes; chosen
     wedge_roll: Range = (0.09, 0.20)  # rad, either sign: more than the slots' play allows; chosen
@@ -90,7 +88,7 @@ LIMITS: dict[str, Range] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """What was made wrong with a trial, whether or not it failed."""
+    """The fault that a trial was given, whether or not it failed."""
 
     kind: str  # "none" or one of FAULTS
     failure_type: str  # sign pattern of a pose fault or a moved part, such as "+x-y+r"; else ""
@@ -125,9 +123,9 @@ def check(spec: DomainRandomization) -> None:
         raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
     if spec.logs_on is not None and not 0.0 <= spec.logs_on <= 600.0:
         raise InputError(f"The logger goes on for {spec.logs_on} s; expected 0 to 600 s.")
-    physical.check(spec.physical)
+    overrides.check(spec.physical)
     if spec.sensor is not None:
-        sensor.real_sensor(spec.sensor)
+        real_sensor(spec.sensor)
     if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
         raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for name, (least, most) in LIMITS.items():
@@ -138,67 +136,36 @@ def check(spec: DomainRandomization) -> None:
             raise InputError(f"The range of {name} is {low} to {high}; expected it within {least} to {most}.")
 
 
-@dataclass(frozen=True)
-class Setup:
-    """What a preset is before anything varies."""
-
-    task: TaskParams
-    sensor: SensorParams
-    parts: PartParams
-    mating_begins: float  # s, median of the recordings
-    lag: int | None  # control periods from command to servo; None = as the distributions say
-    drifts: bool  # whether the sensor's noise, bias and tare vary
-    across: NDArray[np.float64]  # [2, 3] world directions of the part's x and y
-    turns: NDArray[np.float64]  # [2, 3] roll, pitch, yaw per radian of the hand's turn about itself and of its tilt
-
-
-def setup(preset: str) -> Setup:
-    """The one-arm task of a recorded session.
-
-    Args:
-        preset: one of ``presets.PRESETS``.
+def real_sensor(session: str) -> SensorParams:
+    """The wrist sensor of a session recorded on the robot.
 
     Raises:
-        InputError: unknown preset.
+        InputError: there is none.
     """
-    simulated = preset == SIMULATED
-    return Setup(
-        task=sessions.preset(preset),
-        sensor=sensor.simulated_sensor() if simulated else sensor.real_sensor(preset),
-        parts=parts.nominal(preset),
-        mating_begins=MATING_BEGINS[preset],
-        lag=1 if simulated else None,
-        drifts=not simulated,
-        across=np.eye(3)[:2],
-        turns=np.eye(3)[:2],
-    )
+    sensors = {name: preset.sensor for name, preset in ONE_ARM.items() if preset.real}
+    if session not in sensors:
+        raise InputError(f"There is no sensor of session {session!r}; expected one of {', '.join(sensors)}.")
+    return sensors[session]
 
 
-def sample(preset: str, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
-    """One trial.
+def sample(preset: SessionPreset, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
+    """One trial of a preset, of the right arm.
 
     Args:
-        preset: one of ``presets.PRESETS``.
+        preset: nominal values.
         seed: of the whole set, 0 to 2^64 - 1.
         index: of the trial within the set, >= 0.
         spec: the distributions.
 
     Returns:
-        its parameters (a single trial: leaves have no batch axis) and what is wrong with it.
+        its parameters (a single trial: leaves have no batch axis) and its fault.
 
     Raises:
-        InputError: unknown preset, negative seed or index, or impossible distributions.
+        InputError: negative seed or index, or impossible distributions.
     """
-    return sample_trial(setup(preset), seed, index, spec)
-
-
-def sample_trial(base: Setup, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
-    """One trial of a setup; see :func:`draw`."""
     check(spec)
-    if spec.sensor is not None:
-        base = replace(base, sensor=sensor.real_sensor(spec.sensor), drifts=True)
     rng = stream(seed, index)
-    task, touch, part = _mild(base, spec, rng)
+    task, sensor, part = _nominal(preset, spec, rng)
     values = _Values(
         hand=np.array([_draw(rng, spec.shift), _draw(rng, spec.shift), _draw(rng, spec.turn)]),
         part=np.zeros(2),
@@ -206,7 +173,7 @@ def sample_trial(base: Setup, seed: int, index: int, spec: DomainRandomization) 
         overlap=_draw(rng, spec.overlap, 4),
         friction=float(_draw(rng, spec.friction)),
     )
-    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True)) if base.lag is None else base.lag
+    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True)) if preset.real else 1
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kind = "none" if rng.random() < spec.nominal_share else spec.faults[int(rng.integers(len(spec.faults)))]
     if kind != "none":
@@ -214,22 +181,14 @@ def sample_trial(base: Setup, seed: int, index: int, spec: DomainRandomization) 
     if spec.mating is not None:  # the last draw, so that the others do not depend on it
         task = replace(task, mating_time=np.asarray(_draw(rng, spec.mating)))
     params = TrialParams(
-        task=_with_task(base, task, values, spec),
-        sensor=touch,
+        task=_with_task(preset, task, values, spec),
+        sensor=sensor,
         parts=_with_parts(part, values),
         command_delay=np.array(lag, np.int32),
         seed=key,
     )
     parts.check(params.parts)
     return params, Fault(kind, values.failure_type, values.hand - [*values.part, 0.0])
-
-
-def sample_batch(
-    preset: str, seed: int, indices: Sequence[int], spec: DomainRandomization
-) -> tuple[TrialParams, list[Fault]]:
-    """Several trials as one batch; see :func:`draw`, which it equals trial by trial."""
-    drawn = [sample(preset, seed, index, spec) for index in indices]
-    return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
 def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
@@ -249,11 +208,11 @@ def _draw(rng: np.random.Generator, span: Range, size: int | None = None) -> Any
     return rng.uniform(span[0], span[1], size)
 
 
-def _mild(
-    base: Setup, spec: DomainRandomization, rng: np.random.Generator
+def _nominal(
+    preset: SessionPreset, spec: DomainRandomization, rng: np.random.Generator
 ) -> tuple[TaskParams, SensorParams, PartParams]:
-    """What differs between any two trials: controller, sensor and the materials of the parts."""
-    task = base.task
+    """Controller, sensor and materials of the parts, which differ between any two trials."""
+    task = preset.task
     speed, force_gain, moment_gain = _draw(rng, spec.speed), _draw(rng, spec.gain), _draw(rng, spec.gain)
     task = replace(
         task,
@@ -268,21 +227,23 @@ def _mild(
         [_draw(rng, spec.force_bias, 3), _draw(rng, spec.moment_bias, 3)]
     )  # fmt: skip
     tare = _draw(rng, spec.tare)
-    touch = physical.apply_overrides(base.sensor, "sensor", spec.physical)
-    if base.drifts:
-        touch = replace(touch, noise=touch.noise * noise, bias=touch.bias + bias, tared=np.asarray(touch.tared * tare))
-    part = physical.apply_overrides(base.parts, "parts", spec.physical)
+    sensor = preset.sensor if spec.sensor is None else real_sensor(spec.sensor)
+    sensor = overrides.apply_overrides(sensor, "sensor", spec.physical)
+    if preset.real or spec.sensor is not None:
+        tared = np.asarray(sensor.tared * tare)
+        sensor = replace(sensor, noise=sensor.noise * noise, bias=sensor.bias + bias, tared=tared)
+    part = overrides.apply_overrides(preset.parts, "parts", spec.physical)
     part = replace(
         part,
         tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
         mount_stiffness=part.mount_stiffness * _draw(rng, spec.mount),
     )
-    return task, touch, part
+    return task, sensor, part
 
 
-def _with_task(base: Setup, task: TaskParams, values: _Values, spec: DomainRandomization) -> TaskParams:
+def _with_task(preset: SessionPreset, task: TaskParams, values: _Values, spec: DomainRandomization) -> TaskParams:
     """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limits."""
-    mating_begins = float(task.way_time[-1]) + base.mating_begins - float(base.task.way_time[-1])
+    mating_begins = float(task.way_time[-1]) + preset.mating_begins - float(preset.task.way_time[-1])
     stop = None if values.stop is None else values.stop * mating_begins
     rest, timeout = spec.logs_on or 0.0, float(task.timeout)
     if stop is not None and spec.logs_on is None:
@@ -294,8 +255,8 @@ def _with_task(base: Setup, task: TaskParams, values: _Values, spec: DomainRando
         timeout = min(timeout, spec.longest)
     return replace(
         task,
-        way_position=task.way_position + values.hand[:2] @ base.across,
-        way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt]) @ base.turns,
+        way_position=task.way_position + values.hand[:2] @ preset.across,
+        way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt]) @ preset.turns,
         timeout=np.array(timeout),
         rest=np.array(rest),
     )

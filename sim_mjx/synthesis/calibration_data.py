@@ -17,8 +17,8 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import task
 from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import STATES
 from sim_mjx.engines import device
-from sim_mjx.presets.sessions import STATES
 
 Array = Any
 MOST_WRENCH = 2000.0  # N or Nm; beyond, the physics has come apart

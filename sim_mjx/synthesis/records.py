@@ -15,13 +15,13 @@ from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.io.hiro import onsets
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 from sim_mjx import engines
-from sim_mjx.assembly import kinematics
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.synthesis.shards import Arrays
 
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))

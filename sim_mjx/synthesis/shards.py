@@ -1,29 +1,30 @@
-"""The work folder of a synthesis: a manifest and one complete, checksummed file per finished shard.
+"""The work folder of a synthesis: ``manifest.json`` and one checksummed file per finished shard.
 
-Everything is written to a temporary name, flushed to the disk and renamed: a kill at any moment leaves finished
-shards and at most one file that is thrown away.
+A shard is a batch of consecutive trials; the manifest holds everything that determines their content, so that a run
+resumes only its own shards. Files are written atomically: a kill leaves finished shards and at most one partial file,
+which the next run deletes.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
-import os
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
 
-MANIFEST, LOCK, PARTIAL = "manifest.json", "lock", ".partial"
+MANIFEST, LOCK, PARTIAL = "manifest.json", "lock", ".*.partial-*"
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -34,14 +35,14 @@ def folder_of(target: Path) -> Path:
 
 @contextmanager
 def working(folder: Path, manifest: Mapping[str, Any]) -> Iterator[None]:
-    """Begin or resume the work in a folder, which nobody else works in meanwhile.
+    """Create or resume a work folder and lock it against other processes.
 
     Args:
-        folder: made if it is not there.
-        manifest: everything that determines the shards, JSON values; an interrupted run must have had the same.
+        folder: created if it does not exist.
+        manifest: everything that determines the shards, JSON values; an existing folder must have the same.
 
     Raises:
-        InputError: the folder belongs to something else, to other options, or to a run that is still going.
+        InputError: the folder holds other files, has another manifest, or is locked.
     """
     folder.mkdir(exist_ok=True)
     with (folder / LOCK).open("w") as lock:
@@ -50,24 +51,21 @@ def working(folder: Path, manifest: Mapping[str, Any]) -> Iterator[None]:
         except BlockingIOError:
             raise InputError(f"{folder} is being worked in by another rcbht simulate; wait for it.") from None
         _check_manifest(folder, manifest)
-        for leftover in folder.glob(f"*{PARTIAL}"):
+        for leftover in folder.glob(PARTIAL):
             leftover.unlink()
         yield
 
 
 def save(folder: Path, shard: int, arrays: Arrays) -> None:
-    """Write a finished shard, atomically."""
+    """Write a finished shard."""
     digest = np.array(content_hash(arrays[name] for name in sorted(arrays)))
-
-    def write(file: IO[bytes]) -> None:
+    with atomic_write(_file(folder, shard)) as draft:
         # not compressed: noisy wrenches hardly shrink, and it would take longer than simulating them on a GPU
-        np.savez(file, allow_pickle=False, sha256=digest, **arrays)
-
-    write_atomically(_file(folder, shard), write)
+        np.savez(draft, allow_pickle=False, sha256=digest, **arrays)
 
 
 def load(folder: Path, shard: int) -> Arrays | None:
-    """A finished shard; None if it is missing or damaged and must be made again."""
+    """A finished shard; None if it is missing or damaged and must be simulated again."""
     try:
         # opened here, because NumPy leaves a damaged file open
         with _file(folder, shard).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
@@ -75,12 +73,12 @@ def load(folder: Path, shard: int) -> Arrays | None:
     except (FileNotFoundError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     digest = arrays.pop("sha256", None)
-    good = digest is not None and str(digest) == content_hash(arrays[name] for name in sorted(arrays))
-    return arrays if good else None
+    intact = digest is not None and str(digest) == content_hash(arrays[name] for name in sorted(arrays))
+    return arrays if intact else None
 
 
 def remove(folder: Path) -> None:
-    """Delete a work folder: the manifest after all that it explains, so that a kill leaves nothing unexplained."""
+    """Delete a work folder, the manifest after the shards: a kill leaves none without its manifest."""
     for entry in folder.iterdir():
         if entry.is_dir():
             shutil.rmtree(entry)
@@ -92,7 +90,7 @@ def remove(folder: Path) -> None:
 
 
 def as_json(value: Any) -> Any:
-    """A JSON value as it is after being written and read: tuples are lists."""
+    """A value as JSON returns it: tuples become lists."""
     return json.loads(json.dumps(value))
 
 
@@ -104,46 +102,27 @@ def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     path = folder / MANIFEST
     wanted = as_json(manifest)
     if not path.exists():
-        foreign = [entry.name for entry in folder.iterdir() if entry.name != LOCK and entry.suffix != PARTIAL]
+        foreign = [entry.name for entry in folder.iterdir() if entry.name != LOCK and not entry.match(PARTIAL)]
         if foreign:
             raise InputError(f"{folder} holds {foreign[0]} and no {MANIFEST}; move it away or choose another name.")
-        text = json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False)
-        write_atomically(path, lambda file: file.write(text.encode()))
+        with atomic_write(path) as draft:
+            draft.write_text(json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False))
         return
     try:
-        found = json.loads(path.read_text())
+        existing = json.loads(path.read_text())
     except ValueError as error:
         raise InputError(f"{path} is damaged; delete {folder} to begin anew.") from error
-    if found != wanted:
+    if existing != wanted:
         raise InputError(
-            f"{folder} was begun with {_difference(found, wanted)}. "
+            f"{folder} was begun with {_difference(existing, wanted)}. "
             "Finish it with the same options, choose another name, or delete it to begin anew."
         )
 
 
-def _difference(found: Any, wanted: Any, name: str = "") -> str:
+def _difference(existing: Any, wanted: Any, name: str = "") -> str:
     """The first value that differs, in words."""
-    if isinstance(found, dict) and isinstance(wanted, dict):
-        for key in sorted({*found, *wanted}):
-            if found.get(key) != wanted.get(key):
-                return _difference(found.get(key), wanted.get(key), f"{name}.{key}" if name else key)
-    return f"{name or 'a manifest'} {json.dumps(found)}, not {json.dumps(wanted)}"
-
-
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    draft = path.with_name(path.name + PARTIAL)
-    try:
-        with draft.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
-    # the rename itself must survive a power cut
-    handle = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    if isinstance(existing, dict) and isinstance(wanted, dict):
+        for key in sorted({*existing, *wanted}):
+            if existing.get(key) != wanted.get(key):
+                return _difference(existing.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+    return f"{name or 'a manifest'} {json.dumps(existing)}, not {json.dumps(wanted)}"

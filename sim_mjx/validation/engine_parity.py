@@ -20,8 +20,8 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.labels import LAYERS
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.synthesis.records import label
 
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm, until the first contact

@@ -1,6 +1,6 @@
-"""How much the simulation can be trusted: solver, engines, kinematics and the wrench's likeness to the recordings.
+"""Fidelity of the simulation: solver convergence, engine parity, kinematics, similarity to the recordings.
 
-Each function measures one of them and returns JSON values; limits are those that the project holds itself to.
+Each function measures one of them and returns JSON values with the limits that must hold.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,14 +19,14 @@ from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import find_trials
 from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.trial import data_file
-from rcbht_jax.robots import hiro_kinematics
+from rcbht_jax.robots.kinematics import rotation_from_rpy
 from sim_mjx import engines
-from sim_mjx.assembly.rollout import TrialParams
+from sim_mjx.assembly.rollout import TrialParams, stack
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.engines import native
-from sim_mjx.presets import sessions as presets
-from sim_mjx.randomization import trials as randomize
-from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.randomization.trials import DomainRandomization, sample
 from sim_mjx.validation import sessions, signature
 from sim_mjx.validation.engine_parity import FORCE_LIMIT as FORCE
 from sim_mjx.validation.engine_parity import LABELS_LIMIT, OUTCOME_LIMIT, reference
@@ -39,33 +38,26 @@ from sim_mjx.validation.signature import Similarity
 from sim_mjx.validation.solver_convergence import FORCE_LIMIT, MOMENT_LIMIT, certify
 
 Floats = NDArray[np.float64]
-COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # as near as session A is to session B
-HELD = ("A", "B")  # sessions that the limits are for
-ONSETS = {"A": 0.3}  # s, largest error of a median onset
-RING = (0.05, 0.15)  # shares by which session A's ring may be off in frequency and in peak
-# Largest rms distance (mm) and turn (degrees) of computed and recorded tool poses; the angles of session A are
-# encoder readings beside commanded poses. Source: the identification of the kinematic table.
-POSE_LIMITS = {"A": (0.3, 0.1), "B": (0.01, 0.002), "C": (0.01, 0.002), "openhrp": (0.01, 0.002)}
+COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # the similarity of session A to session B
 # Folders whose poses are of another point of the hand or of another base height.
 OTHER_POSE = ("ERROR-14", "20120426")
 
 
 def mixed_trials(count: int, seed: int, longest: float | None) -> TrialParams:
     """Randomised trials with and without faults, of all one-arm presets in turn."""
-    names = list(presets.PRESETS)
+    presets = list(ONE_ARM.values())
     spec = DomainRandomization(longest=longest)
-    drawn = [randomize.sample(names[index % len(names)], seed, index, spec)[0] for index in range(count)]
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *drawn)
+    return stack([sample(presets[index % len(presets)], seed, index, spec)[0] for index in range(count)])
 
 
 def convergence(trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
-    """Production settings of the solver against far more iterations; see ``certificate``."""
-    found = certify(mixed_trials(trials, seed, longest))
+    """Production settings of the solver against far more iterations; see ``solver_convergence``."""
+    certificate = certify(mixed_trials(trials, seed, longest))
     return {
         "settings": [ITERATIONS, LS_ITERATIONS],
-        **asdict(found),
+        **asdict(certificate),
         "limits": {"force": FORCE_LIMIT, "moment": MOMENT_LIMIT},
-        "holds": found.converged,
+        "holds": certificate.converged,
     }
 
 
@@ -77,9 +69,9 @@ def parity(engine: str, trials: int = 64, seed: int = 0, longest: float = 13.0) 
     """
     params, scene = mixed_trials(trials, seed, longest), one_arm()
     expected, contact = reference(scene, params)
-    found = compared(expected, contact, engines.simulate(scene, params, engine))
+    differences = compared(expected, contact, engines.simulate(scene, params, engine))
     limits = {"force": FORCE, "moment": MOMENT, "labels": LABELS_LIMIT, "outcome": OUTCOME_LIMIT}
-    return {"engine": engine, **asdict(found), "limits": limits, "holds": found.holds}
+    return {"engine": engine, **asdict(differences), "limits": limits, "holds": differences.holds}
 
 
 def kinematics(folder: Path) -> dict[str, Any]:
@@ -96,31 +88,31 @@ def kinematics(folder: Path) -> dict[str, Any]:
     """
     scene = one_arm()
     data, site = mujoco.MjData(scene.model), scene.model.site("RARM_TCP").id
-    errors: dict[str, list[Floats]] = {name: [] for name in POSE_LIMITS}
+    errors: dict[str, list[Floats]] = {name: [] for name in ONE_ARM}
+    by_recording = {preset.recorded_as: preset for preset in ONE_ARM.values()}
     for source, trial in find_trials(folder):
         name = parse_trial(source, trial.name)
-        session = {"SIM1": "openhrp"}.get(name.session, name.session)
-        # recorded failures of the simulation log their poses in another way
-        usable = session in errors and not any(word in trial.name for word in OTHER_POSE)
-        if not usable or (session == "openhrp" and name.outcome != "success"):
+        session = by_recording.get(name.session)
+        if session is None or any(word in trial.name for word in OTHER_POSE):
             continue
-        pair = _approach(trial, session)
+        # recorded failures of the simulation log their poses in another way
+        pair = _approach(trial, session) if session.real or name.outcome == "success" else None
         if pair is not None:
-            errors[session].append(_pose_errors(scene.model, data, site, scene.joints, *pair))
+            errors[session.name].append(_pose_errors(scene.model, data, site, scene.joints, *pair))
     out: dict[str, Any] = {}
-    for session, found in errors.items():
-        if found:
-            distance, turn = np.sqrt((np.concatenate(found) ** 2).mean(0)).tolist()
-            most = POSE_LIMITS[session]
-            holds = bool(distance <= most[0] and turn <= most[1])
-            row = {"trials": len(found), "rms_mm": distance, "rms_degrees": turn, "limits": list(most), "holds": holds}
-            out[session] = row
+    for key, rows in errors.items():
+        limits = ONE_ARM[key].pose_limits
+        if rows and limits is not None:
+            distance, turn = np.sqrt((np.concatenate(rows) ** 2).mean(0)).tolist()
+            holds = bool(distance <= limits[0] and turn <= limits[1])
+            row = {"trials": len(rows), "rms_mm": distance, "rms_degrees": turn, "limits": list(limits)}
+            out[key] = row | {"holds": holds}
     if not out:
         raise InputError(f"{folder} holds no trial with R_Angles.dat, R_CartPos.dat and R_State.dat.")
     return out
 
 
-def _approach(trial: Path, session: str) -> tuple[Floats, Floats] | None:
+def _approach(trial: Path, session: SessionPreset) -> tuple[Floats, Floats] | None:
     """Joint angles [n, 6] and tool poses [n, 6] before contact; None where a file or the mark is missing."""
     paths = [data_file(trial, "R", kind) for kind in ("Angles", "CartPos", "State")]
     if None in paths:
@@ -132,14 +124,12 @@ def _approach(trial: Path, session: str) -> tuple[Floats, Floats] | None:
         return None
     if len(marks) < 2:
         return None
-    # the commanded pose is logged one period late; session A's angles are read, not commanded
-    late = 0 if session == "A" else 1
+    late = session.pose_lag
     contact = min(round(marks[1] / angles.dt) - 5, len(angles.values) + late, len(pose.values))
     if contact <= late + 10:
         return None
     joints = angles.values[: contact - late, :6].copy()
-    if session == "C":
-        joints[:, 5] -= hiro_kinematics.FAILURE_SESSION_Q5_OFFSET
+    joints[:, 5] -= session.last_joint_offset
     return joints, pose.values[late:contact, :6]
 
 
@@ -154,7 +144,7 @@ def _pose_errors(
         place[row], turn[row] = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
     away = np.linalg.norm(place - poses[:, :3], axis=1) * 1e3
     # the chord between two rotations keeps its precision at small angles, where the trace loses it
-    chord = np.linalg.norm(turn - hiro_kinematics.rpy_rotation(poses[:, 3:]), axis=(1, 2))
+    chord = np.linalg.norm(turn - rotation_from_rpy(poses[:, 3:]), axis=(1, 2))
     return np.stack([away, np.degrees(2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0)))], 1)
 
 
@@ -169,8 +159,8 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
     Returns:
         the result and the figure of the bands; no figure where no simulated trial mated for a second.
     """
-    name = target.session
-    params = sessions.trials_of(name, count, seed=seed)
+    recorded = target.session
+    params = sessions.trials_of(recorded, count, seed=seed)
     recorder = Recorder(one_arm(), len(params.command_delay))
     run = native.simulate(one_arm(), params, watch=recorder.watch)
     seated = run.seated.all(1)
@@ -182,32 +172,36 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
         "onsets": None if onset is None else onset.tolist(),
         "recorded_onsets": target.onset.tolist(),
     }
-    if name == "B":
-        result["outcomes_as_recorded"] = [sessions.agreement(run), len(run.length)]
+    if recorded.placements:
+        result["outcomes_as_recorded"] = [sessions.agreement(recorded, run), len(run.length)]
     rings = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
     result |= {"ring": rings, "recorded_ring": target.ring}
     result |= {"snaps": seated_snaps(run, recorder), "recorded_snaps": target.snaps}
-    found = sessions.profiles(run)
-    if len(found) == 0:
-        return {**result, "mated": 0, "limits": None, "holds": False if name in HELD else None}, None
-    score = signature.compare(target.profiles, found)
+    simulated = sessions.profiles(run)
+    if len(simulated) == 0:
+        return {**result, "mated": 0, "limits": None, "holds": False if recorded.signature else None}, None
+    score = signature.compare(target.profiles, simulated)
     result |= {
-        "mated": len(found), "coverage": score.coverage, "w1_over_sd": score.w1_over_sd,
+        "mated": len(simulated), "coverage": score.coverage, "w1_over_sd": score.w1_over_sd,
         "dtw_over_sd": score.dtw_over_sd, "limits": None, "holds": None,
     }  # fmt: skip
-    if name in HELD:
-        holds = _alike(name, score, np.abs(np.array(onset) - target.onset).max(), rings, target.ring)
+    if recorded.signature:
+        holds = _within_limits(recorded, score, np.abs(np.array(onset) - target.onset).max(), rings, target.ring)
         result |= {"limits": {"coverage": COVERAGE, "w1_over_sd": W1, "dtw_over_sd": DTW}, "holds": holds}
-    title = f"Session {name}: recorded and simulated"
-    return result, signature.signature_figure(target.profiles, found, title, ("recorded", "simulated"))
+    title = f"Session {recorded.name}: recorded and simulated"
+    return result, signature.signature_figure(target.profiles, simulated, title, ("recorded", "simulated"))
 
 
-def _alike(
-    name: str, score: Similarity, late: float, found: dict[str, float] | None, recorded: dict[str, float] | None
+def _within_limits(
+    session: SessionPreset,
+    score: Similarity,
+    onset_error: float,
+    ring: dict[str, float] | None,
+    recorded_ring: dict[str, float] | None,
 ) -> bool:
-    """Whether a session's simulation keeps within the limits; session A's ring is one of them."""
-    good = score.coverage >= COVERAGE and score.w1_over_sd <= W1 and score.dtw_over_sd <= DTW
-    if name == "A" and found is not None and recorded is not None:
-        off = [abs(found[key] / recorded[key] - 1) for key in ("hertz", "peak")]
-        good = good and off[0] <= RING[0] and off[1] <= RING[1]
-    return bool(good and late <= ONSETS.get(name, np.inf))
+    """Whether a session's simulation keeps within its limits."""
+    within = score.coverage >= COVERAGE and score.w1_over_sd <= W1 and score.dtw_over_sd <= DTW
+    if session.ring_limits is not None and ring is not None and recorded_ring is not None:
+        for key, limit in zip(("hertz", "peak"), session.ring_limits, strict=True):
+            within = within and abs(ring[key] / recorded_ring[key] - 1) <= limit
+    return bool(within and onset_error <= session.onset_limit)

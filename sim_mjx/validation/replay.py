@@ -1,7 +1,7 @@
-"""A trial as it moved: simulated again from its seed, or the arm led through the recorded joint angles.
+"""The motion of a trial: simulated again from its seed, or the arm moved through the recorded joint angles.
 
-A simulated trial is fully determined by what its store holds, so that physics, tabs and mount are those of the
-trial. Of a recorded one only the joint angles are known: the arm follows them, the parts stand still.
+A simulated trial is fully determined by its store, so physics, tabs and mount are those of the trial. Of a recorded
+one only the joint angles are known: the arm follows them, the parts stand still.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.trial import data_file
-from rcbht_jax.robots import hiro_kinematics
+from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly import kinematics, parts
+from sim_mjx.assembly import parts
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
-from sim_mjx.presets import sessions
-from sim_mjx.presets import two_arm as two_arm_presets
+from sim_mjx.presets import ONE_ARM
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.registry import get_scenario
+from sim_mjx.registry import Scenario, get_scenario
 from sim_mjx.validation import snaps
 
 Floats = NDArray[np.float64]
-PASSES = " past lip"  # of a tab's name, in the names of moments
+PASSES = " past lip"  # follows a tab's name in the names of events
 
 
 @dataclass(frozen=True)
@@ -43,13 +42,13 @@ class Replay:
     model: mujoco.MjModel  # with the trial's own parts
     qpos: Floats  # [time, nq]
     dt: float  # s between rows
-    past: NDArray[np.bool_]  # [time, tab] tabs beyond their lips, order of parts.TABS
-    height: Floats  # [time, tab] m, tips above the place at which they count as past their lips
-    how: str  # where the motion comes from, one sentence
+    past: NDArray[np.bool_]  # [time, tab] tabs past their lips, order of parts.TABS
+    height: Floats  # [time, tab] m, tips above the height at which they count as past their lips
+    how: str  # the origin of the motion, one sentence
 
 
 class Recorder:
-    """Keeps what the native engine passes by: give its ``watch`` to ``native.simulate``."""
+    """Records positions and sensor readings: pass its ``watch`` to ``native.simulate``."""
 
     def __init__(self, scene: Scene, trials: int) -> None:
         self._scene = scene
@@ -60,32 +59,29 @@ class Recorder:
         del wanted
         qpos = state[:, 1 : 1 + self._scene.model.nq]  # a full physics state begins with the time
         wrench = (self._scene.forces[:, None] + np.arange(6)).ravel()
-        for trial, now, felt in zip(trials.tolist(), qpos.copy(), -sensors[:, 0, wrench], strict=True):
-            self._rows[trial].append((now, felt))
+        for trial, now, raw in zip(trials.tolist(), qpos.copy(), -sensors[:, 0, wrench], strict=True):
+            self._rows[trial].append((now, raw))
 
     def qpos(self, trial: int) -> Floats:
         """Positions [period, nq] at the beginning of each control period."""
         return np.stack([now for now, _ in self._rows[trial]])
 
     def raw(self, trial: int) -> Floats:
-        """What the parts exerted on the hands [period, 6K], wrist frames, before the sensor's chain."""
-        return np.stack([felt for _, felt in self._rows[trial]])
+        """Wrench of the parts on the hands [period, 6K], N and Nm, wrist frames, before the sensor."""
+        return np.stack([raw for _, raw in self._rows[trial]])
 
 
 def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Floats:
-    """Right hand's force [period, 3] as it was, N, world axes, without the tool's weight at the start.
-
-    What the sensor's chain then delays, filters and amplifies.
-    """
+    """Right hand's force [period, 3], N, world axes, before the sensor, without the tool's weight at the start."""
     force = recorder.raw(trial)[:, :3]
     _, rotation, _ = kinematics.fk(run.joints[trial, : len(force), :6].astype(np.float64))
     return ((force - force[0])[:, None, :] * rotation).sum(-1)
 
 
 def seated_snaps(run: Rollouts, recorder: Recorder, among: slice = slice(None)) -> dict[str, Any]:
-    """Snaps in the force, before the sensor's chain, of the trials that seated; see ``snaps.summary``."""
-    good = run.seated.all(1) & np.isfinite(run.onset[:, 3])
-    rows = [row for row in np.arange(len(good))[among].tolist() if good[row]]
+    """Snaps in the force before the sensor, of the trials that seated; see ``snaps.summary``."""
+    mated = run.seated.all(1) & np.isfinite(run.onset[:, 3])
+    rows = [row for row in np.arange(len(mated))[among].tolist() if mated[row]]
     return snaps.summary([snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in rows])
 
 
@@ -98,37 +94,38 @@ def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
     Raises:
         InputError: the store was not simulated, or by a version whose options are unknown here.
     """
-    preset, params = stored_trial(path, row)
-    scene = get_scenario(preset).scene()
+    scenario, params = stored_trial(path, row)
+    scene = scenario.scene()
     recorder = Recorder(scene, 1)
     run = native.simulate(scene, jax.tree.map(lambda leaf: np.asarray(leaf)[None], params), watch=recorder.watch)
     qpos = _as_long_as(recorder.qpos(0), int(run.length[0]))
     model = native.model_of(scene, params.parts)
     past, height = tab_states(scene, model, qpos)
-    columns = slice(6 * get_scenario(preset).arms.index(str(recordings.arm[row])), None)
-    how = _likeness(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
+    columns = slice(6 * scenario.arms.index(str(recordings.arm[row])), None)
+    how = _difference(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
     return Replay(model, qpos, recordings.dt, past, height, how)
 
 
-def stored_trial(path: Path, row: int) -> tuple[str, Any]:
-    """Preset and parameters of a stored recording: its store holds the seed, the index and the distributions.
+def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:
+    """Scenario and parameters of a stored recording, drawn again from its seed, index and distributions.
 
     Raises:
         InputError: the store was not simulated, or by a version whose options are unknown here.
     """
-    made = store.read_attrs(path).get("simulated")
-    if made is None:
+    provenance = store.read_attrs(path).get("simulated")
+    if provenance is None:
         raise InputError(f'{path} was not made by "rcbht simulate"; its trials cannot be simulated again.')
-    job, index = made["job"], int(store.read_simulation(path)["index"][row])
+    job, index = provenance["job"], int(store.read_simulation(path)["index"][row])
     try:
         spec = DomainRandomization(**{name: _tuples(value) for name, value in job["spec"].items()})
-        return job["preset"], get_scenario(job["preset"]).draw(job["preset"], job["seed"], index, spec)[0]
+        scenario = get_scenario(job["preset"])
+        return scenario, scenario.draw(job["seed"], index, spec)[0]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
 
 
 def _tuples(value: Any) -> Any:
-    """JSON lists back into the tuples that they were."""
+    """JSON lists as tuples."""
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
@@ -137,56 +134,54 @@ def _as_long_as(rows: Floats, samples: int) -> Floats:
     return rows[np.minimum(np.arange(samples), len(rows) - 1)]
 
 
-def _likeness(wrench: NDArray[np.float32], recordings: Recordings, row: int) -> str:
-    samples, had = len(wrench), int(recordings.length[row])
-    if samples != had:
-        seconds = (samples * recordings.dt, had * recordings.dt)
+def _difference(wrench: NDArray[np.float32], recordings: Recordings, row: int) -> str:
+    samples, stored = len(wrench), int(recordings.length[row])
+    if samples != stored:
+        seconds = (samples * recordings.dt, stored * recordings.dt)
         return "simulated again; differs from the stored trial: {:.2f} s, stored {:.2f} s".format(*seconds)
     gap = np.abs(wrench - recordings.wrench[row, :samples])[:, :3].max()
-    said = "equal to the stored trial" if gap == 0 else f"forces within {gap:.2g} N of the stored trial"
-    return f"simulated again; {said}"
+    agreement = "equal to the stored trial" if gap == 0 else f"forces within {gap:.2g} N of the stored trial"
+    return f"simulated again; {agreement}"
 
 
 def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:
-    """Lead the arms through the joint angles that a robot recorded.
+    """Move the arms through the recorded joint angles.
 
     Args:
         folder: of the authors' data sets, or one of them. recordings: imported from it. row: of the recording.
 
     Raises:
-        InputError: the trial's folder or its angles are not there.
+        InputError: the trial's folder or its angles are missing.
     """
     trial, source = str(recordings.trial[row]), str(recordings.source[row])
     places = [place for place in (folder / source / trial, folder / trial) if place.is_dir()]
     if not places:
         raise InputError(f"{folder} holds no trial {source}/{trial}; give the folder that was imported: --data DIR.")
     same = (recordings.trial == trial) & (recordings.source == source)
-    preset = "two" if "L" in recordings.arm[same] else preset_of(str(recordings.session[row]))
-    scene, arms = get_scenario(preset).scene(), get_scenario(preset).arms
-    angles = [_angles(places[0], arm, str(recordings.session[row])) for arm in arms]
+    scenario = get_scenario("two" if "L" in recordings.arm[same] else preset_of(str(recordings.session[row])))
+    scene = scenario.scene()
+    angles = [_angles(places[0], arm, scenario.preset.last_joint_offset) for arm in scenario.arms]
     samples = int(recordings.length[row])
     qpos = np.zeros((samples, scene.model.nq))
     qpos[:, scene.joints] = np.concatenate([_as_long_as(one, samples) for one in angles], axis=1)
-    part = two_arm_presets.nominal() if len(arms) == 2 else parts.nominal(preset)
-    model = native.model_of(scene, part)
+    model = native.model_of(scene, scenario.preset.parts)
     past, height = tab_states(scene, model, qpos)
-    how = "arm led through the recorded joint angles; the parts stand still where the session's are taken to be"
+    how = "arm moved through the recorded joint angles; the parts stand still in the session's assumed place"
     return Replay(model, qpos, recordings.dt, past, height, how)
 
 
 def preset_of(session: str) -> str:
-    """The one-arm preset that a recorded session corresponds to; the simulations' for an unknown one."""
-    return session if session in sessions.PRESETS else "openhrp"
+    """The one-arm preset of a recorded session; OpenHRP's for an unknown one."""
+    return session if session in ONE_ARM else "openhrp"
 
 
-def _angles(trial: Path, arm: str, session: str) -> Floats:
-    """Joint angles [n, 6] of one arm, rad, without the mounting angle of session C's tool."""
+def _angles(trial: Path, arm: str, last_joint_offset: float) -> Floats:
+    """Joint angles [n, 6] of one arm, rad, less the offset of the last joint."""
     path = data_file(trial, arm, "Angles")
     if path is None:
         raise InputError(f"{trial} holds no {arm}_Angles.dat; without joint angles there is nothing to replay.")
     angles = dat.read_timed(path, "joint angles").values[:, :6].copy()
-    if session == "C":
-        angles[:, 5] -= hiro_kinematics.FAILURE_SESSION_Q5_OFFSET
+    angles[:, 5] -= last_joint_offset
     return angles
 
 
@@ -206,20 +201,20 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Floats) -> tuple[NDArr
 
 
 def moments(replay: Replay, onset: Floats) -> dict[str, float]:
-    """Moments that tell a trial's story, name -> s, in order: what was reached, and when tabs passed for good.
+    """Key events of a trial, name -> s, in order: the states it entered, and when tabs passed their lips for good.
 
     Args:
-        replay: how it moved.
+        replay: of the trial.
         onset: of its states [4], s, NaN = never reached.
     """
     touch, turned, mating = (float(at) for at in onset[1:])
-    found = {"before touch": max(touch - 0.6, 0.0) if np.isfinite(touch) else 0.0}
+    events = {"before touch": max(touch - 0.6, 0.0) if np.isfinite(touch) else 0.0}
     for name, at in (("touch", touch), ("rotation", (touch + turned) / 2), ("insertion", turned), ("mating", mating)):
         if np.isfinite(at):
-            found[name] = at
+            events[name] = at
     # a tab is in from the moment after which it stays past its lip
     for tab in np.flatnonzero(replay.past[-1]):
         first = len(replay.past) - int(np.argmin(np.append(replay.past[::-1, tab], False)))
-        found[f"{parts.TABS[tab]}{PASSES}"] = first * replay.dt
-    found["end"] = (len(replay.qpos) - 1) * replay.dt
-    return dict(sorted(found.items(), key=lambda item: item[1]))
+        events[f"{parts.TABS[tab]}{PASSES}"] = first * replay.dt
+    events["end"] = (len(replay.qpos) - 1) * replay.dt
+    return dict(sorted(events.items(), key=lambda item: item[1]))

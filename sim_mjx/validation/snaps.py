@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_mjx.assembly.sensor import SensorParams
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD
 
 Floats = NDArray[np.float64]
 LEAST_DROP = 5.0  # N

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, one_arm
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 
 REFERENCE = (100, 50)  # iterations of the solver and of its line search
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm

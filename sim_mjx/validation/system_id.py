@@ -1,6 +1,7 @@
 """Black-box search for a handful of physical parameters: CMA-ES, a whole population per evaluation, resumable.
 
-The search (``rcbht_jax._util.cma``) runs in the unit cube that the bounds span; a candidate beyond a bound is mirrored back.
+The search (``rcbht_jax._util.cma``) runs in the unit cube spanned by the bounds; a candidate beyond a bound is
+mirrored back.
 """
 
 from __future__ import annotations

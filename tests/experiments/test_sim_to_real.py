@@ -18,7 +18,7 @@ from rcbht_jax.features import FAMILIES
 from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
 from rcbht_jax.types import Recordings
-from sim_mjx.presets.sessions import PRESETS
+from sim_mjx.presets import ONE_ARM as PRESETS
 
 SETS_OF_POOL = ("wide A", "wide B", "wide C")
 TRIALS, CLASSES = 12, ("approach", "mating")

@@ -18,7 +18,7 @@ from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat, onsets
 from rcbht_jax.io.hiro.names import TrialName, parse_trial
-from rcbht_jax.robots import hiro_kinematics
+from rcbht_jax.robots import kinematics
 
 ARMS = ("R", "L")
 Complain = Callable[[Path, str], None]  # called with a path and what is wrong with it
@@ -148,12 +148,12 @@ def _harmonise(
     """Harmonised onset from the joint angles, else from the recorded pose, else by the fixed share."""
     if angles is not None:
         # Session C's offset of the last joint needs no removal: that joint does not change the tilt.
-        tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(angles.values, arm)[1])
+        tilt = np.degrees(kinematics.tilt(kinematics.fk(angles.values, arm)[1]))
         out, note = onsets.harmonised(onset, angles.time - table.time[0], tilt)
         return out, [note]
     pose = _read_signal(folder, arm, "CartPos", "pose", warn)
     if pose is not None:
-        tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.rpy_rotation(pose.values[:, 3:]))
+        tilt = np.degrees(kinematics.tilt(kinematics.rotation_from_rpy(pose.values[:, 3:])))
         out, note = onsets.harmonised(onset, pose.time - table.time[0], tilt)
         return out, ["angles-missing", f"{note}-from-pose"]
     out, note = onsets.fallback(onset)

@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assembly import kinematics, sensor, task
+from rcbht_jax.robots import kinematics
+from sim_mjx.assembly import sensor, task
 from sim_mjx.assembly.controllers import force_law, goals_in_world
-from sim_mjx.assembly.rollout import as_float32
-from sim_mjx.presets.sessions import CONTROL_PERIOD, PRESETS, preset, stack
+from sim_mjx.assembly.rollout import as_float32, stack
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets import ONE_ARM, preset
 
-NAMES = tuple(PRESETS)
+NAMES = tuple(ONE_ARM)
 advance = jax.jit(task.advance)
 
 
 def single(name: str) -> object:
-    return as_float32(preset(name))
+    return as_float32(preset(name).task)
 
 
 def run(params: object, wrench_of: object, joints_of: object, ticks: int) -> task.TaskState:
@@ -38,7 +40,7 @@ def test_unknown_presets_are_refused() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_force_law_is_the_transposed_jacobian(name: str) -> None:
-    params, rng = preset(name), np.random.default_rng(0)
+    params, rng = preset(name).task, np.random.default_rng(0)
     q, wrench, force, moment = params.home, rng.normal(size=6), rng.normal(size=3), rng.normal(size=3)
     new = np.asarray(force_law(jnp.asarray(q), jnp.asarray(wrench), force, moment, 5e-5, 3.5e-6))
     velocity, angular = kinematics.jacobian(q)
@@ -132,11 +134,11 @@ def test_a_state_never_reached_has_no_onset() -> None:
 
 
 def test_batches_of_presets_keep_every_field() -> None:
-    batch = stack([preset("A"), preset("C")])
+    batch = stack([preset("A").task, preset("C").task])
     for name in type(batch).__dataclass_fields__:
         rows = getattr(batch, name)
-        np.testing.assert_array_equal(rows[0], getattr(preset("A"), name))
-        np.testing.assert_array_equal(rows[1], getattr(preset("C"), name))
+        np.testing.assert_array_equal(rows[0], getattr(preset("A").task, name))
+        np.testing.assert_array_equal(rows[1], getattr(preset("C").task, name))
 
 
 def settle(params: sensor.SensorParams, raw: np.ndarray, first: np.ndarray, ticks: int = 400) -> np.ndarray:
@@ -150,7 +152,7 @@ def settle(params: sensor.SensorParams, raw: np.ndarray, first: np.ndarray, tick
 
 def test_recorded_filter_has_its_gain_error_and_the_right_one_none() -> None:
     raw = np.array([3.0, -2.0, 10.0, 0.0, 0.0, 0.0])
-    params = replace(sensor.real_sensor(), reference=np.zeros(3), bias=np.zeros(6))
+    params = replace(preset("A").sensor, reference=np.zeros(3), bias=np.zeros(6))
     logged = settle(params, raw, np.zeros(6))
     np.testing.assert_allclose(logged[:3], 1.1338 * raw[:3], atol=0.03)
     exact = settle(replace(params, d=np.array(0.0730)), raw, np.zeros(6))
@@ -159,7 +161,7 @@ def test_recorded_filter_has_its_gain_error_and_the_right_one_none() -> None:
 
 def test_tare_removes_what_was_there_at_first_and_moments_refer_to_the_sensor() -> None:
     weight = np.array([-4.0, 0.0, 0.0, 0.0, 0.1, 0.0])
-    params = replace(sensor.real_sensor(), bias=np.zeros(6))
+    params = replace(preset("A").sensor, bias=np.zeros(6))
     np.testing.assert_allclose(settle(params, weight, weight), 0.0, atol=1e-6)
     push = np.array([0.0, 0.0, 5.0])
     about_wrist = np.cross(params.reference, push)  # a force through the reference point has no moment there
@@ -169,7 +171,7 @@ def test_tare_removes_what_was_there_at_first_and_moments_refer_to_the_sensor() 
 
 def test_readings_come_late_by_the_delay() -> None:
     params = as_float32(
-        replace(sensor.simulated_sensor(), d=np.array(1.0), c=np.array(0.0), delay=np.array(3, np.int32))
+        replace(preset("openhrp").sensor, d=np.array(1.0), c=np.array(0.0), delay=np.array(3, np.int32))
     )
     state, seen = sensor.begin(params, jnp.zeros(6)), []
     for tick in range(6):
@@ -177,3 +179,44 @@ def test_readings_come_late_by_the_delay() -> None:
         state, logged = sensor.read(params, state, raw, jnp.zeros(6), jnp.eye(3))
         seen.append(float(logged[0]))
     np.testing.assert_allclose(seen, [0, 0, 0, 1, 2, 3], atol=1e-4)
+
+
+def direct(**changes: np.ndarray) -> sensor.SensorParams:
+    """A sensor without filter, delay, tare, noise and quantisation, but for ``changes``."""
+    plain = {
+        "a": np.array(0.0), "b": np.array(0.0), "c": np.array(0.0), "d": np.array(1.0), "delay": np.array(0, np.int32),
+        "noise": np.zeros(6), "step": np.full(6, 1e-6), "bias": np.zeros(6), "tared": np.array(0.0),
+        "reference": np.zeros(3),
+    }  # fmt: skip
+    return as_float32(sensor.SensorParams(**plain | changes))
+
+
+def reading(params: sensor.SensorParams, raw: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:
+    """One reading [6] of a raw wrench [6], world frame = wrist frame."""
+    felt, normal = jnp.asarray(raw, jnp.float32), jnp.asarray(np.zeros(6) if noise is None else noise, jnp.float32)
+    return np.asarray(sensor.read(params, sensor.begin(params, felt), felt, normal, jnp.eye(3))[1])
+
+
+def test_noise_is_added_before_the_filter_with_its_standard_deviation() -> None:
+    raw, normal = np.arange(6.0), np.array([1.0, -1.0, 2.0, 0.5, -0.5, 3.0])
+    sd = np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038])
+    np.testing.assert_allclose(reading(direct(noise=sd), raw, normal), raw + sd * normal, atol=2e-6)
+    halved = reading(direct(noise=sd, d=np.array(0.5)), raw, normal)
+    np.testing.assert_allclose(halved, 0.5 * (raw + sd * normal), atol=2e-6)
+
+
+def test_bias_is_added_to_the_reading_in_the_world_frame() -> None:
+    bias = np.array([0.3, -0.2, 0.1, 0.02, -0.01, 0.03])
+    np.testing.assert_allclose(reading(direct(bias=bias), np.arange(6.0)), np.arange(6.0) + bias, atol=2e-6)
+    turned = jnp.asarray(kinematics.rotation_from_rpy(np.array([0.0, -np.pi / 2, 0.0])), jnp.float32)
+    params = direct(bias=bias)
+    _, logged = sensor.read(params, sensor.begin(params, jnp.zeros(6)), jnp.zeros(6), jnp.zeros(6), turned)
+    np.testing.assert_allclose(logged, bias, atol=1e-6)
+
+
+def test_readings_are_quantised_before_the_filter() -> None:
+    raw = np.array([1.24, -1.26, 0.74, 0.124, -0.126, 0.074])
+    step = np.array([0.5] * 3 + [0.05] * 3)
+    np.testing.assert_allclose(reading(direct(step=step), raw), [1.0, -1.5, 0.5, 0.1, -0.15, 0.05], atol=1e-6)
+    halved = reading(direct(step=step, d=np.array(0.5)), raw)
+    np.testing.assert_allclose(halved, [0.5, -0.75, 0.25, 0.05, -0.075, 0.025], atol=1e-6)

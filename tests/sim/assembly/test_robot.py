@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.robots import hiro_kinematics
-from sim_mjx.assembly import kinematics, robot
+from rcbht_jax.robots import hiro, kinematics
+from sim_mjx.assembly import robot
 from sim_mjx.assembly.controllers import approach
-from sim_mjx.presets.sessions import preset
+from sim_mjx.presets import preset
 
 TICK = 0.005
 
 
 def home(session: str = "A") -> np.ndarray:
-    return np.asarray(preset(session).home, float)
+    return np.asarray(preset(session).task.home, float)
 
 
 def simulate_approach(step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -38,18 +38,8 @@ def simulate_approach(step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def commanded(t: np.ndarray) -> np.ndarray:
-    task = preset("A")
+    task = preset("A").task
     return approach(home(), task.way_time, task.way_position, task.way_rpy, t)
-
-
-def test_table_agrees_with_the_importers() -> None:
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-3, 3, (50, 6))
-    for arm in "RL":
-        wrist, rotation, tcp = kinematics.fk(q, arm)
-        np.testing.assert_allclose(wrist, hiro_kinematics.wrist_pose(q, arm)[0], atol=1e-14)
-        np.testing.assert_allclose(rotation, hiro_kinematics.wrist_pose(q, arm)[1], atol=1e-14)
-        np.testing.assert_allclose(tcp, hiro_kinematics.tcp_pose(q, arm)[0], atol=1e-14)
 
 
 def test_left_arm_mirrors_the_right_in_mass_and_motion() -> None:
@@ -58,13 +48,13 @@ def test_left_arm_mirrors_the_right_in_mass_and_motion() -> None:
     rng = np.random.default_rng(1)
     q, v, a = rng.uniform(-1, 1, (3, 6))
     for field, value in ((data.qpos, q), (data.qvel, v), (data.qacc, a)):
-        field[:6], field[6:] = value, value * robot.MIRROR
+        field[:6], field[6:] = value, value * hiro.MIRROR
     mujoco.mj_inverse(model, data)
     # Torques of the mirrored motion: Coriolis, inertia and weight all enter.
-    np.testing.assert_allclose(data.qfrc_inverse[6:], data.qfrc_inverse[:6] * robot.MIRROR, atol=1e-10)
+    np.testing.assert_allclose(data.qfrc_inverse[6:], data.qfrc_inverse[:6] * hiro.MIRROR, atol=1e-10)
     assert np.abs(data.qfrc_inverse[:6]).min() > 1e-4
     ranges = model.jnt_range
-    np.testing.assert_allclose(ranges[:6], np.deg2rad([link.limits for link in robot.RIGHT]))
+    np.testing.assert_allclose(ranges[:6], np.deg2rad([link.limits for link in hiro.RIGHT]))
     np.testing.assert_allclose(ranges[9], np.deg2rad([-105, 165]))
 
 
@@ -78,7 +68,7 @@ def test_sensor_carries_the_tool_and_nothing_else(arm: str) -> None:
     tool = robot.Tool(mass=0.5, com=(-0.03, 0.01, -0.02))
     model = robot.new_robot((arm,), tool=tool).compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = home() if arm == "R" else home() * robot.MIRROR
+    data.qpos[:] = home() if arm == "R" else home() * hiro.MIRROR
     data.ctrl[:] = data.qpos
     mujoco.mj_step(model, data, nstep=500)
     turn = data.site(f"{arm}ARM_FT").xmat.reshape(3, 3)
@@ -107,7 +97,7 @@ def test_servos_follow_the_approach(step: float) -> None:
 
 def test_tool_body_takes_a_part() -> None:
     spec = robot.new_robot()
-    spec.body("RARM_TOOL").add_geom(name="tip", size=(0.005, 0, 0), pos=robot.RIGHT_TCP)
+    spec.body("RARM_TOOL").add_geom(name="tip", size=(0.005, 0, 0), pos=hiro.RIGHT_TCP)
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = home()

@@ -17,18 +17,19 @@ from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
+from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Recordings
-from sim_mjx import registry
-from sim_mjx.assembly import kinematics, task, two_arm_program
+from sim_mjx.assembly import task, two_arm_program
 from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts, as_float32
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.assembly.two_arm_scene import TURN, model_fields, two_arm
 from sim_mjx.engines import native
+from sim_mjx.presets import TWO_ARM, preset
 from sim_mjx.presets import two_arm as presets
-from sim_mjx.presets.sessions import CONTROL_PERIOD
 from sim_mjx.randomization.trials import FAULTS, DomainRandomization, sample
-from sim_mjx.randomization.two_arm import REPEATED, setup
-from sim_mjx.registry import TWO_ARM
+from sim_mjx.randomization.two_arm import REPEATED
+from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 from sim_mjx.validation.solver_convergence import certify
 
@@ -38,16 +39,16 @@ ONSETS = [0.0, 4.005, 11.94, 15.67]  # s, recorded medians
 
 
 def trials(name: str, count: int = 2, spec: DomainRandomization = REPEATED) -> two_arm_program.TwoArmParams:
-    params: two_arm_program.TwoArmParams = TWO_ARM.draw_batch(name, 0, range(count), spec)[0]
+    params: two_arm_program.TwoArmParams = get_scenario(name).draw_batch(0, range(count), spec)[0]
     return params
 
 
 @pytest.fixture(scope="module")
 def whole() -> dict[str, Rollouts]:
     """Two whole trials of each preset, simulated as one batch."""
-    batches = [trials(name) for name in presets.PRESETS]
+    batches = [trials(name) for name in TWO_ARM]
     run = native.simulate(SCENE, jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches))
-    return {name: part(run, slice(2 * i, 2 * i + 2)) for i, name in enumerate(presets.PRESETS)}
+    return {name: part(run, slice(2 * i, 2 * i + 2)) for i, name in enumerate(TWO_ARM)}
 
 
 def part(run: Rollouts, rows: slice) -> Rollouts:
@@ -81,7 +82,7 @@ def test_both_arms_of_the_model_stand_where_the_kinematics_say(recorded: list[Pa
 
 
 def test_approach_is_the_recorded_one(recorded: list[Path]) -> None:
-    right = presets.task()
+    right = presets.TASK
     for folder in recorded:
         q = angles(folder, "R")
         np.testing.assert_allclose(q[0], right.home, atol=1e-12)
@@ -94,12 +95,12 @@ def test_approach_is_the_recorded_one(recorded: list[Path]) -> None:
 def test_left_arm_never_moved_in_the_recordings(recorded: list[Path]) -> None:
     for folder in recorded:
         q = angles(folder, "L")
-        np.testing.assert_array_equal(q, np.broadcast_to(presets.hold("two-fixed").home, q.shape))
+        np.testing.assert_array_equal(q, np.broadcast_to(presets.TWO_FIXED.hold.home, q.shape))
 
 
 def test_set_points_are_the_recorded_ones(recorded: list[Path]) -> None:
     """What is left of the recorded joint increments when the logged wrench is taken off."""
-    right = presets.task()
+    right = presets.TASK
     gain = float(right.force_gain), float(right.moment_gain[0])
     for folder in recorded[::5]:
         q, wrench = angles(folder, "R"), logged(folder, "R")[:-1]
@@ -152,7 +153,7 @@ def test_left_hand_gives_way_under_force_control_only(whole: dict[str, Rollouts]
 
 def test_force_control_moves_the_left_hand_with_the_push() -> None:
     hold = jax.jit(two_arm_program.hold)
-    held = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.hold("two"))
+    held = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.HOLD)
     home = held.home
     row = task.INSERTION - task.ROTATION
     goal = jnp.concatenate([held.force[row], held.moment[row]])
@@ -165,13 +166,13 @@ def test_force_control_moves_the_left_hand_with_the_push() -> None:
         push = goal.at[axis].add(10.0)
         after, _, _ = kinematics.fk(np.asarray(hold(held, home, home, push, phase), np.float64), "L")
         assert ((after - before) @ rotation)[axis] > 0
-    off = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.hold("two-fixed"))
+    off = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), presets.TWO_FIXED.hold)
     np.testing.assert_array_equal(hold(off, home, home, goal + 5.0, phase), home)
 
 
 def test_contact_chatters_on_both_wrists_at_once() -> None:
     """The force between the parts varies by one factor per tick; nothing varies where nothing touches."""
-    drawn, _ = TWO_ARM.draw("two", 0, 0, REPEATED)
+    drawn, _ = get_scenario("two").draw(0, 0, REPEATED)
     contact = np.array([4.0, 2.0, -1.0, 0.1, 0.2, 0.3, 3.0, -2.0, 1.0, 0.3, -0.2, 0.1], np.float32)
     control = jax.jit(two_arm_program.control)
 
@@ -201,10 +202,10 @@ def test_free_space_offset_appears_as_recorded(recorded: list[Path], whole: dict
 
 def test_part_moves_in_the_axes_of_the_left_hand() -> None:
     """Forward, up and to the robot's right, whatever the wrist's own axes are."""
-    home = presets.hold("two").home
+    home = presets.HOLD.home
     _, rotation, _ = kinematics.fk(home, "L")
     np.testing.assert_allclose(rotation @ TURN, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=2e-3)
-    part = presets.nominal()
+    part = presets.PARTS
     shift = np.array([0.001, 0.002, 0.003])
     plain = model_fields(SCENE.model, part)["body_pos"]
     moved = model_fields(SCENE.model, replace(part, position=part.position + shift))["body_pos"]
@@ -216,11 +217,11 @@ def test_part_moves_in_the_axes_of_the_left_hand() -> None:
 @pytest.mark.parametrize("kind", sorted(FAULTS))
 def test_faults_are_those_of_one_arm_turned_sideways(kind: str) -> None:
     spec = DomainRandomization(nominal_share=0.0, faults=(kind,))
-    params, fault = TWO_ARM.draw("two", 5, 3, spec)
-    single, same = sample("openhrp", 5, 3, spec)
+    params, fault = get_scenario("two").draw(5, 3, spec)
+    single, same = sample(preset("openhrp"), 5, 3, spec)
     assert (fault.kind, fault.failure_type) == (same.kind, same.failure_type)
     np.testing.assert_array_equal(fault.deviation, same.deviation)
-    base, one = setup(), sample("openhrp", 5, 3, DomainRandomization(nominal_share=0.0, faults=(kind,)))[0]
+    base, one = presets.TWO, sample(preset("openhrp"), 5, 3, DomainRandomization(nominal_share=0.0, faults=(kind,)))[0]
     moved = params.task.way_position - base.task.way_position
     wanted = one.task.way_position - np.array([[0.326, -0.1726, 0.536], [0.331, -0.1726, 0.531]])
     np.testing.assert_allclose(moved[:, [0, 2]], wanted[:, [0, 1]], atol=1e-12)
@@ -230,21 +231,19 @@ def test_faults_are_those_of_one_arm_turned_sideways(kind: str) -> None:
 
 def test_a_trial_depends_on_seed_and_index_alone() -> None:
     spec = DomainRandomization()
-    batch, _ = TWO_ARM.draw_batch("two", 3, [4, 9], spec)
-    single, _ = TWO_ARM.draw("two", 3, 9, spec)
+    batch, _ = get_scenario("two").draw_batch(3, [4, 9], spec)
+    single, _ = get_scenario("two").draw(3, 9, spec)
     assert_trees_equal(jax.tree.map(lambda rows: rows[1], batch), single)
-    other, _ = TWO_ARM.draw("two", 4, 9, spec)
+    other, _ = get_scenario("two").draw(4, 9, spec)
     assert not np.array_equal(other.offset, single.offset)
-    still, _ = TWO_ARM.draw("two-fixed", 3, 9, spec)
+    still, _ = get_scenario("two-fixed").draw(3, 9, spec)
     np.testing.assert_array_equal(still.offset, single.offset)
     assert still.hold.force_gain == still.hold.moment_gain == 0
 
 
 def test_unknown_presets_are_refused() -> None:
     with pytest.raises(InputError, match="two-fixed"):
-        registry.get_scenario("three")
-    with pytest.raises(InputError, match="two-fixed"):
-        TWO_ARM.draw("A", 0, 0, DomainRandomization())
+        get_scenario("three")
 
 
 def test_solver_has_converged() -> None:
@@ -268,7 +267,7 @@ def test_store_is_like_the_imported_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(known["index"], np.repeat(np.arange(5), 2))
     assert known["hold_force"].shape == (10, 4, 3)
     assert known["offset"].shape == (10, 12)
-    params, _ = TWO_ARM.draw_batch("two", 0, range(5), DomainRandomization(longest=0.4))
+    params, _ = get_scenario("two").draw_batch(0, range(5), DomainRandomization(longest=0.4))
     run = native.simulate(SCENE, params)
     longest = found.wrench.shape[1]
     np.testing.assert_allclose(found.wrench[0::2], run.wrench[:, :longest, :6], atol=1e-6)

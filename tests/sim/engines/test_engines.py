@@ -15,11 +15,12 @@ from rcbht_jax.errors import InputError
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native as native_engine
 from sim_mjx.engines.common import past_lips
 from sim_mjx.engines.native import LANES
-from sim_mjx.presets.sessions import CONTROL_PERIOD
-from sim_mjx.randomization.trials import DomainRandomization, sample_batch
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import FORCE_LIMIT, MOMENT_LIMIT, parity, reference
 from sim_mjx.validation.solver_convergence import certify
 
@@ -28,7 +29,7 @@ SCENE = one_arm()
 
 def short_trials(count: int, longest: float = 1.8) -> TrialParams:
     """Session B's task with an approach of about a second, so that contact comes soon."""
-    params, _ = sample_batch("B", 0, range(count), DomainRandomization(nominal_share=1.0, longest=longest))
+    params, _ = get_scenario("B").draw_batch(0, range(count), DomainRandomization(nominal_share=1.0, longest=longest))
     return replace(params, task=replace(params.task, way_time=params.task.way_time / 4))
 
 
@@ -51,7 +52,7 @@ def test_mjx_gives_the_wrench_of_native(native: Rollouts) -> None:
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
         out = engines.simulate(SCENE, params, "mjx")
     found = parity(expected, contact, out)
-    # words are held to their limit over whole trials, by experiments/simulation/engines.py: in a short one that is all contact,
+    # labels are compared over whole trials by experiments/simulation/engines.py: in a short trial that is all contact,
     # a last digit that flips the sensor's quantisation weighs too much
     assert found.force_until_contact <= FORCE_LIMIT
     assert found.moment_until_contact <= MOMENT_LIMIT
@@ -82,7 +83,7 @@ def test_parity_sees_what_differs(native: Rollouts) -> None:
 
 def test_lanes_are_refilled_without_a_trace() -> None:
     count = LANES + 7
-    params, _ = sample_batch("A", 3, range(count), DomainRandomization(longest=0.2))
+    params, _ = get_scenario("A").draw_batch(3, range(count), DomainRandomization(longest=0.2))
     timeout = 0.05 + 0.005 * (np.arange(count) * 13 % 30)
     params = replace(params, task=replace(params.task, timeout=timeout))
     out = engines.simulate(SCENE, params, "native")

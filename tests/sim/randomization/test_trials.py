@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 
 from rcbht_jax.errors import InputError
-from sim_mjx.assembly import parts, sensor
 from sim_mjx.assembly.rollout import TrialParams
-from sim_mjx.presets import sessions
-from sim_mjx.randomization.trials import FAULTS, LIMITS, MATING_BEGINS, DomainRandomization, Fault, sample, sample_batch
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.randomization.trials import FAULTS, LIMITS, DomainRandomization, Fault, sample
+from sim_mjx.registry import get_scenario
 
 NOMINAL = DomainRandomization(nominal_share=1.0)
 PATTERN = re.compile(r"([+-]x)?([+-]y)?([+-]r)?")  # as rcbht_jax.types.Recordings.failure_type has it
@@ -29,10 +29,10 @@ def same(a: TrialParams, b: TrialParams) -> bool:
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
-@given(st.integers(0, 2**64 - 1), st.integers(0, 10**9), st.sampled_from(list(sessions.PRESETS)))
+@given(st.integers(0, 2**64 - 1), st.integers(0, 10**9), st.sampled_from(list(ONE_ARM)))
 def test_seed_and_index_determine_a_trial(seed: int, index: int, preset: str) -> None:
-    params, fault = sample(preset, seed, index, DomainRandomization())
-    batch, faults = sample_batch(preset, seed, [index + 7, index, index + 1], DomainRandomization())
+    params, fault = sample(ONE_ARM[preset], seed, index, DomainRandomization())
+    batch, faults = get_scenario(preset).draw_batch(seed, [index + 7, index, index + 1], DomainRandomization())
     assert same(params, jax.tree.map(lambda leaf: leaf[1], batch))
     assert (fault.kind, fault.failure_type) == (faults[1].kind, faults[1].failure_type)
     assert np.array_equal(fault.deviation, faults[1].deviation)
@@ -40,14 +40,16 @@ def test_seed_and_index_determine_a_trial(seed: int, index: int, preset: str) ->
 
 
 def test_streams_of_neighbours_differ() -> None:
-    keys = {tuple(sample("A", seed, index, NOMINAL)[0].seed.tolist()) for seed in range(20) for index in range(20)}
+    keys = {
+        tuple(sample(ONE_ARM["A"], seed, index, NOMINAL)[0].seed.tolist()) for seed in range(20) for index in range(20)
+    }
     assert len(keys) == 400
 
 
 def test_draws_are_those_of_this_version() -> None:
     # guards against a reordering of the draws, which would change every stored set of trials
-    params, fault = sample("A", 0, 3, NOMINAL)
-    found = [params.parts.friction / parts.nominal().friction, params.task.force_gain / 5e-5, fault.deviation[0]]
+    params, fault = sample(ONE_ARM["A"], 0, 3, NOMINAL)
+    found = [params.parts.friction / ONE_ARM["A"].parts.friction, params.task.force_gain / 5e-5, fault.deviation[0]]
     np.testing.assert_allclose(found, [1.0831760062097198, 1.0361127906174852, -0.000419739281879564], rtol=1e-12)
 
 
@@ -63,11 +65,11 @@ def ranges(draw_value: st.DrawFn) -> tuple[str, tuple[float, float]]:
 @given(ranges(), st.sampled_from(sorted(FAULTS)), st.integers(0, 1000))
 def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[float, float]], kind: str, i: int) -> None:
     name, (low, high) = chosen
-    params, fault = sample("A", 1, i, only(kind, **{name: (low, high)}))
+    params, fault = sample(ONE_ARM["A"], 1, i, only(kind, **{name: (low, high)}))
     leaves = [np.asarray(leaf, np.float64) for leaf in jax.tree.leaves(params)]
     finite = np.concatenate([np.ravel(leaf) for leaf in leaves])
     assert not np.isnan(finite).any()
-    nominal, at_rest = parts.nominal(), sensor.real_sensor()
+    nominal, at_rest = ONE_ARM["A"].parts, ONE_ARM["A"].sensor
     ratios = {
         "stiffness": params.parts.tab_stiffness / nominal.tab_stiffness,
         "mount": params.parts.mount_stiffness / nominal.mount_stiffness,
@@ -75,7 +77,7 @@ def test_any_allowed_range_gives_a_trial_inside_it(chosen: tuple[str, tuple[floa
         "force_bias": params.sensor.bias[:3] - at_rest.bias[:3],
         "moment_bias": params.sensor.bias[3:] - at_rest.bias[3:],
         "tare": params.sensor.tared,
-        "speed": sessions.preset("A").way_time / params.task.way_time,
+        "speed": ONE_ARM["A"].task.way_time / params.task.way_time,
     }
     if name in ratios and not (name == "overlap" and kind == "jamming"):
         slack = 1e-9 * max(1.0, abs(low), abs(high))
@@ -89,7 +91,7 @@ def test_ranges_beyond_the_limits_are_refused(name: str) -> None:
     wrong = [(least - 1.0, most), (least, most + 1.0), (most, least), (float("nan"), most), (least, float("inf"))]
     for span in wrong:
         with pytest.raises(InputError, match=name):
-            sample("A", 0, 0, replace(DomainRandomization(), **{name: span}))
+            sample(ONE_ARM["A"], 0, 0, replace(DomainRandomization(), **{name: span}))
 
 
 @pytest.mark.parametrize(
@@ -107,35 +109,35 @@ def test_ranges_beyond_the_limits_are_refused(name: str) -> None:
 )
 def test_other_bad_options_are_refused(changes: dict[str, object], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
-        sample("A", 0, 0, replace(DomainRandomization(), **changes))
+        sample(ONE_ARM["A"], 0, 0, replace(DomainRandomization(), **changes))
 
 
-@pytest.mark.parametrize(("preset", "seed", "index"), [("D", 0, 0), ("A", -1, 0), ("A", 2**64, 0), ("A", 0, -1)])
+@pytest.mark.parametrize(("preset", "seed", "index"), [("A", -1, 0), ("A", 2**64, 0), ("A", 0, -1)])
 def test_bad_trials_are_refused(preset: str, seed: int, index: int) -> None:
     with pytest.raises(InputError, match="expected"):
-        sample(preset, seed, index, DomainRandomization())
+        sample(ONE_ARM[preset], seed, index, DomainRandomization())
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_nominal_share(share: float) -> None:
-    _, faults = sample_batch("A", 9, range(500), DomainRandomization(nominal_share=share))
+    _, faults = get_scenario("A").draw_batch(9, range(500), DomainRandomization(nominal_share=share))
     assert abs(np.mean([fault.kind == "none" for fault in faults]) - share) <= (0.07 if share == 0.3 else 0.0)
     kinds = {fault.kind for fault in faults} - {"none"}
     assert kinds == (set() if share == 1.0 else set(FAULTS))
 
 
 def drawn(kind: str, preset: str = "A") -> list[tuple[TrialParams, Fault]]:
-    return [sample(preset, 2, index, only(kind)) for index in range(200)]
+    return [sample(ONE_ARM[preset], 2, index, only(kind)) for index in range(200)]
 
 
 def test_nominal_trials_deviate_little() -> None:
-    deviation = np.array([sample("A", 2, i, NOMINAL)[1].deviation for i in range(200)])
+    deviation = np.array([sample(ONE_ARM["A"], 2, i, NOMINAL)[1].deviation for i in range(200)])
     assert (np.abs(deviation[:, :2]) <= 0.5e-3).all()
     assert deviation[:, :2].std(0) == pytest.approx([0.29e-3] * 2, rel=0.15)
 
 
 def test_pose_faults_are_named_after_their_signs_and_stay_in_the_recorded_range() -> None:
-    home = sessions.preset("A")
+    home = ONE_ARM["A"].task
     trials = drawn("pose")
     assert {len(fault.failure_type) // 2 for _, fault in trials} == {1, 2, 3}
     for params, fault in trials:
@@ -152,7 +154,7 @@ def test_pose_faults_are_named_after_their_signs_and_stay_in_the_recorded_range(
 
 
 def test_other_faults_do_what_they_are_called() -> None:
-    nominal = parts.nominal()
+    nominal = ONE_ARM["A"].parts
     for params, _ in drawn("jamming"):
         assert params.parts.friction > 2 * nominal.friction
         assert (params.parts.hook_overlap > 1.5 * nominal.hook_overlap).all()
@@ -160,7 +162,7 @@ def test_other_faults_do_what_they_are_called() -> None:
     missing = {int(np.argmin(params.parts.hook_overlap)) for params, _ in drawn("missing-tab")}
     assert missing == {0, 1, 2, 3}
     for params, fault in drawn("wedging"):
-        tilt = params.task.way_rpy[1, 1] - sessions.preset("A").way_rpy[1, 1]
+        tilt = params.task.way_rpy[1, 1] - ONE_ARM["A"].task.way_rpy[1, 1]
         assert 0.09 <= abs(fault.deviation[2]) <= 0.20
         assert 0.05 <= abs(tilt) <= 0.12
         assert fault.failure_type == ""
@@ -171,52 +173,52 @@ def test_other_faults_do_what_they_are_called() -> None:
         assert (fault.deviation[axis] > 0) == (fault.failure_type[0] == "+")
 
 
-@pytest.mark.parametrize("preset", list(sessions.PRESETS))
+@pytest.mark.parametrize("preset", list(ONE_ARM))
 def test_early_stop_comes_before_mating(preset: str) -> None:
     limits = [float(params.task.timeout) for params, _ in drawn("early-stop", preset)]
-    assert 0 < min(limits) < max(limits) < MATING_BEGINS[preset]
-    assert sample(preset, 2, 0, NOMINAL)[0].task.timeout == sessions.preset(preset).timeout
+    assert 0 < min(limits) < max(limits) < ONE_ARM[preset].mating_begins
+    assert sample(ONE_ARM[preset], 2, 0, NOMINAL)[0].task.timeout == ONE_ARM[preset].task.timeout
 
 
-@pytest.mark.parametrize("preset", list(sessions.PRESETS))
+@pytest.mark.parametrize("preset", list(ONE_ARM))
 def test_a_logger_that_goes_on_sees_the_stopped_robot_until_the_planned_end(preset: str) -> None:
     spec = only("early-stop", logs_on=2.5)
-    own, planned = sessions.preset(preset), MATING_BEGINS[preset] - sessions.preset(preset).way_time[-1]
+    own, planned = ONE_ARM[preset].task, ONE_ARM[preset].mating_begins - ONE_ARM[preset].task.way_time[-1]
     for index in range(20):
-        quiet, logged = (sample(preset, 2, index, replace(spec, logs_on=on))[0].task for on in (None, 2.5))
+        quiet, logged = (sample(ONE_ARM[preset], 2, index, replace(spec, logs_on=on))[0].task for on in (None, 2.5))
         assert logged.stop == quiet.timeout < quiet.stop
         ends = logged.way_time[-1] + planned + own.mating_time + 2.5
         assert logged.timeout == pytest.approx(min(ends, float(own.timeout)))
-    nominal = sample(preset, 2, 0, replace(NOMINAL, logs_on=2.5))[0].task
+    nominal = sample(ONE_ARM[preset], 2, 0, replace(NOMINAL, logs_on=2.5))[0].task
     assert nominal.rest == 2.5
-    assert same(replace(nominal, rest=np.array(0.0)), sample(preset, 2, 0, NOMINAL)[0].task)
+    assert same(replace(nominal, rest=np.array(0.0)), sample(ONE_ARM[preset], 2, 0, NOMINAL)[0].task)
     with pytest.raises(InputError, match="logger goes on for -1"):
-        sample(preset, 0, 0, replace(NOMINAL, logs_on=-1.0))
+        sample(ONE_ARM[preset], 0, 0, replace(NOMINAL, logs_on=-1.0))
 
 
 def test_longest_cuts_every_trial() -> None:
-    assert all(sample("A", 2, i, DomainRandomization(longest=1.5))[0].task.timeout <= 1.5 for i in range(50))
+    assert all(sample(ONE_ARM["A"], 2, i, DomainRandomization(longest=1.5))[0].task.timeout <= 1.5 for i in range(50))
 
 
 def test_simulated_preset_has_the_simulated_sensor() -> None:
-    params, _ = sample("openhrp", 0, 0, NOMINAL)
+    params, _ = sample(ONE_ARM["openhrp"], 0, 0, NOMINAL)
     assert not params.sensor.bias.any()
     assert params.command_delay == 1
-    assert sample("A", 0, 0, NOMINAL)[0].command_delay in (4, 5)
+    assert sample(ONE_ARM["A"], 0, 0, NOMINAL)[0].command_delay in (4, 5)
 
 
-def test_a_trial_can_wear_another_sessions_sensor() -> None:
-    worn, _ = sample("openhrp", 0, 0, replace(NOMINAL, sensor="B"))
-    own, real = sample("openhrp", 0, 0, NOMINAL)[0], sensor.real_sensor("B")
-    assert [worn.sensor.b, worn.sensor.delay] == [real.b, real.delay]
-    assert np.ptp(worn.sensor.noise / real.noise) < 1e-9
-    assert not np.array_equal(worn.sensor.bias, real.bias)
-    assert same(replace(worn, sensor=own.sensor), own)
+def test_a_trial_can_use_another_sessions_sensor() -> None:
+    borrowed, _ = sample(ONE_ARM["openhrp"], 0, 0, replace(NOMINAL, sensor="B"))
+    own, real = sample(ONE_ARM["openhrp"], 0, 0, NOMINAL)[0], ONE_ARM["B"].sensor
+    assert [borrowed.sensor.b, borrowed.sensor.delay] == [real.b, real.delay]
+    assert np.ptp(borrowed.sensor.noise / real.noise) < 1e-9
+    assert not np.array_equal(borrowed.sensor.bias, real.bias)
+    assert same(replace(borrowed, sensor=own.sensor), own)
     with pytest.raises(InputError, match="no sensor of session 'Z'"):
-        sample("A", 0, 0, replace(NOMINAL, sensor="Z"))
+        sample(ONE_ARM["A"], 0, 0, replace(NOMINAL, sensor="Z"))
 
 
 def test_how_long_mating_is_recorded_can_vary_and_changes_nothing_else() -> None:
-    own, varied = (sample("C", 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
+    own, varied = (sample(ONE_ARM["C"], 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
     assert 1.0 <= varied.task.mating_time <= 20.0 != own.task.mating_time
     assert same(replace(varied, task=replace(varied.task, mating_time=own.task.mating_time)), own)

@@ -14,9 +14,9 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import task
+from sim_mjx.assembly.task import CONTROL_PERIOD, STATES
 from sim_mjx.engines import device
 from sim_mjx.engines.common import collect
-from sim_mjx.presets.sessions import CONTROL_PERIOD, STATES
 from sim_mjx.synthesis import calibration_data
 
 CONFIG = EncoderConfig(5, CONTROL_PERIOD)
@@ -65,7 +65,7 @@ def test_failures_are_one_sentence_each(out: device.Outcome) -> None:
 
 
 def test_scores_of_rollouts_are_those_of_the_corpus(out: device.Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The chain itself; that physics stays on the device is shown by the guard in experiments/calibration/on_device.py."""
+    """The chain alone; experiments/calibration/on_device.py checks that physics stays on the device."""
     monkeypatch.setattr(device, "run", lambda *_, **__: out)
     many = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * 3), out)
     limits = np.asarray(preset().limits)[None]

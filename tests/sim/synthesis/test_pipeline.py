@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation, write_recordings
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.robots import hiro_kinematics
+from rcbht_jax.robots import kinematics
+from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
-from sim_mjx.randomization.trials import DomainRandomization, sample, sample_batch
-from sim_mjx.synthesis import pipeline
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
 
@@ -56,7 +59,7 @@ def test_size_of_shards_does_not_matter(shard: int, whole: Path, tmp_path: Path)
 
 def test_store_holds_what_was_simulated(whole: Path) -> None:
     recordings, simulation = read_recordings(whole), read_simulation(whole)
-    params, faults = sample_batch("B", 5, range(60), JOB.spec)
+    params, faults = get_scenario("B").draw_batch(5, range(60), JOB.spec)
     out = fake_engine(params)
     assert np.array_equal(recordings.wrench, out.wrench)
     assert np.array_equal(recordings.length, out.length)
@@ -98,7 +101,7 @@ def test_states_after_an_early_stop_were_never_entered(tmp_path: Path) -> None:
 def test_one_sample_of_rotation_is_harmonised_by_the_tilt(tmp_path: Path) -> None:
     # session B's last waypoint with an upright hand
     upright = np.array([-0.0180, -0.0016, -1.7158, 0.2649, 0.1478, 0.0557])
-    tilt = hiro_kinematics.tilt_degrees(hiro_kinematics.wrist_pose(upright + np.eye(6)[4:5] * [[0.0], [0.09]])[1])
+    tilt = np.degrees(kinematics.tilt(kinematics.fk(upright + np.eye(6)[4:5] * [[0.0], [0.09]])[1]))
     assert tilt[0] < 1.0
     assert tilt[1] > 3.0
 
@@ -134,7 +137,7 @@ def test_diverged_trials_are_listed_and_never_stored(how: str, tmp_path: Path) -
     assert read_simulation(target)["index"].tolist() == [0, 2, 3, 4, 5, 7, 8, 9, 10]
     recordings = read_recordings(target)
     assert recordings.trial[1] == "sim-B-000002"
-    params, _ = sample("B", 5, 2, job.spec)
+    params, _ = get_scenario("B").draw(5, 2, job.spec)
     alone = fake_engine(jax.tree.map(lambda leaf: np.asarray(leaf)[None], params))
     assert np.array_equal(recordings.wrench[1, : recordings.length[1]], alone.wrench[0])
 
@@ -201,8 +204,8 @@ def test_labels_are_those_of_the_stored_wrench_whatever_the_shards(tmp_path: Pat
 
 
 def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
-    engine = pipeline.engine("native", "A")
-    whole_batch, _ = sample_batch("A", 4, range(32), short(longest=0.8))
+    engine = partial(engines.simulate, one_arm())
+    whole_batch, _ = get_scenario("A").draw_batch(4, range(32), short(longest=0.8))
     reference = engine(whole_batch)
     assert np.abs(reference.wrench).max() > 0.1
     for rows in ([30], [5, 17, 2], list(range(1, 20))):

@@ -20,6 +20,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import pipeline, shards
 from sim_mjx.synthesis.pipeline import SynthesisConfig, SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
@@ -189,7 +190,7 @@ def test_a_full_disk_costs_one_shard(moment: int, tmp_path: Path, monkeypatch: p
         with pytest.raises(OSError, match="No space"):
             synthesise(target, SMALL, simulate=fake_engine)
     assert not target.exists()
-    assert not list(tmp_path.rglob(f"*{shards.PARTIAL}"))
+    assert not list(tmp_path.rglob(shards.PARTIAL))
     # the first file is the manifest
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5 * max(0, moment - 2)
 
@@ -210,8 +211,10 @@ def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: py
 def test_no_trial_is_drawn_twice_unless_another_run_drew_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
     drawn: list[int] = []
-    real = pipeline._draw
-    monkeypatch.setattr(pipeline, "_draw", lambda job, indices: drawn.extend(indices) or real(job, indices))
+    real = Scenario.draw_batch
+    monkeypatch.setattr(
+        Scenario, "draw_batch", lambda self, seed, i, spec: drawn.extend(i) or real(self, seed, i, spec)
+    )
     synthesise(tmp_path / "again.zarr", SMALL, simulate=fake_engine)
     assert drawn == list(range(12))
     interrupted(tmp_path / "t.zarr", SMALL)

@@ -16,9 +16,10 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.cli.fidelity import table
 from sim_mjx.engines import native
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.presets import preset
 from sim_mjx.validation import fidelity, sessions, signature, snaps
 
 SAMPLES = 400
@@ -67,7 +68,7 @@ def test_profiles_leave_out_what_never_mated() -> None:
 
 def test_the_loss_is_least_for_the_session_itself() -> None:
     run = run_of(0)
-    own = sessions.Target("B", sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None, None)
+    own = sessions.Target(preset("B"), sessions.profiles(run), np.array([0.2, 0.4, 0.7]), None, None)
     itself = sessions.loss(own, run, outcomes=False)
     assert itself == pytest.approx(0.0, abs=0.15)
     assert sessions.loss(own, run_of(1), outcomes=False) > itself + 0.2
@@ -76,14 +77,14 @@ def test_the_loss_is_least_for_the_session_itself() -> None:
     lost = replace(run, onset=np.full((3, 4), np.nan))
     assert sessions.loss(own, lost, outcomes=False) == pytest.approx(sessions.LOST + 1 + sessions.WORST_CELL)
     # three seated trials against the first three cells: only the third, (0, -2), was recorded off-seat
-    assert sessions.agreement(run) == 2
+    assert sessions.agreement(preset("B"), run) == 2
     assert sessions.loss(own, run, outcomes=True) == pytest.approx(itself + 1 / 3)
 
 
 def test_missing_snaps_are_a_loss() -> None:
     snap = snaps.Snap(8.0, 17.0, 11.0)
     target = sessions.Target(
-        "B", np.zeros((1, 4, 100, 6)), np.zeros(3), None, snaps.summary([[snap], [snap], [snap], []])
+        preset("B"), np.zeros((1, 4, 100, 6)), np.zeros(3), None, snaps.summary([[snap], [snap], [snap], []])
     )
     assert sessions.missing_snaps(target, snaps.summary([[], []])) == 0.75
     assert sessions.missing_snaps(target, snaps.summary([[snap], []])) == 0.25
@@ -92,16 +93,16 @@ def test_missing_snaps_are_a_loss() -> None:
 
 
 def test_session_b_is_a_grid_and_a_repeats_one_pose() -> None:
-    grid = sessions.trials_of("B")
+    grid = sessions.trials_of(preset("B"))
     moved = grid.task.way_position[:, 0, :2] - grid.task.way_position[0, 0, :2]
-    assert sorted(map(tuple, np.round(moved * 1e3).astype(int).tolist())) == sorted(sessions.GRID)
-    repeats = sessions.trials_of("A", 5, physical=(("parts.friction", 0.4),))
+    assert sorted(map(tuple, np.round(moved * 1e3).astype(int).tolist())) == sorted(preset("B").placements)
+    repeats = sessions.trials_of(preset("A"), 5, physical=(("parts.friction", 0.4),))
     assert np.ptp(repeats.parts.tab_stiffness, axis=0).max() == 0
     assert repeats.parts.friction.tolist() == [0.4] * 5
-    short = sessions.trials_of("B", 2, whole=False)
+    short = sessions.trials_of(preset("B"), 2, whole=False)
     assert short.task.mating_time.tolist() == [pytest.approx(signature.MATING + 0.1)] * 2
     with pytest.raises(InputError, match="25 cells; 26"):
-        sessions.trials_of("B", 26)
+        sessions.trials_of(preset("B"), 26)
 
 
 def test_the_model_stands_where_the_recorded_arm_stood(hiro_dir: Path, tmp_path: Path) -> None:
@@ -148,7 +149,7 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
         return real(*args)
 
     def few(target: sessions.Target, count: int | None, seed: int) -> Any:
-        calls.append(target.session)
+        calls.append(target.session.name)
         if len(calls) == 2:
             raise KeyboardInterrupt
         return fidelity_session(target, 2, seed)

@@ -11,7 +11,8 @@ import pytest
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly import sensor
 from sim_mjx.assembly.rollout import as_float32
-from sim_mjx.presets.sessions import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets import preset
 from sim_mjx.validation import sessions, snaps
 
 TIMES = np.arange(3000) * CONTROL_PERIOD
@@ -57,17 +58,17 @@ def test_ringing_after_a_snap_is_not_counted_again() -> None:
 def test_the_filter_is_inverted_exactly() -> None:
     rng = np.random.default_rng(0)
     true = np.cumsum(rng.normal(0, 1, (300, 6)), axis=0)
-    touch = replace(
-        sensor.real_sensor(), delay=np.array(0), noise=np.zeros(6), step=np.full(6, 1e-6), tared=np.array(0.0),
+    params = replace(
+        preset("A").sensor, delay=np.array(0), noise=np.zeros(6), step=np.full(6, 1e-6), tared=np.array(0.0),
         reference=np.zeros(3), bias=np.zeros(6),
     )  # fmt: skip
-    single = as_float32(touch)
+    single = as_float32(params)
     state = sensor.begin(single, jnp.asarray(true[0], jnp.float32))
     logged = []
     for now in true:
         state, out = sensor.read(single, state, jnp.asarray(now, jnp.float32), jnp.zeros(6), jnp.eye(3))
         logged.append(np.asarray(out))
-    np.testing.assert_allclose(snaps.unfiltered(np.array(logged).T, touch), true.T, atol=2e-3)
+    np.testing.assert_allclose(snaps.unfiltered(np.array(logged).T, params), true.T, atol=2e-3)
 
 
 def test_summary_counts() -> None:
@@ -77,6 +78,19 @@ def test_summary_counts() -> None:
     assert found["trials_with_a_snap_as_recorded"] == 3
     assert found["drop_N_5_50_95_percent"] == [11.0, 11.0, 11.0]
     assert snaps.summary([[]])["release_N_5_50_95_percent"] == []
+
+
+@pytest.mark.parametrize(
+    ("release", "drop", "expected"),
+    [
+        (11.0, 10.0, True), (10.9, 10.0, False), (18.0, 10.0, True), (18.1, 10.0, False), (15.0, 7.0, True),
+        (15.0, 6.9, False), (15.0, 17.0, True), (15.0, 17.1, False),
+    ],
+)  # fmt: skip
+def test_recorded_snaps_release_at_11_to_18_newtons_and_drop_by_7_to_17(
+    release: float, drop: float, expected: bool
+) -> None:
+    assert snaps.as_recorded(snaps.Snap(8.0, release, drop)) == expected
 
 
 def test_recorded_snaps_are_those_of_the_event_table(hiro_recordings: Recordings) -> None:

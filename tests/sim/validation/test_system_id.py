@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_attrs, read_simulation
-from sim_mjx.assembly import parts, sensor
+from sim_mjx.presets import preset
 from sim_mjx.randomization import overrides
 from sim_mjx.randomization.trials import DomainRandomization, sample
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, _mirrored, _share, _values, fit
@@ -134,8 +134,8 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
         ("parts.friction", 0.3),
         ("sensor.delay", 5.6),
     )
-    before, _ = sample("B", 1, 2, spec)
-    after, _ = sample("B", 1, 2, replace(spec, physical=chosen))
+    before, _ = sample(preset("B"), 1, 2, spec)
+    after, _ = sample(preset("B"), 1, 2, replace(spec, physical=chosen))
     np.testing.assert_array_equal(after.parts.hook_overlap, [4e-4, 4e-4, 6e-4, 6e-4])
     np.testing.assert_array_equal(after.parts.mount_stiffness, [*before.parts.mount_stiffness[:2], 5e3])
     assert (float(after.parts.friction), int(after.sensor.delay)) == (0.3, 6)
@@ -158,7 +158,7 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
 )
 def test_wrong_parameters_are_one_sentence(pair: tuple[str, float], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
-        sample("A", 0, 0, DomainRandomization(physical=(pair,)))
+        sample(preset("A"), 0, 0, DomainRandomization(physical=(pair,)))
 
 
 def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -180,7 +180,7 @@ def test_parameter_files_round_trip(tmp_path: Path) -> None:
     values = {"parts.friction": 0.1 + 0.2, "sensor.delay": 7.0}
     overrides.write(path, values, {"session": "B"})
     assert dict(overrides.read(path)) == values
-    assert overrides.value(parts.nominal("A"), sensor.real_sensor("B"), "sensor.delay") == 11.0
+    assert overrides.value(preset("A").parts, preset("B").sensor, "sensor.delay") == 11.0
     for text in ("", "{}", '{"format": "rcbht-physical", "values": {"parts.friction": "much"}}'):
         path.write_text(text)
         with pytest.raises(InputError, match="holds no physical parameters"):

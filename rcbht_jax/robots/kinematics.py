@@ -2,7 +2,7 @@
 
 The array's own library computes, in the array's own precision; every function can be jitted and vmapped.
 World frame, metres, radians; "wrist" is the frame of the last joint, "TCP" the tool centre point in it.
-Source: the table of ``sim_mjx.assembly.robot``; the inverse is derived at :func:`ik`.
+The inverse is derived at :func:`ik`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sim_mjx.assembly.robot import ARMS, CHEST_HEIGHT, MIRROR, RIGHT, SHOULDER_ROLL, TCP, Vector, side
+from rcbht_jax.robots.hiro import ARMS, CHEST_HEIGHT, MIRROR, RIGHT, SHOULDER_ROLL, TCP, Vector, side
 
 Array = Any  # numpy.ndarray or jax.Array
 Frame = tuple[Array, Array, Array]  # the x, y and z axes, [..., 3] each, in world coordinates

@@ -1,0 +1,60 @@
+"""The authors' one-arm simulation in OpenHRP: the same arm, rigid contact, an ideal sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.task import NEVER
+from sim_mjx.presets import session_a
+from sim_mjx.presets.session import SessionPreset, openhrp_sensor
+
+TASK = replace(
+    session_a.TASK,
+    home=np.array([0.0490, 0.0219, -2.0109, 0.2623, 0.5298, -0.0115]),
+    way_time=np.array([2.51, 4.5]),
+    way_position=np.array([[0.326, -0.1726, 0.536], [0.331, -0.1726, 0.531]]),
+    way_rpy=np.array([[0.0, -1.3281, 0.0], [0.0, -1.3781, 0.0]]),
+    contact_force=np.array(9.0),
+    contact_after=np.array(0.8 * 4.5),
+    force=np.array([[10.0, 0.0, -4.0], [13.0, 0.6, -3.25], [15.0, 0.0, 0.0], [15.0, 0.0, 0.0]]),
+    moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+    moment_gain=np.array([3.5e-6, 3.5e-6, 3.5e-5, 3.5e-5]),
+    leave_after=np.zeros(4),
+    leave_wrist=np.array([0.4455, 0.385, 0.387, NEVER]),
+    leave_pitch=np.array([NEVER, -1.552, -1.533, NEVER]),
+    leave_moment=np.full(4, NEVER),  # the program's My > 0.9 Nm needs rigid contact; recorded marks ignore it
+    mating_time=np.array(1.0),
+    timeout=np.array(20.0),
+)
+# Stiff parts with hardly a hook, as in the authors' rigid simulation.
+PARTS = PartParams(
+    tab_stiffness=np.full(4, 10.1e3),
+    tab_damping=np.full(4, 80.0),
+    hook_overlap=np.full(4, 0.3e-3),
+    slot_play=np.array(1.9e-3),
+    seat_depth=np.array(2.626e-3),
+    foot_spread=np.array(2e-3),
+    foot_offset=np.zeros(2),
+    rear_rise=np.zeros(2),
+    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
+    friction=np.array(0.216),
+    mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
+    mount_damping=np.array([120.0, 120.0, 98.5]),
+    position=np.array([0.004, 0.0, 0.0492]),
+    roll=np.array(0.0079),
+)
+
+OPENHRP = SessionPreset(
+    name="openhrp",
+    task=TASK,
+    parts=PARTS,
+    # M = r x F during session A's early rotation (R^2 of My 0.998), r from the kinematic pivot
+    sensor=openhrp_sensor((-0.0484, -0.0003, -0.001)),
+    mating_begins=9.34,
+    real=False,
+    recorded_as="SIM1",
+    pose_limits=(0.01, 0.002),
+)

@@ -1,0 +1,73 @@
+"""What a recorded way of doing the assembly consists of: task, parts, sensor, and how the recordings vary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.assembly.task import TaskParams
+
+Vector = tuple[float, float, float]
+Range = tuple[float, float]  # lowest and highest
+
+
+def _x_and_y() -> NDArray[np.float64]:
+    return np.eye(3)[:2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionPreset:
+    """One session's constants, before anything varies; arrays are those of a single trial."""
+
+    name: str
+    task: TaskParams
+    parts: PartParams  # effective values from a search on the recorded wrenches
+    sensor: SensorParams
+    mating_begins: float  # s, median of the recordings
+    real: bool = True  # a robot, whose servos lag and whose sensor drifts; False = the OpenHRP simulation
+    across: NDArray[np.float64] = field(default_factory=_x_and_y)  # [2, 3] world directions of the part's x and y
+    # [2, 3] roll, pitch, yaw per radian of the hand's turn about itself and of its tilt
+    turns: NDArray[np.float64] = field(default_factory=_x_and_y)
+
+    # The recordings.
+    recorded_as: str = ""  # session in the imported store
+    last_joint_offset: float = 0.0  # rad, in the recorded angle of the last joint
+    pose_lag: int = 1  # samples by which tool poses are recorded after the joint angles
+    placements: tuple[tuple[int, int], ...] = ()  # mm, x and y of the hand, one trial each; () = always in one place
+    off_seat: frozenset[tuple[int, int]] = frozenset()  # placements that ended off the seat
+    repeats: dict[str, Range] = field(default_factory=dict)  # randomisation with which the session repeated itself
+
+    # Limits of a faithful simulation; None = not checked.
+    pose_limits: Range | None = None  # rms distance, mm, and turn, degrees, of computed and recorded tool poses
+    signature: bool = False  # whether the wrench must keep the limits of coverage, W1 and DTW
+    onset_limit: float = np.inf  # s, largest error of a median onset
+    ring_limits: Range | None = None  # relative errors of the ring's frequency and peak
+
+
+def jr3_sensor(reference: Vector, bias: tuple[float, ...]) -> SensorParams:
+    """The real wrist sensor.
+
+    Args:
+        reference: m, wrist frame, the point that moments refer to.
+        bias: [6] N and Nm, read in free space since the tare.
+    """
+    return SensorParams(
+        a=np.array(0.8541), b=np.array(0.2064), c=np.array(0.6555), d=np.array(0.2064),
+        delay=np.array(11, np.int32),  # as the ringing after mating shows
+        noise=np.array([0.105, 0.077, 0.065, 0.0017, 0.0042, 0.0038]),
+        step=np.array([0.024, 0.008, 0.008, 0.0008, 0.0008, 0.0008]),
+        bias=np.array(bias), tared=np.array(1.0), reference=np.array(reference),
+    )  # fmt: skip
+
+
+def openhrp_sensor(reference: Vector, tared: float = 0.0) -> SensorParams:
+    """OpenHRP's sensor: 2.4 Hz, DC gain 1, hardly any noise; arguments as of :class:`SensorParams`."""
+    return SensorParams(
+        a=np.array(0.92681), b=np.array(0.073196), c=np.array(1.0), d=np.array(0.0), delay=np.array(1, np.int32),
+        noise=np.full(6, 1e-5), step=np.full(6, 1e-6), bias=np.zeros(6), tared=np.array(tared),
+        reference=np.array(reference),
+    )  # fmt: skip
