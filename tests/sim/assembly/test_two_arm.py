@@ -32,6 +32,7 @@ from sim_mjx.randomization.two_arm import REPEATED
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
 from sim_mjx.validation.solver_convergence import certify
+from tests.support.trees import assert_trees_equal
 
 SOURCE = "SIM_HIRO_TWO_SA_SUCCESS"
 SCENE = two_arm()
