@@ -7,11 +7,14 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from sim_mjx.assembly.rollout import Rollouts
     from sim_mjx.assembly.scene import Scene
+
+require("mujoco", "sim")
 
 ENGINES = ("native", "mjx", "warp")
 IMPLEMENTATIONS = {"mjx": "jax", "warp": "warp"}  # of MJX

@@ -109,6 +109,16 @@ walk("sim_mjx")
     assert {extra for _, extra in asked} <= set(PROJECT["optional-dependencies"])
 
 
+def test_the_list_of_commands_needs_no_extra() -> None:
+    out = without_extras("""
+from rcbht_jax.cli.main import main
+
+assert main(["--help"]) == 0
+""")
+    assert "\n  encode " in out
+    assert "\n  simulate " in out
+
+
 @pytest.mark.parametrize("command", ["encode", "simulate"])
 def test_a_command_without_its_packages_says_what_to_install(command: str) -> None:
     out = without_extras(f"""
