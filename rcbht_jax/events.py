@@ -1,4 +1,4 @@
-"""What an introspector tells a planner: frozen, typed events, each a plain JSON object as well."""
+"""Events of an introspector: frozen, typed, each a plain JSON object as well."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Event:
 
 @dataclass(frozen=True)
 class SubtaskStarted(Event):
-    """A sub-task began at ``begin``: said by the controller, or detected."""
+    """A sub-task began at ``begin``: announced by the controller, or detected."""
 
     begin: int  # sample
     detected: bool
@@ -35,7 +35,7 @@ class SubtaskStarted(Event):
 
 @dataclass(frozen=True)
 class Belief(Event):
-    """What one head of the model holds likely now."""
+    """The answer of one classifier of the model."""
 
     head: str
     label: str  # the likeliest class
@@ -64,7 +64,7 @@ class AnomalyCleared(Event):
 
 @dataclass(frozen=True)
 class FailureType(Event):
-    """The likeliest kind of failure while an anomaly stands; told anew whenever the kind or its level changes."""
+    """The likeliest kind of failure while an anomaly stands; repeated whenever the kind or its level changes."""
 
     label: str
     probability: float
@@ -73,7 +73,7 @@ class FailureType(Event):
 
 @dataclass(frozen=True)
 class Notice(Event):
-    """Something about the stream itself that a careful reader should know."""
+    """An irregularity of the stream itself."""
 
     kind: Literal["gap", "late", "repeated", "not-finite", "malformed", "jitter", "silent", "resumed"]
     text: str
@@ -99,7 +99,7 @@ class EventHub:
         self.dropped = 0  # events that a slow iterator lost, oldest first
 
     def subscribe(self, callback: Callback, *kinds: type[Event]) -> Callable[[], None]:
-        """Call ``callback`` with every event of these kinds (none = all); returns what ends it."""
+        """Call ``callback`` with every event of these kinds (none = all); returns a function that unsubscribes."""
         entry = (callback, kinds or (Event,))
         self._callbacks.append(entry)
 

@@ -1,16 +1,15 @@
 """Success or failure of the real trials from the stream, with what confounds it.
 
 Every real failure was recorded in session C and every success in A or B, so that "failure" and "another session" are
-the same question. Three rows say how much of the score is the session:
+the same question. Three rows show how much of the score is the session:
 
 * mixed: half of the trials of all sessions train, the other half is streamed (the number that is usually reported);
 * held out: the successes of one session and half of the failures train; the other session's successes and the other
   half of the failures are streamed, so that no success of the tested session was ever seen;
-* sessions: the same protocol tells the successes of A from those of B, where there is nothing to recognise.
+* sessions: the successes of A against those of B under the same protocol, where there is no failure to recognise.
 
-Each with all features, with features that hold no duration and no absolute offset, and with nothing but the time that
-has passed. Scores are mean recalls of the two classes, at one second (before any contact), at parts of the record
-and at its end.
+Each with all features, with features without duration and absolute offset, and with the elapsed time alone. Scores are
+mean recalls of the two classes, at one second (before any contact), at parts of the record and at its end.
 
 Run: python -m experiments.online.abnormal_real --repeats 50 --seed 0
 Reads the recorded trials (RCBHT_DATA).
@@ -50,9 +49,9 @@ from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
 SOURCES = ("REAL_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_ERROR_CHARAC")
-RATE = 10.0  # looks per second
+RATE = 10.0  # snapshots per second
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
-PICKED = 16  # looks per trial that train, evenly spaced
+PICKED = 16  # snapshots per trial that train, evenly spaced
 HOLD, LEVEL = 0.3, 0.70  # s; the paper's k
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.01, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1)
 
@@ -62,17 +61,17 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Watched:
-    """All looks at all real trials."""
+    """All snapshots of all real trials."""
 
     items: LabelledIntervals  # one per trial
-    looks: Snapshots
-    x: Floats  # [look, feature]
+    snapshots: Snapshots
+    x: Floats  # [snapshot, feature]
     dt: float
 
     @property
     def elapsed(self) -> Floats:
-        """Seconds since the record began ``[look]``."""
-        return (self.looks.now - self.looks.begin) * self.dt
+        """Seconds since the record began ``[snapshot]``."""
+        return (self.snapshots.now - self.snapshots.begin) * self.dt
 
 
 def halves(groups: list[Flags], rng: np.random.Generator) -> tuple[Flags, Flags]:
@@ -108,49 +107,49 @@ SPLITS: dict[str, Callable[[NDArray[np.str_], np.random.Generator], Iterator[tup
 }
 
 
-def evenly(looks: Snapshots) -> Flags:
-    """Looks that train: evenly spaced over each record, its end always."""
-    chosen = np.zeros(len(looks), bool)
-    for sentence in np.unique(looks.sentence):
-        rows = np.flatnonzero(looks.sentence == sentence)
+def evenly(snapshots: Snapshots) -> Flags:
+    """Snapshots that train: evenly spaced over each record, its end always."""
+    chosen = np.zeros(len(snapshots), bool)
+    for interval in np.unique(snapshots.interval):
+        rows = np.flatnonzero(snapshots.interval == interval)
         chosen[rows[np.unique(np.linspace(0, len(rows) - 1, PICKED).round().astype(int))]] = True
     return chosen
 
 
 def score(w: Watched, x: Floats, y: NDArray[np.int64], train: Flags, test: Flags, seed: int) -> dict[str, Any]:
     """One split. ``y`` is the class of every trial, ``train`` and ``test`` say which trials."""
-    sentence = w.looks.sentence
-    fitted, seen = train[sentence] & evenly(w.looks), test[sentence]
-    groups = w.items.trial[sentence]
+    interval = w.snapshots.interval
+    fitted, seen = train[interval] & evenly(w.snapshots), test[interval]
+    groups = w.items.trial[interval]
     names_of = ("0", "1")
-    spec = select({"": x[fitted]}, y[sentence[fitted]], groups[fitted], GRID, seed)
-    machine = fit_probabilistic(x[fitted], y[sentence[fitted]], groups[fitted], names_of, spec, seed)
-    p = np.full((len(sentence), 2), np.nan)
+    spec = select({"": x[fitted]}, y[interval[fitted]], groups[fitted], GRID, seed)
+    machine = fit_probabilistic(x[fitted], y[interval[fitted]], groups[fitted], names_of, spec, seed)
+    p = np.full((len(interval), 2), np.nan)
     p[seen] = machine.probability(x[seen])
-    out: dict[str, Any] = {"every tenth of a second": _balanced(y[sentence[seen]], p[seen])}
+    out: dict[str, Any] = {"every tenth of a second": _balanced(y[interval[seen]], p[seen])}
     for name, rows in moments(w, seen).items():
-        out[name] = _balanced(y[sentence[rows]], p[rows])
-    out["calibration error of steps"] = metrics.calibration_error(p[seen], y[sentence[seen]])
-    raised = {int(trial): _alarmed(w, p[:, 0], sentence == trial) for trial in np.flatnonzero(test)}
+        out[name] = _balanced(y[interval[rows]], p[rows])
+    out["calibration error of steps"] = metrics.calibration_error(p[seen], y[interval[seen]])
+    raised = {int(trial): _alarmed(w, p[:, 0], interval == trial) for trial in np.flatnonzero(test)}
     out["failures alarmed"] = float(np.mean([raised[t] for t in raised if y[t] == 0]))
     out["successes alarmed"] = float(np.mean([raised[t] for t in raised if y[t] == 1]))
     return out
 
 
 def moments(w: Watched, seen: Flags) -> dict[str, NDArray[np.int64]]:
-    """One look per trial at one second and at each part of the record."""
-    found: dict[str, list[int]] = {"after 1 s": [], **{f"at {f:.0%}": [] for f in FRACTIONS}}
-    for sentence in np.unique(w.looks.sentence[seen]):
-        rows = np.flatnonzero(w.looks.sentence == sentence)
+    """One snapshot per trial at one second and at each part of the record."""
+    chosen: dict[str, list[int]] = {"after 1 s": [], **{f"at {f:.0%}": [] for f in FRACTIONS}}
+    for interval in np.unique(w.snapshots.interval[seen]):
+        rows = np.flatnonzero(w.snapshots.interval == interval)
         elapsed = w.elapsed[rows]
-        found["after 1 s"].append(int(rows[np.searchsorted(elapsed, 1.0 - 1e-9)]))
+        chosen["after 1 s"].append(int(rows[np.searchsorted(elapsed, 1.0 - 1e-9)]))
         for f in FRACTIONS:
-            found[f"at {f:.0%}"].append(int(rows[np.searchsorted(elapsed, f * elapsed[-1] - 1e-9)]))
-    return {name: np.array(rows) for name, rows in found.items()}
+            chosen[f"at {f:.0%}"].append(int(rows[np.searchsorted(elapsed, f * elapsed[-1] - 1e-9)]))
+    return {name: np.array(rows) for name, rows in chosen.items()}
 
 
-def _balanced(truth: NDArray[np.int64], p: Floats) -> float:
-    return float(np.nanmean(metrics.recall(truth, p.argmax(1), 2)))
+def _balanced(y_true: NDArray[np.int64], p: Floats) -> float:
+    return float(np.nanmean(metrics.recall(y_true, p.argmax(1), 2)))
 
 
 def _alarmed(w: Watched, p: Floats, mine: Flags) -> bool:
@@ -174,23 +173,23 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     return summary
 
 
-def looked(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
-    """All looks, and the columns of each choice of features; the time that has passed is the last column."""
+def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
+    """All snapshots, and the columns of each choice of features; the time that has passed is the last column."""
     recordings, _ = read_hiro(data)
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
-    looks = regular_snapshots(items, round(1 / (RATE * config.dt)))
-    sight = FeatureView(FeatureSpec(families=TRIAL))
-    with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
-        x = snapshot_features(recordings, looks, sight, config, preset(), bar.update)
-    family = np.array([name.split(".")[0] for name in names(sight.spec)] + ["elapsed"])
-    elapsed = ((looks.now - looks.begin) * config.dt)[:, None]
+    snapshots = regular_snapshots(items, round(1 / (RATE * config.dt)))
+    view = FeatureView(FeatureSpec(families=TRIAL))
+    with tqdm(total=len(snapshots), desc="snapshots", file=sys.stderr, disable=None) as bar:
+        x = snapshot_features(recordings, snapshots, view, config, preset(), bar.update)
+    family = np.array([name.split(".")[0] for name in names(view.spec)] + ["elapsed"])
+    elapsed = ((snapshots.now - snapshots.begin) * config.dt)[:, None]
     columns = {
         "all features": family != "elapsed",
         "relative features": np.isin(family, TRIAL_RELATIVE),
         "time alone": family == "elapsed",
     }
-    return Watched(items, looks, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns
+    return Watched(items, snapshots, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns
 
 
 def main() -> None:
@@ -198,7 +197,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    w, columns = looked(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    w, columns = streamed(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
     rows = {
         row: {name: measure(w, row, w.x[:, mine], args.repeats, args.seed) for name, mine in columns.items()}
         for row in SPLITS

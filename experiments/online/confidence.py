@@ -1,8 +1,8 @@
 """Confidence while a sub-task runs: the belief in its true class over its course, per class, as in the paper's figure.
 
-Half of the trials train, the other half is streamed at 10 Hz, again and again with other halves, with the machinery of
-experiments.online.table2. Kept are the mean and the middle 80 % of the probability of the true class at twenty moments of the
-sub-task, over all test sentences and repeats; a belief stands until the next one.
+Half of the trials train, the other half is streamed at 10 Hz, repeated with other halves as in
+``experiments.online.table2``. The result has mean and middle 80 % of the probability of the true class at twenty
+moments of the sub-task, over all test intervals and repeats; a belief holds until the next one.
 
 Run: python -m experiments.online.confidence --repeats 10 --seed 0
 Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
@@ -19,11 +19,10 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import Rows
-from experiments.online.table2 import MAIN_RATE, SETS, halves, watched
+from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import SUBTASK
-from rcbht_jax.introspection.training import ENDS, GRID, Snapshots, learn
+from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -31,17 +30,9 @@ PARTS = 20  # of a sub-task
 
 
 def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Snapshots, np.ndarray]:
-    """The looks at the untrained half, and the probability of the true class at each."""
-    inside = halves(items, seed)
-    columns = np.isin(x["family"], SUBTASK)
-    fitted, looks = x["picked"], x["streamed"]
-    rows = np.flatnonzero(inside[fitted.sentence])
-    described, train = FeatureSpec(families=SUBTASK, balance=True), x["picked_x"][rows][:, columns]
-    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
-    test = np.flatnonzero(~inside[looks.sentence])
-    seen = looks.take(test)
-    p = machine.probability(x["streamed_x"][test][:, columns])
-    return seen, p[np.arange(len(p)), items.y[seen.sentence]]
+    """The snapshots at the untrained half, and the probability of the true class at each."""
+    _, seen, p = half_split(x, items, SUBTASK, seed)
+    return seen, p[np.arange(len(p)), items.y[seen.interval]]
 
 
 def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
@@ -51,7 +42,7 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
     parts = []
     for one in tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None):
         seen, p = beliefs(x, items, one)
-        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.sentence)]
+        parts += [(items.y[s], held(seen, p, s, length[s])) for s in np.unique(seen.interval)]
     y, p = np.array([c for c, _ in parts]), np.array([course for _, course in parts])
     return {
         "seconds of a sub-task, median": [float(np.median(length[items.y == c])) * recordings.dt for c in np.unique(y)],
@@ -59,16 +50,16 @@ def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[
     }
 
 
-def held(looks: Snapshots, p: np.ndarray, sentence: int, length: int) -> np.ndarray:
-    """The belief that stands at each moment of one sentence; NaN before the first."""
-    mine = looks.sentence == sentence
+def held(snapshots: Snapshots, p: np.ndarray, interval: int, length: int) -> np.ndarray:
+    """The belief that stands at each moment of one interval; NaN before the first."""
+    mine = snapshots.interval == interval
     moments = (np.arange(PARTS) + 0.5) / PARTS
-    last = np.searchsorted((looks.now[mine] - looks.begin[mine]) / length, moments, side="right") - 1
+    last = np.searchsorted((snapshots.now[mine] - snapshots.begin[mine]) / length, moments, side="right") - 1
     return np.where(last < 0, np.nan, p[mine][last])
 
 
 def summary(p: np.ndarray) -> dict[str, list[float | None]]:
-    """Mean and middle 80 % of ``[sentence, moment]``; None where less than half of the sentences have a belief."""
+    """Mean and middle 80 % of ``[interval, moment]``; None where less than half of the intervals have a belief."""
     cells = [column[~np.isnan(column)] for column in p.T]
     kinds = {"mean": np.mean, "low": lambda v: np.quantile(v, 0.1), "high": lambda v: np.quantile(v, 0.9)}
     return {kind: [float(f(v)) if 2 * v.size >= len(p) else None for v in cells] for kind, f in kinds.items()}

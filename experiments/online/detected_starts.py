@@ -1,10 +1,10 @@
 """Sub-tasks that nobody announces: when they are noticed, and what the beliefs lose by it.
 
-A head "phase" tells from the sentence of the whole trial which state goes on; a filter over time, which knows that
-states only follow each other, says when the next one begins. Half of the trials train, the other half is streamed at
-10 Hz. The beliefs about the state (from the sentence of the sub-task, as in table2) are then made with the beginnings
-given (harmonised) and with those that were noticed; both are held against the state that truly goes on, and so are the
-head and the filter themselves. The filter's two constants were chosen while looking at these trials.
+A classifier "phase" estimates the present state from the features of the whole trial; a filter over time, whose states
+only follow each other, detects when the next one begins. Half of the trials train, the other half is streamed at 10 Hz.
+Beliefs about the state (from the features of the sub-task, as in table2) are made with the given starts (harmonised)
+and with the detected ones; both are compared with the true state, and so are the classifier and the filter alone. The
+filter's two constants were chosen on these trials.
 
 Run: python -m experiments.online.detected_starts --repeats 10 --seed 0
 Reads the recorded trials (RCBHT_DATA).
@@ -31,9 +31,9 @@ from rcbht_jax.introspection.alarms import PhaseFilter
 from rcbht_jax.introspection.training import (
     HeadSpec,
     Snapshots,
-    from_the_beginning,
     learn,
     regular_snapshots,
+    since_trial_start,
     snapshot_features,
     training_snapshots,
 )
@@ -43,9 +43,9 @@ from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-RATE = 10.0  # looks per second
+RATE = 10.0  # snapshots per second
 HEADS = {name: HeadSpec(TaskSpec(), phase=name == "phase") for name in ("state", "phase")}
-NEAR = 0.5  # s, within which a beginning counts as found
+NEAR = 0.5  # s, within which a start counts as detected
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,76 +53,76 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class View:
-    """Looks with their features."""
+    """Snapshots with their features."""
 
-    looks: Snapshots
+    snapshots: Snapshots
     x: NDArray[np.float32]
     head: HeadSpec
 
 
 def fitted(items: LabelledIntervals, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
-    """A machine for the state, trained on the looks at the training trials, as ``rcbht train-online`` does."""
-    rows = inside[view.looks.sentence]
+    """A classifier of the states, trained on the snapshots of the training trials as by ``rcbht train-online``."""
+    rows = inside[view.snapshots.interval]
     x = view.x[rows].astype(np.float64)
-    return learn(x, view.looks.take(rows), items, view.head.sight.spec, *view.head.learning, seed)
+    return learn(x, view.snapshots.take(rows), items, view.head.view.spec, *view.head.learning, seed)
 
 
 def noticed(p: Floats, time: Floats, classes: tuple[str, ...]) -> dict[int, float]:
-    """When each sub-task but the first is noticed, s: state -> time."""
-    phases, found = PhaseFilter(classes), {}
+    """When each sub-task but the first is detected, s: state -> time."""
+    phases, starts = PhaseFilter(classes), {}
     for row, t in zip(p, time.tolist(), strict=True):
         if phases.update(row, t):
-            found[phases.current] = t
-    return found
+            starts[phases.current] = t
+    return starts
 
 
-def going_on(looks: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Ints:
-    """The sub-task that goes on at each look, as it was noticed."""
-    out = np.zeros(len(looks), np.int64)
-    for recording, found in starts.items():
-        for state, time in found.items():
-            out[(looks.recording == recording) & (looks.now * dt >= time - dt / 2)] = state
+def going_on(snapshots: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Ints:
+    """The detected sub-task at each snapshot."""
+    out = np.zeros(len(snapshots), np.int64)
+    for recording, detected in starts.items():
+        for state, time in detected.items():
+            out[(snapshots.recording == recording) & (snapshots.now * dt >= time - dt / 2)] = state
     return out
 
 
-def with_beginnings(looks: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Snapshots:
-    """The same moments with the sentences begun when they were noticed; after the look that noticed them."""
-    begin = np.zeros_like(looks.begin)
-    for recording, found in starts.items():
-        mine = looks.recording == recording
-        for time in sorted(found.values()):
+def with_beginnings(snapshots: Snapshots, starts: dict[int, dict[int, float]], dt: float) -> Snapshots:
+    """The same moments with sub-tasks that begin at their detection."""
+    begin = np.zeros_like(snapshots.begin)
+    for recording, detected in starts.items():
+        mine = snapshots.recording == recording
+        for time in sorted(detected.values()):
             sample = round(time / dt)
-            begin[mine & (looks.now > sample)] = sample
-    return replace(looks, begin=begin)
+            begin[mine & (snapshots.now > sample)] = sample
+    return replace(snapshots, begin=begin)
 
 
 def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], seed: int) -> dict[str, Any]:
-    """One half-split."""
+    """Scores of one half-split."""
     inside, dt = halves(items, seed), data.dt
     state, phase = (fitted(items, views[name], inside, seed) for name in ("state trains", "phase trains"))
-    given, whole = views["state"], views["phase"]
-    test = ~inside[whole.looks.sentence]
-    looks = whole.looks.take(test)
-    p = phase.probability(whole.x[test].astype(np.float64))
+    given, trial = views["state"], views["phase"]
+    test = ~inside[trial.snapshots.interval]
+    snapshots = trial.snapshots.take(test)
+    p = phase.probability(trial.x[test].astype(np.float64))
     starts, errors = {}, []
-    for recording in np.unique(looks.recording).tolist():
-        mine = looks.recording == recording
-        starts[recording] = noticed(p[mine], looks.now[mine] * dt, items.classes)
-        truth = data.onset_harmonised[recording]
-        errors.append([starts[recording].get(s, np.nan) - truth[s] for s in range(1, len(items.classes))])
-    own = with_beginnings(looks, starts, dt)
+    for recording in np.unique(snapshots.recording).tolist():
+        mine = snapshots.recording == recording
+        starts[recording] = noticed(p[mine], snapshots.now[mine] * dt, items.classes)
+        onset = data.onset_harmonised[recording]
+        errors.append([starts[recording].get(s, np.nan) - onset[s] for s in range(1, len(items.classes))])
+    own = with_beginnings(snapshots, starts, dt)
     order = np.lexsort((own.now, own.recording))
-    x = snapshot_features(data, own.take(order), given.head.sight, EncoderConfig(dt=dt), preset())
-    mine = ~inside[given.looks.sentence]
+    x = snapshot_features(data, own.take(order), given.head.view, EncoderConfig(dt=dt), preset())
+    mine = ~inside[given.snapshots.interval]
     scores = {
-        "given": (items.y[given.looks.sentence[mine]], state.probability(given.x[mine].astype(np.float64))),
-        "noticed": (items.y[own.sentence[order]], state.probability(x.astype(np.float64))),
-        "phase alone": (items.y[looks.sentence], p),
-        "filter alone": (items.y[looks.sentence], np.eye(len(items.classes))[going_on(looks, starts, dt)]),
+        "given": (items.y[given.snapshots.interval[mine]], state.probability(given.x[mine].astype(np.float64))),
+        "noticed": (items.y[own.interval[order]], state.probability(x.astype(np.float64))),
+        "phase alone": (items.y[snapshots.interval], p),
+        "filter alone": (items.y[snapshots.interval], np.eye(len(items.classes))[going_on(snapshots, starts, dt)]),
     }
     out: dict[str, Any] = {
-        f"macro step accuracy, {name}": metrics.macro_step_accuracy(said, truth)
-        for name, (truth, said) in scores.items()
+        f"macro step accuracy, {name}": metrics.macro_step_accuracy(probability, y_true)
+        for name, (y_true, probability) in scores.items()
     }
     return out | {"errors": np.array(errors)}
 
@@ -147,21 +147,23 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
 
 
 def views_of(data: Recordings, items: LabelledIntervals) -> dict[str, View]:
-    """All looks that any repeat needs, with features."""
+    """All snapshots that any repeat needs, with features."""
     config = EncoderConfig(dt=data.dt)
     every = round(1 / (RATE * config.dt))
-    chosen, all_of_it = training_snapshots(items, every), regular_snapshots(items, every)
+    training, regular = training_snapshots(items, every), regular_snapshots(items, every)
     wanted = {
-        "state trains": chosen,
-        "state": all_of_it,
-        "phase trains": from_the_beginning(chosen),
-        "phase": from_the_beginning(all_of_it),
+        "state trains": training,
+        "state": regular,
+        "phase trains": since_trial_start(training),
+        "phase": since_trial_start(regular),
     }
     out = {}
-    for name, looks in wanted.items():
-        with tqdm(total=len(looks), desc=name, file=sys.stderr, disable=None) as bar:
+    for name, snapshots in wanted.items():
+        with tqdm(total=len(snapshots), desc=name, file=sys.stderr, disable=None) as bar:
             head = HEADS[name.split()[0]]
-            out[name] = View(looks, snapshot_features(data, looks, head.sight, config, preset(), bar.update), head)
+            out[name] = View(
+                snapshots, snapshot_features(data, snapshots, head.view, config, preset(), bar.update), head
+            )
     return out
 
 

@@ -1,11 +1,10 @@
 """Failure types of the authors' simulated failures, believed from the stream: accuracy at parts of the record.
 
-Five folds grouped by trial: four train, the fifth is streamed at 10 Hz. A streamed head has one encoder: finer ones
-take a window of 20 samples and a fraction of the preset's thresholds. Richer words know neither the time that has
-passed nor a constant added to the wrench. Beside them stands the most frequent class. The likeliest class and the one
-with most votes of the pairs differ where there are so many classes; both are told. That a complete record counts for
-twenty looks, and the cost of richer words, were chosen while looking at two of these folds, so expect a little less on
-new trials.
+Five folds grouped by trial: four train, the fifth is streamed at 10 Hz. A streamed classifier has one encoder: finer
+ones take a window of 20 samples and a fraction of the preset's thresholds. "Richer words" are features without elapsed
+time and absolute level. The baseline is the most frequent class. With so many classes the likeliest class and the one
+with most votes of the pairs differ; both are reported. The weight of a complete record (twenty snapshots) and the cost
+of richer words were chosen on two of these folds, so expect a little less on new trials.
 
 Run: python -m experiments.online.failure_types --repeats 1 --seed 0
 Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
@@ -44,13 +43,13 @@ from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_inter
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import Recordings
 
-RATE = 10.0  # looks per second
-PICKED = 4  # half of a trial's looks that train
+RATE = 10.0  # snapshots per second
+PICKED = 4  # half of a trial's snapshots that train
 FOLDS = 5
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 GRID = replace(TRIAL_GRID, kernels=("rbf",), costs=(1.0, 10.0))
 RANKS = replace(GRID, costs=(1.0,), ranks=True)  # with ranks all costs from here on are much the same
-ENDS = 20  # looks that a complete record counts for: until the parts touch, a record says nothing of its failure
+ENDS = 20  # snapshots that a complete record counts for: until the parts touch, a record says nothing of its failure
 
 Floats = NDArray[np.float64]
 
@@ -73,19 +72,19 @@ METHODS = {
 }
 
 
-def moments(items: LabelledIntervals, looks: Snapshots) -> dict[str, NDArray[np.int64]]:
-    """The first look of every trial at or after each part of its record."""
-    length = (items.intervals[0].end - items.intervals[0].start)[looks.sentence]
-    found = {}
+def moments(items: LabelledIntervals, snapshots: Snapshots) -> dict[str, NDArray[np.int64]]:
+    """The first snapshot of every trial at or after each part of its record."""
+    length = (items.intervals[0].end - items.intervals[0].start)[snapshots.interval]
+    rows = {}
     for fraction in FRACTIONS:
-        late = np.flatnonzero(looks.now - looks.begin >= fraction * length)
-        found[f"at {fraction:.0%}"] = late[np.unique(looks.sentence[late], return_index=True)[1]]
-    return found
+        late = np.flatnonzero(snapshots.now - snapshots.begin >= fraction * length)
+        rows[f"at {fraction:.0%}"] = late[np.unique(snapshots.interval[late], return_index=True)[1]]
+    return rows
 
 
 def fold(
     items: LabelledIntervals,
-    looks: Snapshots,
+    snapshots: Snapshots,
     training: NDArray[np.bool_],
     x: Floats,
     method: Method,
@@ -93,20 +92,20 @@ def fold(
     seed: int,
 ) -> dict[str, Any]:
     """Train on the trials that are not in ``test``, stream those."""
-    seen, y = np.isin(looks.sentence, test), items.y[looks.sentence]
-    rows = np.flatnonzero(~seen & training)
+    tested, y = np.isin(snapshots.interval, test), items.y[snapshots.interval]
+    rows = np.flatnonzero(~tested & training)
     described = FeatureSpec(families=method.families)
-    machine = learn(x[rows], looks.take(rows), items, described, method.grid, ENDS, seed)
+    machine = learn(x[rows], snapshots.take(rows), items, described, method.grid, ENDS, seed)
     p = np.full((len(y), len(items.classes)), np.nan)
-    p[seen] = machine.probability(x[seen])
-    out: dict[str, Any] = {"every tenth of a second": metrics.accuracy(y[seen], p[seen].argmax(1))}
-    for name, at in moments(items, looks).items():
-        mine = at[seen[at]]
+    p[tested] = machine.probability(x[tested])
+    out: dict[str, Any] = {"every tenth of a second": metrics.accuracy(y[tested], p[tested].argmax(1))}
+    for name, at in moments(items, snapshots).items():
+        mine = at[tested[at]]
         out[name] = metrics.accuracy(y[mine], p[mine].argmax(1))
-        said = machine.svm.predict_index(x[mine])
-        out[f"{name}, votes of pairs"] = metrics.accuracy(y[mine], said)
-    out["true and said at 100%, votes of pairs"] = metrics.confusion(y[mine], said, len(items.classes))
-    out["calibration error of steps"] = metrics.calibration_error(p[seen], y[seen])
+        votes = machine.svm.predict_index(x[mine])
+        out[f"{name}, votes of pairs"] = metrics.accuracy(y[mine], votes)
+    out["true and said at 100%, votes of pairs"] = metrics.confusion(y[mine], votes, len(items.classes))
+    out["calibration error of steps"] = metrics.calibration_error(p[tested], y[tested])
     out["chosen"] = f"{machine.svm.spec.kernel} C={machine.svm.spec.cost:g}"
     return out
 
@@ -127,28 +126,28 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def watched(recordings: Recordings, looks: Snapshots, method: Method) -> Floats:
-    """Features of all looks."""
+def watched(recordings: Recordings, snapshots: Snapshots, method: Method) -> Floats:
+    """Features of all snapshots."""
     config = EncoderConfig(window=method.window, dt=recordings.dt)
     limits = GradientThresholds(np.asarray(preset().limits) * method.scale)
-    with tqdm(total=len(looks), desc="looks", file=sys.stderr, disable=None) as bar:
+    with tqdm(total=len(snapshots), desc="snapshots", file=sys.stderr, disable=None) as bar:
         x = snapshot_features(
-            recordings, looks, FeatureView(FeatureSpec(families=method.families)), config, limits, bar.update
+            recordings, snapshots, FeatureView(FeatureSpec(families=method.families)), config, limits, bar.update
         )
     return x.astype(np.float64)
 
 
 def row(
-    recordings: Recordings, items: LabelledIntervals, looks: Snapshots, method: Method, repeats: int, seed: int
+    recordings: Recordings, items: LabelledIntervals, snapshots: Snapshots, method: Method, repeats: int, seed: int
 ) -> Callable[[], Any]:
     def make() -> Any:
         every = round(1 / (RATE * recordings.dt))
         chosen = training_snapshots(items, every, PICKED, early=False)
-        training = np.isin(looks.sentence * 10**7 + looks.now, chosen.sentence * 10**7 + chosen.now)
-        x = watched(recordings, looks, method)
+        training = np.isin(snapshots.interval * 10**7 + snapshots.now, chosen.interval * 10**7 + chosen.now)
+        x = watched(recordings, snapshots, method)
         splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
         parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]
-        return summary([fold(items, looks, training, x, method, test, s) for s, test in tqdm(parts, disable=None)])
+        return summary([fold(items, snapshots, training, x, method, test, s) for s, test in tqdm(parts, disable=None)])
 
     return make
 
@@ -160,7 +159,7 @@ def main() -> None:
     args = parser.parse_args()
     recordings = recorded()
     items = labelled_intervals(recordings, TaskSpec("failure-type"))
-    looks = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
+    snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
     about = {
         "what": "failure type of simulated failures from the stream; folds grouped by trial",
         "trials": len(items.y),
@@ -172,7 +171,7 @@ def main() -> None:
         "complete record counts for": ENDS,
     }
     command = f"python -m experiments.online.failure_types --repeats {args.repeats} --seed {args.seed}"
-    wanted = {name: row(recordings, items, looks, m, args.repeats, args.seed) for name, m in METHODS.items()}
+    wanted = {name: row(recordings, items, snapshots, m, args.repeats, args.seed) for name, m in METHODS.items()}
     Rows("failure_types_online", command, about, args.seed).fill(wanted)
 
 

@@ -4,7 +4,7 @@
 * start: from the model file to the first belief in a fresh process, compilation included, with and without a warm
   compilation cache;
 * length: memory and time per push over a long stream;
-* fuzz: hostile messages to the reader of JSON lines and to the regulator, and hostile requests to the page.
+* fuzz: hostile messages to the reader of JSON lines and to the resampler, and hostile requests to the page.
 
 Run on an otherwise idle machine: python -m experiments.online.stream_speed MODEL --pushes 100000 --samples 10000000
 MODEL is made by "rcbht train-online". Every part measured is kept; --parts measures some of them (again).
@@ -44,7 +44,7 @@ START = """
 import resource, sys, time
 start = time.perf_counter()
 from pathlib import Path
-from rcbht_jax import compile_cache
+from rcbht_jax._util import compile_cache
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
 if sys.argv[2]:

@@ -1,11 +1,11 @@
 """Table II of the paper, honestly: beliefs while the sub-task runs, on trials that were not trained on.
 
-Half of the trials train (states) and the other half is streamed, again and again with other halves. Kernel and cost
-are chosen inside the training half. A belief at a sample uses what a stream had at that sample: labels published by
-then and the encoder's provisional ones. Beside the honest numbers stand the paper's own (k, counts, AvgLen, m over
-the class average) for comparison, at the paper's three rates.
+Half of the trials train a classifier of the states, the other half is streamed; repeated with other halves. Kernel and
+cost are chosen inside the training half. A belief at a sample uses what a stream had at that sample: the labels
+published by then and the encoder's provisional ones. The paper's own measures (k, counts, AvgLen, m over the class
+average) are given as well, at the paper's three rates.
 
-"relative" repeats everything with features that hold neither duration nor absolute offset.
+"relative" repeats everything with features without duration and absolute offset.
 
 Run: python -m experiments.online.table2 --repeats 50 --seed 0
 Every finished row is kept; run it again to go on where it was interrupted.
@@ -43,6 +43,7 @@ from rcbht_jax.introspection.training import (
 )
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
 KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
@@ -63,89 +64,93 @@ Floats = NDArray[np.float64]
 
 
 def halves(items: LabelledIntervals, seed: int) -> NDArray[np.bool_]:
-    """Which sentences train: those of a random half of the trials."""
+    """Which intervals train: those of a random half of the trials."""
     trials = np.unique(items.trial)
     return np.isin(items.trial, np.random.default_rng(seed).permutation(trials)[: len(trials) // 2])
 
 
-def certainty_rows(p: Floats, looks: Snapshots, items: LabelledIntervals) -> dict[str, Any]:
-    """Counts and m of the streamed test sentences at every k."""
-    order = np.unique(looks.sentence)
-    parts = [p[looks.sentence == s] for s in order]
-    truth = [int(items.y[s]) for s in order]
+def certainty_rows(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> dict[str, Any]:
+    """Counts and m of the streamed test intervals at every k."""
+    order = np.unique(snapshots.interval)
+    parts = [p[snapshots.interval == s] for s in order]
+    y_true = [int(items.y[s]) for s in order]
     rows = {}
     for k in metrics.CERTAINTY_LEVELS:
-        c = metrics.certainties(parts, truth, k)
+        c = metrics.certainties(parts, y_true, k)
         names = ("count_min", "count_mean", "count_max", "avg_len", "m_paper", "m_own")
         rows[f"k={k:.2f}"] = {name: getattr(c, name) for name in names}
     return rows
 
 
-def time_to_confidence(p: Floats, looks: Snapshots, items: LabelledIntervals, k: float, dt: float) -> Floats:
+def time_to_confidence(p: Floats, snapshots: Snapshots, items: LabelledIntervals, k: float, dt: float) -> Floats:
     """Median seconds until a belief is first right and certain for good, per class; inf where most never are."""
     seconds: list[list[float]] = [[] for _ in items.classes]
-    for s in np.unique(looks.sentence):
-        mine = looks.sentence == s
+    for s in np.unique(snapshots.interval):
+        mine = snapshots.interval == s
         sure = (p[mine].argmax(1) == items.y[s]) & (p[mine].max(1) > k)
         last_doubt = np.flatnonzero(~sure)
         first = int(last_doubt[-1]) + 1 if last_doubt.size else 0
-        elapsed = (looks.now[mine] - looks.begin[mine]) * dt
+        elapsed = (snapshots.now[mine] - snapshots.begin[mine]) * dt
         seconds[items.y[s]].append(float(elapsed[first]) if first < len(elapsed) else np.inf)
     return np.array([np.median(x) for x in seconds])
 
 
-def early(p: Floats, looks: Snapshots, items: LabelledIntervals) -> Floats:
+def early(p: Floats, snapshots: Snapshots, items: LabelledIntervals) -> Floats:
     """Accuracy ``[class, fraction]`` at 10, 20, ... 100 % of the sub-task."""
     where = items.intervals[0]
-    length = (where.end - where.start)[looks.sentence]
-    bucket = np.minimum(((looks.now - looks.begin) * FRACTIONS - 1) // length, FRACTIONS - 1)
-    right = (p.argmax(1) == items.y[looks.sentence]).astype(float)
-    cell = items.y[looks.sentence] * FRACTIONS + bucket
+    length = (where.end - where.start)[snapshots.interval]
+    bucket = np.minimum(((snapshots.now - snapshots.begin) * FRACTIONS - 1) // length, FRACTIONS - 1)
+    right = (p.argmax(1) == items.y[snapshots.interval]).astype(float)
+    cell = items.y[snapshots.interval] * FRACTIONS + bucket
     size = len(items.classes) * FRACTIONS
     total = np.bincount(cell, minlength=size)
     hits = np.bincount(cell, right, minlength=size)
     return np.divide(hits, total, out=np.full(size, np.nan), where=total > 0).reshape(-1, FRACTIONS)
 
 
-def repeat(x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int, dt: float) -> Any:
-    """All numbers of one half-split: trained on one half's looks, streamed over the other."""
+def half_split(
+    x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int
+) -> tuple[ProbabilisticSvm, Snapshots, Floats]:
+    """A classifier of one half of the trials, the snapshots of the other half, and its probabilities there."""
     inside = halves(items, seed)
     columns = np.isin(x["family"], families)
-    fitted, looks = x["picked"], x["streamed"]
-    rows = np.flatnonzero(inside[fitted.sentence])
-    described, train = FeatureSpec(families=families, balance=True), x["picked_x"][rows][:, columns]
-    machine = learn(train.astype(np.float64), fitted.take(rows), items, described, GRID, ENDS, seed)
-    test = np.flatnonzero(~inside[looks.sentence])
-    seen = looks.take(test)
-    p, truth = machine.probability(x["streamed_x"][test][:, columns]), items.y[seen.sentence]
-    spec = machine.svm.spec
-    whole = seen.whole
+    rows = np.flatnonzero(inside[x["picked"].interval])
+    spec, train = FeatureSpec(families=families, balance=True), x["picked_x"][rows][:, columns]
+    machine = learn(train.astype(np.float64), x["picked"].take(rows), items, spec, GRID, ENDS, seed)
+    test = np.flatnonzero(~inside[x["streamed"].interval])
+    return machine, x["streamed"].take(test), machine.probability(x["streamed_x"][test][:, columns])
+
+
+def repeat(x: dict[str, Any], items: LabelledIntervals, families: tuple[str, ...], seed: int, dt: float) -> Any:
+    """All numbers of one half-split."""
+    machine, seen, p = half_split(x, items, families, seed)
+    y_true, spec, whole = items.y[seen.interval], machine.svm.spec, seen.complete
     return {
-        "step accuracy": metrics.recall(truth, p.argmax(1), len(items.classes)),
-        "macro step accuracy": metrics.macro_step_accuracy(p, truth),
-        "full-sequence accuracy": metrics.accuracy(truth[whole], p[whole].argmax(1)),
-        "OverallPr": metrics.overall_pr(p[whole], truth[whole]),
-        "ClassPr": metrics.class_pr(p[whole], truth[whole]),
-        "streamed OverallPr": metrics.overall_pr(p, truth),
-        "ECE steps": metrics.calibration_error(p, truth),
-        "ECE full sequences": metrics.calibration_error(p[whole], truth[whole]),
+        "step accuracy": metrics.recall(y_true, p.argmax(1), len(items.classes)),
+        "macro step accuracy": metrics.macro_step_accuracy(p, y_true),
+        "full-sequence accuracy": metrics.accuracy(y_true[whole], p[whole].argmax(1)),
+        "OverallPr": metrics.overall_pr(p[whole], y_true[whole]),
+        "ClassPr": metrics.class_pr(p[whole], y_true[whole]),
+        "streamed OverallPr": metrics.overall_pr(p, y_true),
+        "ECE steps": metrics.calibration_error(p, y_true),
+        "ECE full sequences": metrics.calibration_error(p[whole], y_true[whole]),
         "seconds to lasting confidence at .70": time_to_confidence(p, seen, items, 0.70, dt),
         "accuracy by tenth of the sub-task": early(p, seen, items),
         "certainty": certainty_rows(p, seen, items),
-        "confusion of full sequences": metrics.confusion(truth[whole], p[whole].argmax(1), len(items.classes)),
-        "reliability": metrics.reliability(p, truth),
+        "confusion of full sequences": metrics.confusion(y_true[whole], p[whole].argmax(1), len(items.classes)),
+        "reliability": metrics.reliability(p, y_true),
         "chosen": f"{spec.kernel} C={spec.cost:g}",
-        WHOLE: (p[whole], truth[whole]),
+        WHOLE: (p[whole], y_true[whole]),
     }
 
 
 def together(runs: list[Any], seed: int) -> dict[str, float]:
     """Calibration of full sequences over all repeats, and what so few of them score in one when nothing is wrong."""
     parts, rng = [run.pop(WHOLE) for run in runs], np.random.default_rng(seed)
-    p, truth = (np.concatenate(part) for part in zip(*parts, strict=True))
+    p, y_true = (np.concatenate(part) for part in zip(*parts, strict=True))
     drawn = [(one, (one.cumsum(1)[:, :-1] < rng.random((len(one), 1))).sum(1)) for one, _ in parts]
     return {
-        "ECE full sequences, repeats together": round(metrics.calibration_error(p, truth), 4),
+        "ECE full sequences, repeats together": round(metrics.calibration_error(p, y_true), 4),
         CHANCE: round(float(np.mean([metrics.calibration_error(*part) for part in drawn])), 4),
     }
 
@@ -174,17 +179,15 @@ def _mean(stacked: Floats) -> Floats:
 
 
 def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, rate: float) -> dict[str, Any]:
-    """Features of all looks, once for all repeats: they depend on no training."""
+    """Features of all snapshots, made once for all repeats."""
     families = tuple(dict.fromkeys((*SUBTASK, *SUBTASK_RELATIVE)))
-    sight = FeatureView(FeatureSpec(families=families))
+    view = FeatureView(FeatureSpec(families=families))
     every = round(1 / (rate * config.dt))
     out: dict[str, Any] = {"picked": training_snapshots(items, every), "streamed": regular_snapshots(items, every)}
     for part in ("picked", "streamed"):
-        with tqdm(total=len(out[part]), desc=f"{part} looks at {rate:g} Hz", file=sys.stderr, disable=None) as bar:
-            out[f"{part}_x"] = snapshot_features(
-                recordings, out[part], sight, config, preset(), lambda n: bar.update(n)
-            )
-    out["family"] = np.array([name.split(".")[0] for name in names(sight.spec)])
+        with tqdm(total=len(out[part]), desc=f"{part} snapshots at {rate:g} Hz", file=sys.stderr, disable=None) as bar:
+            out[f"{part}_x"] = snapshot_features(recordings, out[part], view, config, preset(), bar.update)
+    out["family"] = np.array([name.split(".")[0] for name in names(view.spec)])
     return out
 
 
@@ -220,20 +223,20 @@ def main() -> None:
             row = f"{name} at {rate:g} Hz"
             if row not in done:
                 done[row] = measure(recordings, name, args.repeats, rate, args.seed, rate == MAIN_RATE)
-                keep(done, args.repeats, args.seed)
+                write(done, args.repeats, args.seed)
 
 
 def finished(repeats: int, seed: int) -> dict[str, Any]:
-    """Rows that an earlier, perhaps interrupted run has kept."""
+    """Rows of an earlier run with the same settings, perhaps interrupted."""
     path = RESULTS / "table2.json"
     record = json.loads(path.read_text()) if path.is_file() else {"seed": None}
-    about = record["seed"], record.get("result", {}).get("repeats"), record.get("result", {}).get("families")
-    same = about == (seed, repeats, {kind: list(families) for kind, families in KINDS.items()})
+    settings = record["seed"], record.get("result", {}).get("repeats"), record.get("result", {}).get("families")
+    same = settings == (seed, repeats, {kind: list(families) for kind, families in KINDS.items()})
     return dict(record["result"]["rows"]) if same else {}
 
 
-def keep(rows: dict[str, Any], repeats: int, seed: int) -> None:
-    """Write the rows there are."""
+def write(rows: dict[str, Any], repeats: int, seed: int) -> None:
+    """Write the finished rows."""
     result = {
         "what": "states streamed over the untrained half of the trials; harmonised boundaries, right arm",
         "repeats": repeats,

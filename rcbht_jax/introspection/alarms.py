@@ -3,36 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int, Shaped
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Level
 from rcbht_jax.learning.metrics import INADMISSIBLE
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.svm import Ints, Matrix, fit, grouped_folds
+from rcbht_jax.learning.svm import fit, grouped_folds
 
 FOLDS = 5
 
 
-def sustained_peak(probability: NDArray[np.floating[Any]], looks: int) -> float:
-    """The highest level that ``probability [look]`` keeps for ``looks`` looks in a row; 0 if there are fewer."""
-    if len(probability) < looks:
+def sustained_peak(probability: Float[np.ndarray, " snapshot"], steps: int) -> float:
+    """The highest level that the probability keeps for ``steps`` snapshots in a row; 0 if there are fewer.
+
+    >>> sustained_peak(np.array([0.2, 0.9, 0.6, 0.7]), 2)
+    0.6
+    """
+    if len(probability) < steps:
         return 0.0
-    return float(np.lib.stride_tricks.sliding_window_view(probability, looks).min(1).max())
+    return float(np.lib.stride_tricks.sliding_window_view(probability, steps).min(1).max())
 
 
-def conformal_threshold(peaks: NDArray[np.floating[Any]], share: float) -> float:
+def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> float:
     """Threshold that a new nominal trial's peak exceeds with a probability of at most ``share``.
 
     Args:
-        peaks: of nominal trials ``[trial]`` that the machine did not see.
-        share: false alarms per nominal trial.
+        peaks: of nominal trials that did not train the classifier.
+        share: false alarms per nominal trial, between 0 and 1.
 
     Raises:
-        InputError: there are too few trials to promise so small a share, which takes 1 / share - 1 of them.
+        InputError: there are fewer than 1 / share - 1 trials.
+
+    >>> conformal_threshold(np.arange(9) / 10, 0.1)
+    0.8
     """
     if not 0 < share < 1:
         raise InputError(f"{share:g} false alarms per trial were asked for; expected a number between 0 and 1.")
@@ -45,33 +51,32 @@ def conformal_threshold(peaks: NDArray[np.floating[Any]], share: float) -> float
     return float(np.sort(peaks)[rank - 1])
 
 
-def peaks(probability: NDArray[np.floating[Any]], groups: NDArray[Any], looks: int) -> NDArray[np.float64]:
-    """:func:`sustained_peak` of every trial, in the order of their names: ``[look]`` and trial ``[look]`` to ``[trial]``."""
-    return np.array([sustained_peak(probability[groups == trial], looks) for trial in np.unique(groups)])
+def peaks(
+    probability: Float[np.ndarray, " snapshot"], groups: Shaped[np.ndarray, " snapshot"], steps: int
+) -> Float[np.ndarray, " trial"]:
+    """:func:`sustained_peak` of every trial, in the order of the names in ``groups``."""
+    return np.array([sustained_peak(probability[groups == trial], steps) for trial in np.unique(groups)])
 
 
 def held_out(
     machine: ProbabilisticSvm,
-    x: Matrix,
-    y: Ints,
-    groups: NDArray[Any],
-    stream: Matrix,
-    stream_group: NDArray[Any],
+    x: Float[np.ndarray, "item feature"],
+    y: Int[np.ndarray, " item"],
+    groups: Shaped[np.ndarray, " item"],
+    stream: Float[np.ndarray, "snapshot feature"],
+    stream_group: Shaped[np.ndarray, " snapshot"],
     seed: int,
-) -> NDArray[np.float64]:
-    """Class probabilities of training trials as they are streamed, each by a machine that saw nothing of the trial.
+) -> Float[np.ndarray, "snapshot class"]:
+    """Class probabilities of training trials as they are streamed, each by a classifier not trained on the trial.
 
     Args:
         machine: trained on all of ``x``; gives hyper-parameters and sigmoids.
-        x: training features ``[item, feature]``.
-        y: class index ``[item]``.
-        groups: trial ``[item]``.
-        stream: features of looks at training trials ``[look, feature]``.
-        stream_group: trial ``[look]``.
+        x: training features.
+        y: class index.
+        groups: trial of each item.
+        stream: features of the streamed training trials.
+        stream_group: trial of each snapshot.
         seed: of the folds.
-
-    Returns:
-        ``[look, class]``.
 
     Raises:
         InputError: a streamed trial is not among those that train.
@@ -86,15 +91,19 @@ def held_out(
     return out
 
 
-def _folds(y: Ints, groups: NDArray[Any]) -> int:
+def _folds(y: Int[np.ndarray, " item"], groups: Shaped[np.ndarray, " item"]) -> int:
     return min(FOLDS, *(len(np.unique(groups[y == c])) for c in np.unique(y)))
 
 
-LEAST = 1e-4  # probability that a belief gives a sub-task at least: no single look may rule one out
+LEAST = 1e-4  # least probability of a sub-task in a belief: no single belief may rule one out
 
 
 class Confidence:
-    """Level of a belief: certain above ``k``, and until it falls below ``k - margin`` or says something else."""
+    """Level of a belief: certain above ``k``, until it falls below ``k - margin`` or another class is likelier.
+
+    Raises:
+        InputError: ``k`` or ``margin`` is out of range.
+    """
 
     def __init__(self, k: float, margin: float) -> None:
         if not INADMISSIBLE <= k < 1 or not 0 <= margin <= k - INADMISSIBLE:
@@ -147,15 +156,18 @@ class Alarm:
 
 
 class PhaseFilter:
-    """Which sub-task goes on, from beliefs alone: the filter of a Markov chain that only goes forwards.
+    """Which sub-task goes on, from beliefs alone: the forward filter of a left-to-right Markov chain.
 
     Sub-tasks follow each other in the order of the classes; one that passes unnoticed is skipped, none comes back. The
     next one begins when it is likelier than not that the present one is over.
 
     Args:
         classes: in the order of the sub-tasks.
-        stay: seconds that a sub-task lasts in the mean, before anything is seen. A guess of the right order will do.
-        memory: seconds after which another belief is as good as an independent one; looks that are nearer count less.
+        stay: prior mean duration of a sub-task, s; the order of magnitude suffices.
+        memory: s after which beliefs count as independent; nearer ones weigh less, in proportion.
+
+    Raises:
+        InputError: ``stay`` or ``memory`` is not positive.
     """
 
     def __init__(self, classes: Sequence[str], stay: float = 1.0, memory: float = 0.1) -> None:
@@ -169,7 +181,7 @@ class PhaseFilter:
         self.current, self._time = 0, 0.0
         self.filtered = np.eye(self._count)[0]  # probability of each sub-task, given all that was seen
 
-    def update(self, probabilities: Sequence[float], time: float) -> bool:
+    def update(self, probabilities: Sequence[float] | Float[np.ndarray, " class"], time: float) -> bool:
         """Whether a new sub-task begins now, given the belief ``[class]`` and the time since the trial began, s."""
         passed, self._time = time - self._time, time
         mean = passed / self._stay

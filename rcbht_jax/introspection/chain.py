@@ -1,8 +1,8 @@
-"""The streaming chain over recordings: what would have been known at each sample, without the future.
+"""Features of a stream as they stood at each sample, without the future.
 
-One *tick* is what a stream does when it is asked: the samples of the current window, all or only the first few of
-them, go through the encoder; a complete window changes the state for good, an incomplete one only for this answer.
-:class:`rcbht_jax.introspection.introspector.Introspector` makes the same ticks one by one.
+A *snapshot* is what a stream knows after a number of samples: the samples of the current window, all of them or only
+the first few, go through the encoder. A complete window changes the state for good, an incomplete one only the answer.
+:class:`rcbht_jax.introspection.introspector.Introspector` takes the same steps one by one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, PackedLabels, drain, init, step_partial, unpack
 from rcbht_jax.encoding.thresholds import GradientThresholds
@@ -33,7 +33,9 @@ from rcbht_jax.features.online import (
 )
 from rcbht_jax.types import Array
 
-_TICKS = 512  # per compiled scan, whatever the length of the recording
+_STEPS = 512  # per compiled scan, whatever the length of the recording
+
+Ints = Int[np.ndarray, " snapshot"]
 
 
 @jax.tree_util.register_dataclass
@@ -42,136 +44,139 @@ class StreamState:
     """What a stream remembers, whatever its length."""
 
     encoder: EncoderState
-    tallies: tuple[RunningStats, ...]  # one per kind of sentence, for example the sub-task and the whole trial
+    stats: tuple[RunningStats, ...]  # one per view: of the present sub-task, of the whole trial
 
 
 @dataclass(frozen=True)
 class FeatureView:
-    """What may be looked at."""
+    """Which features of an interval a classifier sees."""
 
     spec: FeatureSpec
-    provisional: bool = True  # also words not yet published, as ``peek`` would say them
+    provisional: bool = True  # with the labels that are not published yet, see ``encoder.peek``
 
 
-def begin_stream(sights: tuple[FeatureView, ...]) -> StreamState:
+def begin_stream(views: tuple[FeatureView, ...]) -> StreamState:
     """The state before the first sample."""
-    return StreamState(init((6,)), tuple(empty(sight.spec, jnp.int32(0)) for sight in sights))
+    return StreamState(init((6,)), tuple(empty(view.spec, jnp.int32(0)) for view in views))
 
 
 def step(
     config: EncoderConfig,
-    sights: tuple[FeatureView, ...],
-    limits: Array,
-    progress: StreamState,
-    window: Array,
-    count: Array,
-    begins: Array,
-) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
-    """One look at the stream.
+    views: tuple[FeatureView, ...],
+    limits: Float[Array, "6 4"],
+    state: StreamState,
+    window: Float[Array, "window 6"],
+    count: Int[Array, ""],
+    begins: Int[Array, " view"],
+) -> tuple[StreamState, tuple[Float[Array, " _feature"], ...], PackedLabels]:
+    """Take one snapshot; pure, with the static arguments first.
 
     Args:
         config: of the encoder.
-        sights: kinds of sentences and how each is described.
-        limits: float32 ``[6, 4]``.
-        progress: so far, at the end of the last complete window.
-        window: float32 ``[config.window, 6]``, the samples since then, then anything.
-        count: int32 ``[]``, how many of them there are.
-        begins: int32 ``[sight]``, sample at which the present sentence of each kind begins.
+        views: features to make, each of its own interval.
+        limits: of the gradient thresholds.
+        state: at the end of the last complete window.
+        window: samples since then, N and Nm; those from ``count`` on mean nothing.
+        count: samples in ``window``.
+        begins: first sample of the present interval of each view.
 
     Returns:
-        the new state (the same unless the window is complete), the features ``[feature]`` of each sentence, and
-        the labels that the window published, packed, none unless it is complete.
+        the new state (the same unless the window is complete), the features of each view, and the labels that the
+        window published (none unless it is complete).
     """
-    counts = jnp.broadcast_to(count, progress.encoder.time.shape)
-    after, out = step_partial(config, limits, progress.encoder, window, counts)
-    said, held = unpack(out), drain(config, after)
+    counts = jnp.broadcast_to(count, state.encoder.time.shape)
+    after, out = step_partial(config, limits, state.encoder, window, counts)
+    published, pending = unpack(out), drain(config, after)
     complete = count == config.window
-    now = progress.encoder.time[0] + count
-    slot = jax.tree.map(lambda leaf: leaf[:, None], said)
-    tallies, described = [], []
-    for sight, old, begin in zip(sights, progress.tallies, begins, strict=True):
-        tally = grow(config.dt, restart(sight.spec, old, begin), now, config.window)
-        new = add(sight.spec, config.dt, tally, stack_words(sight.spec, slot))
-        kept = jax.tree.map(lambda a, b: jnp.where(complete, a, b), new, tally)
-        seen = add(sight.spec, config.dt, new, stack_words(sight.spec, held)) if sight.provisional else kept
-        described.append(describe_interval(sight.spec, config.dt, seen, now))
-        tallies.append(kept)
-    encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, progress.encoder)
-    published = jax.tree.map(lambda leaf: jnp.where(complete, leaf, jnp.zeros_like(leaf)), out)
-    return StreamState(encoder, tuple(tallies)), tuple(described), published
+    now = state.encoder.time[0] + count
+    slot = jax.tree.map(lambda leaf: leaf[:, None], published)
+    next_stats, features = [], []
+    for view, old, begin in zip(views, state.stats, begins, strict=True):
+        stats = grow(config.dt, restart(view.spec, old, begin), now, config.window)
+        new = add(view.spec, config.dt, stats, stack_words(view.spec, slot))
+        following = jax.tree.map(lambda a, b: jnp.where(complete, a, b), new, stats)
+        seen = add(view.spec, config.dt, new, stack_words(view.spec, pending)) if view.provisional else following
+        features.append(describe_interval(view.spec, config.dt, seen, now))
+        next_stats.append(following)
+    encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, state.encoder)
+    labels = jax.tree.map(lambda leaf: jnp.where(complete, leaf, jnp.zeros_like(leaf)), out)
+    return StreamState(encoder, tuple(next_stats)), tuple(features), labels
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _scan(
-    config: EncoderConfig, sight: FeatureView, limits: Array, progress: StreamState, rows: tuple[Array, ...]
+    config: EncoderConfig, view: FeatureView, limits: Array, state: StreamState, rows: tuple[Array, ...]
 ) -> tuple[StreamState, Array]:
-    def body(progress: StreamState, row: tuple[Array, ...]) -> tuple[StreamState, Array]:
-        progress, described, _ = step(config, (sight,), limits, progress, *row)
-        return progress, described[0]
+    def body(state: StreamState, row: tuple[Array, ...]) -> tuple[StreamState, Array]:
+        state, features, _ = step(config, (view,), limits, state, *row)
+        return state, features[0]
 
-    return jax.lax.scan(body, progress, rows)
+    return jax.lax.scan(body, state, rows)
 
 
 def online_features(
     config: EncoderConfig,
     thresholds: GradientThresholds,
-    sight: FeatureView,
-    wrench: NDArray[np.float32],
-    begin: NDArray[np.int64],
-    now: NDArray[np.int64],
-) -> NDArray[np.float32]:
-    """Features of one recording's sentences as they stood at some samples.
+    view: FeatureView,
+    wrench: Float[np.ndarray, "time 6"],
+    begin: Ints,
+    now: Ints,
+) -> Float[np.ndarray, "snapshot feature"]:
+    """Features of intervals of one recording, as a stream would have had them at some samples.
 
     Args:
         config: of the encoder.
         thresholds: limits ``[6, 4]``.
-        sight: how a sentence is described.
-        wrench: ``[time, 6]``.
-        begin: ``[look]`` first sample of the sentence, increasing.
-        now: ``[look]`` samples received when the look is taken, increasing, > begin.
-
-    Returns:
-        ``[look, feature]``.
+        view: which features.
+        wrench: N and Nm.
+        begin: first sample of each snapshot's interval, increasing.
+        now: samples received when the snapshot is taken, increasing, > begin.
 
     Raises:
-        InputError: the samples asked for are not in order or not in the recording.
+        InputError: the snapshots are not in order or not in the recording.
+
+    >>> from rcbht_jax.encoding.thresholds import preset
+    >>> view = FeatureView(FeatureSpec(("elapsed",)))
+    >>> wrench = np.zeros((100, 6), np.float32)
+    >>> online_features(EncoderConfig(dt=0.01), preset(), view, wrench, np.array([0, 40]), np.array([20, 90]))
+    array([[0.2],
+           [0.5]], dtype=float32)
     """
-    check_online(sight.spec)
+    check_online(view.spec)
     _check(wrench, begin, now)
     rows, wanted = _schedule(config.window, wrench, begin, now)
     limits = jnp.asarray(np.asarray(thresholds.limits), jnp.float32)
-    progress = begin_stream((sight,))
-    out = np.empty((len(now), len(names(sight.spec))), np.float32)
-    for start in range(0, len(rows[1]), _TICKS):
-        piece = tuple(row[start : start + _TICKS] for row in rows)
-        progress, described = _scan(config, sight, limits, progress, piece)
-        inside = (wanted >= start) & (wanted < start + _TICKS)
-        out[inside] = np.asarray(described)[wanted[inside] - start]
+    state = begin_stream((view,))
+    out = np.empty((len(now), len(names(view.spec))), np.float32)
+    for start in range(0, len(rows[1]), _STEPS):
+        state, features = _scan(config, view, limits, state, tuple(row[start : start + _STEPS] for row in rows))
+        inside = (wanted >= start) & (wanted < start + _STEPS)
+        out[inside] = np.asarray(features)[wanted[inside] - start]
     return out
 
 
-def _check(wrench: NDArray[np.float32], begin: NDArray[np.int64], now: NDArray[np.int64]) -> None:
-    whole = len(begin) == len(now) > 0 and begin[0] >= 0 and now[-1] <= len(wrench)
-    same = np.diff(begin) == 0  # a new sentence begins at the earliest at the last look at the one before
+def _check(wrench: Float[np.ndarray, "time 6"], begin: Ints, now: Ints) -> None:
+    inside = len(begin) == len(now) > 0 and begin[0] >= 0 and now[-1] <= len(wrench)
+    same = np.diff(begin) == 0  # a new interval begins at the earliest at the last snapshot of the one before
     ordered = (np.diff(now) > 0).all() and (now > begin).all() and (same | (begin[1:] >= now[:-1])).all()
-    if not (whole and ordered):
+    if not (inside and ordered):
         raise InputError(
-            f"the looks must be in order, each after the beginning of its sentence and within {len(wrench)} samples."
+            "the snapshots must be in order, each after the beginning of its interval and within "
+            f"{len(wrench)} samples."
         )
 
 
 def _schedule(
-    window: int, wrench: NDArray[np.float32], begin: NDArray[np.int64], now: NDArray[np.int64]
-) -> tuple[tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]], NDArray[np.int64]]:
-    """Rows of a scan (window, count, begins), padded with empty ticks, and the row of every look."""
+    window: int, wrench: Float[np.ndarray, "time 6"], begin: Ints, now: Ints
+) -> tuple[tuple[Float[np.ndarray, "step w 6"], Int[np.ndarray, " step"], Int[np.ndarray, "step 1"]], Ints]:
+    """Rows of a scan (window, count, begins), padded with empty steps, and the row of every snapshot."""
     last = int(now[-1])
     ends = np.arange(window, last + 1, window)
     at = np.union1d(ends, now)
     first = (at - 1) // window * window
-    # The sentence of a tick is that of the look at or after it, once that sentence has begun.
-    owner = np.searchsorted(now, at)
-    begins = begin[owner]
-    rows = -(-len(at) // _TICKS) * _TICKS
+    # The interval of a step is that of the snapshot at or after it, once that interval has begun.
+    begins = begin[np.searchsorted(now, at)]
+    rows = -(-len(at) // _STEPS) * _STEPS
     padded = np.concatenate([wrench[:last], np.zeros((window, 6), np.float32)])
     windows = np.zeros((rows, window, 6), np.float32)
     windows[: len(at)] = padded[first[:, None] + np.arange(window)]
@@ -183,22 +188,22 @@ def _schedule(
 def online_features_batch(
     config: EncoderConfig,
     thresholds: GradientThresholds,
-    sight: FeatureView,
-    wrench: NDArray[np.float32],
-    recording: NDArray[np.int64],
-    begin: NDArray[np.int64],
-    now: NDArray[np.int64],
-    progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float32]:
-    """As :func:`observe` for looks ``[look]`` at several recordings of ``wrench [recording, time, 6]``, in any order.
+    view: FeatureView,
+    wrench: Float[np.ndarray, "recording time 6"],
+    recording: Ints,
+    begin: Ints,
+    now: Ints,
+    progress: Callable[[int], object] | None = None,
+) -> Float[np.ndarray, "snapshot feature"]:
+    """As :func:`online_features`, for snapshots of several recordings in any order.
 
-    ``progress`` is called with the number of looks done since the last call.
+    ``progress`` is called with the number of snapshots since the last call.
     """
-    out = np.empty((len(now), len(names(sight.spec))), np.float32)
+    out = np.empty((len(now), len(names(view.spec))), np.float32)
     for row in np.unique(recording):
-        looks = np.flatnonzero(recording == row)
-        looks = looks[np.lexsort((now[looks], begin[looks]))]
-        out[looks] = online_features(config, thresholds, sight, wrench[row], begin[looks], now[looks])
+        mine = np.flatnonzero(recording == row)
+        mine = mine[np.lexsort((now[mine], begin[mine]))]
+        out[mine] = online_features(config, thresholds, view, wrench[row], begin[mine], now[mine])
         if progress is not None:
-            progress(len(looks))
+            progress(len(mine))
     return out

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
@@ -19,15 +20,15 @@ from rcbht_jax.learning.metrics import CERTAINTY_LEVELS
 from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
 from rcbht_jax.types import Array
 
-FAILURE_TYPE = "failure-type"  # the head whose belief is told as the kind of failure
-PHASE = "phase"  # the head that tells from the whole trial which sub-task goes on, for those who are not told
+FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event
+PHASE = "phase"  # the classifier that detects from the whole trial which sub-task goes on
 
 
 @dataclass(frozen=True)
 class HeadShape:
-    """What must be known of a head when the chain is compiled."""
+    """What must be known of a classifier when the chain is compiled."""
 
-    sentence: int  # which of the chain's sentences it reads
+    view: int  # which of the chain's views it sees
     kernel: str
     gamma: float
     classes: int
@@ -38,59 +39,59 @@ class Chain:
     """The static part of window -> labels -> features -> probabilities; hashable, one compilation each."""
 
     config: EncoderConfig
-    scopes: tuple[str, ...]  # [sentence]
-    sights: tuple[FeatureView, ...]  # [sentence]
+    scopes: tuple[str, ...]  # [view]
+    views: tuple[FeatureView, ...]  # [view]
     heads: tuple[HeadShape, ...]
 
     @staticmethod
     def of(model: IntrospectionModel) -> Chain:
-        """The chain of a model; heads that read the same sentence alike share its features."""
-        sentences = tuple(dict.fromkeys((head.scope, head.sight) for head in model.heads))
+        """The chain of a model; classifiers with the same scope and view share features."""
+        pairs = tuple(dict.fromkeys((head.scope, head.view) for head in model.heads))
         shapes = tuple(
             HeadShape(
-                sentences.index((head.scope, head.sight)),
+                pairs.index((head.scope, head.view)),
                 head.machine.svm.spec.kernel,
                 head.machine.svm.gamma,
                 len(head.classes),
             )
             for head in model.heads
         )
-        scopes, sights = (tuple(x) for x in zip(*sentences, strict=True))
-        return Chain(model.encoder, scopes, sights, shapes)
+        scopes, views = (tuple(x) for x in zip(*pairs, strict=True))
+        return Chain(model.encoder, scopes, views, shapes)
 
 
 def infer(
     chain: Chain,
-    limits: Array,
+    limits: Float[Array, "6 4"],
     machines: tuple[SvmArrays, ...],
-    progress: StreamState,
-    window: Array,
-    count: Array,
-    begins: Array,
-) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
+    state: StreamState,
+    window: Float[Array, "window 6"],
+    count: Int[Array, ""],
+    begins: Int[Array, " view"],
+) -> tuple[StreamState, tuple[Float[Array, " _class"], ...], PackedLabels]:
     """The whole chain as one pure function; compiled once, it is one call per answer.
 
     Args:
         chain: static.
-        limits: float32 ``[6, 4]``.
-        machines: one per head.
-        progress: the state at the end of the last complete window.
-        window: float32 ``[window, 6]``, N and Nm, samples since then.
-        count: int32 ``[]``, how many of them there are.
-        begins: int32 ``[sentence]``, sample at which each sentence begins.
+        limits: of the gradient thresholds.
+        machines: one per classifier.
+        state: at the end of the last complete window.
+        window: samples since then, N and Nm; those from ``count`` on mean nothing.
+        count: samples in ``window``.
+        begins: first sample of the present interval of each view.
 
     Returns:
-        the new state, probabilities ``[class]`` per head, and the labels published by a complete window.
+        the new state, the class probabilities of each classifier, and the labels published by a complete window.
     """
-    progress, features, published = step(chain.config, chain.sights, limits, progress, window, count, begins)
-    said = tuple(
-        probability_jax(machine, head.kernel, head.gamma, head.classes, features[head.sentence])
+    state, features, published = step(chain.config, chain.views, limits, state, window, count, begins)
+    probabilities = tuple(
+        probability_jax(machine, head.kernel, head.gamma, head.classes, features[head.view])
         for head, machine in zip(chain.heads, machines, strict=True)
     )
-    return progress, said, published
+    return state, probabilities, published
 
 
-_believe = jax.jit(infer, static_argnums=0)
+_infer = jax.jit(infer, static_argnums=0)
 _begin = jax.jit(begin_stream, static_argnums=0)  # one small program in place of one per field
 
 
@@ -100,18 +101,22 @@ class Introspector:
     Args:
         model: see :mod:`rcbht_jax.introspection.model`.
         rate: beliefs per second; None = one per window. The clock is the number of samples received.
-        k: probability above which a belief is certain (paper: 0.70 ... 0.95).
+        k: certainty level: a belief is certain when its probability exceeds ``k``, 0.5 to 1 (paper: 0.70 to 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
-        hold: seconds for which an alarm must stay above its level (the head's own, else ``k``) before it is raised,
-            and below 0.5 before it is cleared.
-        detect: nobody says when a sub-task begins; the model's head "phase" does (see
-            :class:`rcbht_jax.introspection.alarms.PhaseFilter`). The sentence begins when it is noticed, not when it began.
+        hold: seconds for which an alarm must stay above its level (the classifier's own, else ``k``) before it is
+            raised, and below 0.5 before it is cleared.
+        detect: find the start of each sub-task with the model's classifier "phase" instead of :meth:`begin`; see
+            :class:`rcbht_jax.introspection.alarms.PhaseFilter`. Features of the sub-task then start at its detection.
 
-    Beliefs depend on the samples, on :meth:`begin` and on nothing else; cutting the samples into other chunks
-    gives the same bits.
+    Beliefs depend on the samples and on :meth:`begin`, not on how the samples are cut into chunks, bit for bit.
+
+    Example:
+        introspector = Introspector(load(Path("online.model")))
+        introspector.warm_up()
+        events = introspector.begin() + introspector.push(samples)  # [time, 6]
 
     Raises:
-        InputError: a rate faster than the samples, thresholds that make no sense, or no head to detect with.
+        InputError: a rate faster than the samples, levels out of range, or no classifier to detect with.
     """
 
     def __init__(
@@ -132,14 +137,14 @@ class Introspector:
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
         self._phases = PhaseFilter(_head(model, PHASE).classes) if detect else None
-        self._failure: tuple[str, str] | None = None  # label and level that were told last
+        self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
         self.labels: NDArray[np.int32] = np.zeros((3, 3, 6), np.int32)
-        self._fresh()
+        self._restart()
 
-    def _fresh(self) -> None:
-        self._progress: StreamState = _begin(self._chain.sights)
+    def _restart(self) -> None:
+        self._state: StreamState = _begin(self._chain.views)
         self._rest: NDArray[np.float32] = np.zeros((self._config.window, 6), np.float32)
         self._count = 0
         self._complete = 0  # samples in complete windows
@@ -153,11 +158,11 @@ class Introspector:
         return self._complete + self._count
 
     def warm_up(self) -> None:
-        """Compile now rather than at the first window."""
+        """Compile the chain now, which takes seconds, not in the first :meth:`push`; the stream is unchanged."""
         jax.block_until_ready(self._call())
 
     def begin(self, detected: bool = False) -> list[Event]:
-        """The controller says: a sub-task begins with the next sample."""
+        """Start a sub-task with the next sample; ``detected`` says that no controller announced it."""
         for number, scope in enumerate(self._chain.scopes):
             if scope == "subtask":
                 self._begins[number] = self.received
@@ -167,8 +172,8 @@ class Introspector:
         return [SubtaskStarted(self.received, self._now(), self.received, detected)]
 
     def reset(self) -> None:
-        """A new trial begins: nothing of the past remains."""
-        self._fresh()
+        """Start a new trial: forget everything received, all levels and all alarms."""
+        self._restart()
         for confidence in self._confidence:
             confidence.reset()
         for alarm in self._alarms.values():
@@ -179,11 +184,11 @@ class Introspector:
         self.latest = {}
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
-        """Feed samples ``[time, 6]`` of any number; the events that they cause, in order.
+        """Feed any number of samples ``[time, 6]``; returns the events that they cause, in order.
 
         Args:
             samples: N and Nm.
-            time: stamp of the last of them, s; default: samples received x period.
+            time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
@@ -201,7 +206,7 @@ class Introspector:
             self._count += len(taken)
             chunk = chunk[len(taken) :]
             self._time = None if time is None else time - (end - self.received) * self._config.dt
-            events += self._look()
+            events += self._advance()
         return events
 
     def _due(self) -> int:
@@ -215,17 +220,17 @@ class Introspector:
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.
         count, begins = np.int32(self._count), self._begins.copy()
-        return _believe(self._chain, self._limits, self._machines, self._progress, self._rest.copy(), count, begins)
+        return _infer(self._chain, self._limits, self._machines, self._state, self._rest.copy(), count, begins)
 
-    def _look(self) -> list[Event]:
+    def _advance(self) -> list[Event]:
         complete = self._count == self._config.window
         asked = complete if self._every is None else self.received % self._every == 0
         if not (complete or asked):
             return []
-        progress, said, published = self._call()
-        events = self._answer([np.asarray(p) for p in said]) if asked else []
+        state, probabilities, published = self._call()
+        events = self._answer([np.asarray(p) for p in probabilities]) if asked else []
         if complete:
-            self._progress = progress
+            self._state = state
             self._complete, self._count = self._complete + self._config.window, 0
             new = np.asarray(published.ints).reshape(3, 3, 6)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
@@ -249,7 +254,7 @@ class Introspector:
         return events + self._failure_type(sample, time) + self._detected()
 
     def _detected(self) -> list[Event]:
-        """A sub-task that begins without anybody saying so."""
+        """The start of a sub-task, if one is detected now."""
         if self._phases is None:
             return []
         belief = self.latest[PHASE]
@@ -278,7 +283,7 @@ def _head(model: IntrospectionModel, name: str) -> Head:
         if head.name == name:
             return head
     raise InputError(
-        f'the model has no head "{name}" to tell sub-tasks by; train one with: rcbht train-online --detect.'
+        f'the model has no classifier "{name}" to detect sub-tasks with; train one with: rcbht train-online --detect.'
     )
 
 

@@ -1,4 +1,4 @@
-"""Models for introspection: the encoder, its thresholds and one or more heads, in one file that runs no code."""
+"""Models for introspection: the encoder, its thresholds and one or more classifiers, in one file that runs no code."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
@@ -28,33 +29,36 @@ SCOPES: tuple[Scope, ...] = ("subtask", "trial")
 
 @dataclass(frozen=True)
 class Head:
-    """One question about the stream.
+    """The classifier of one question about the stream.
 
     Attributes:
         name: for example "states", "outcome" or "failure-type".
-        scope: the sentence it reads: since the sub-task began, or since the trial began.
-        sight: features of that sentence.
-        machine: answers with a probability per class.
+        scope: the interval it sees: since the sub-task began, or since the trial began.
+        view: features of that interval.
+        machine: gives a probability per class.
         alarm: the class that raises an anomaly; "" = none does.
-        alarm_level: probability above which it does; 0 = the introspector's own threshold.
+        alarm_level: probability above which it does; 0 = the introspector's own level.
+
+    Raises:
+        InputError: features that a stream cannot make or the classifier does not know, or an unknown scope or class.
     """
 
     name: str
     scope: Scope
-    sight: FeatureView
+    view: FeatureView
     machine: ProbabilisticSvm
     alarm: str = ""
     alarm_level: float = 0.0
 
     def __post_init__(self) -> None:
-        check_online(self.sight.spec)
+        check_online(self.view.spec)
         if self.scope not in SCOPES:
             raise InputError(f"head {self.name} has the scope {self.scope!r}; expected one of {', '.join(SCOPES)}.")
         if self.alarm and self.alarm not in self.classes:
             raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
         if not 0 <= self.alarm_level < 1:
             raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
-        count = len(names(self.sight.spec))
+        count = len(names(self.view.spec))
         if self.machine.svm.center.size != count:
             raise InputError(
                 f"head {self.name} was trained on {self.machine.svm.center.size} features; "
@@ -69,10 +73,14 @@ class Head:
 
 @dataclass(frozen=True)
 class IntrospectionModel:
-    """Everything between a wrench and beliefs."""
+    """Everything between a wrench and beliefs.
+
+    Raises:
+        InputError: thresholds of another shape or order, or classifiers without a name of their own.
+    """
 
     encoder: EncoderConfig
-    limits: NDArray[np.float64]  # [6, 4] gradient thresholds, see GradientThresholds
+    limits: Float[np.ndarray, "axis limit"]  # [6, 4] gradient thresholds, see GradientThresholds
     heads: tuple[Head, ...]
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
@@ -104,7 +112,7 @@ def save(path: Path, model: IntrospectionModel) -> None:
         members, described = svm_members(head.machine.svm, prefix)
         arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
         plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
-        heads.append({**plain, "sight": asdict(head.sight), **described})
+        heads.append({**plain, "sight": asdict(head.view), **described})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
     write_archive(path, {"format": FORMAT, "encoder": asdict(model.encoder), "heads": heads, **rest}, arrays)
 
@@ -127,7 +135,7 @@ def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArra
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
-    sight = FeatureView(spec, bool(meta["sight"]["provisional"]))
+    view = FeatureView(spec, bool(meta["sight"]["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
-    # Files of before alarms had a level of their own lack it.
-    return Head(meta["name"], meta["scope"], sight, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))
+    # Files older than alarm levels lack them.
+    return Head(meta["name"], meta["scope"], view, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))

@@ -1,8 +1,8 @@
 """Samples as they arrive to samples at equal times: the encoder counts samples, so none may be missing or twice.
 
 The grid starts at the first sample. A reading on a grid time passes unchanged, bit for bit; between grid times the
-signal is a straight line. Short gaps are bridged that way and reported; after a longer one, or a clock that jumps
-back, everything starts anew, since nobody knows what happened in between. Nothing is dropped or filled in silence.
+signal is linear. Short gaps are bridged that way and reported; after a longer one, or a clock that jumps back, the
+stream starts anew, since what happened in between is unknown. Nothing is dropped or filled in without a report.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.messages import Sample
@@ -20,7 +20,7 @@ from rcbht_jax.io.messages import Sample
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
 JITTER = 0.25  # of a period: readings further off the grid are reported, once per second
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
-LARGEST = 1e6  # N or Nm: no sensor says more, and single precision sums stay finite
+LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
 
 Kind = Literal["gap", "late", "repeated", "not-finite", "jitter"]
 
@@ -41,7 +41,7 @@ class Resampled:
     ``anew``: the stream was broken; forget the past before these samples.
     """
 
-    samples: NDArray[np.float32]  # [time, 6]
+    samples: Float[np.ndarray, "time 6"]
     time: float = 0.0
     anew: bool = False
     reports: list[Report] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Resampler:
             raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to 60 s.")
         self._dt, self._bridge = dt, bridge
         self._origin = self._last = 0.0
-        self._value: NDArray[np.float64] = np.zeros(6)
+        self._value: Float[np.ndarray, " axis"] = np.zeros(6)
         self._index = -1  # of the latest grid sample; -1 = none yet
         self._skipped = 0  # readings without a time that were left out since the latest good one
         self._off, self._off_since = 0, 0
@@ -99,17 +99,17 @@ class Resampler:
     def _nothing(self, kind: Kind, text: str) -> Resampled:
         return Resampled(np.zeros((0, 6), np.float32), self._last, reports=[Report(kind, text)])
 
-    def _start(self, time: float, value: NDArray[np.float64]) -> Resampled:
+    def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
         self._origin = self._last = time
         self._value, self._index, self._skipped, self._off, self._off_since = value, 0, 0, 0, 0
         return Resampled(value[None].astype(np.float32), time)
 
-    def _anew(self, time: float, value: NDArray[np.float64], text: str) -> Resampled:
-        regular = self._start(time, value)
-        regular.anew, regular.reports = True, [Report("gap", text)]
-        return regular
+    def _anew(self, time: float, value: Float[np.ndarray, " axis"], text: str) -> Resampled:
+        resampled = self._start(time, value)
+        resampled.anew, resampled.reports = True, [Report("gap", text)]
+        return resampled
 
-    def _advance(self, time: float, value: NDArray[np.float64], step: float) -> Resampled:
+    def _advance(self, time: float, value: Float[np.ndarray, " axis"], step: float) -> Resampled:
         position = (time - self._origin) / self._dt
         nearest = round(position)
         on = abs(position - nearest) < ON_GRID

@@ -1,4 +1,4 @@
-"""A stream of messages through the regulator and the introspector, as events."""
+"""A stream of messages through the resampler and the introspector, as events."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Sile
 
 
 class Session:
-    """Feeds one source into one introspector; whatever is odd about the source becomes a :class:`Notice`."""
+    """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`."""
 
     def __init__(self, introspector: Introspector, bridge: float = 0.05) -> None:
         self.introspector = introspector
         self._dt = introspector.model.encoder.dt
         self._bridge = bridge
-        self._regulator = Resampler(self._dt, bridge)
+        self._resampler = Resampler(self._dt, bridge)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
@@ -34,24 +34,24 @@ class Session:
             return self.introspector.begin()
         if isinstance(message, Reset):
             self.introspector.reset()
-            self._regulator = Resampler(self._dt, self._bridge)
+            self._resampler = Resampler(self._dt, self._bridge)
             return []
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
-        regular = self._regulator.feed(sample)
-        self.time = regular.time
+        resampled = self._resampler.feed(sample)
+        self.time = resampled.time
         events: list[Event] = []
-        if self._silent and len(regular.samples):
+        if self._silent and len(resampled.samples):
             self._silent = False
             events.append(self._notice("resumed", "readings arrive again"))
-        events += [self._notice(report.kind, report.text, report.count) for report in regular.reports]
-        if regular.anew:
+        events += [self._notice(report.kind, report.text, report.count) for report in resampled.reports]
+        if resampled.anew:
             self.introspector.reset()
-        if len(regular.samples):
-            events += self.introspector.push(regular.samples, regular.time)
+        if len(resampled.samples):
+            events += self.introspector.push(resampled.samples, resampled.time)
         return events
 
     def _silence(self, silence: Silence) -> list[Event]:

@@ -3,9 +3,9 @@
 The artefact is one zip archive: ``chain.stablehlo`` (``jax.export``, weights inside), ``state.npz`` (the state
 before the first sample) and ``chain.json`` (what goes in and out). Its one function maps
 
-    state..., window float32 [window, 6], count int32, begins int32 [sentence]
+    state..., window float32 [window, 6], count int32, begins int32 [view]
 
-to the new state, the probabilities of every head, and the labels published by a complete window
+to the new state, the class probabilities of every classifier, and the labels published by a complete window
 (int32 ``[9, 6]``: code, first sample, end of each layer). Only JAX is needed to call it; any runtime that takes
 StableHLO can compile it.
 """
@@ -43,20 +43,20 @@ STABLEHLO, STATE, META = "chain.stablehlo", "state.npz", "chain.json"
 def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> bytes:
     """The serialised chain of a model; see the module."""
     chain = Chain.of(model)
-    start = begin_stream(chain.sights)
+    start = begin_stream(chain.views)
     leaves, tree = jax.tree.flatten(start)
     limits = jnp.asarray(model.limits, jnp.float32)
     machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
 
     def run(state: list[Array], window: Array, count: Array, begins: Array) -> tuple[list[Array], list[Array], Array]:
-        progress, said, published = infer(
+        after, probabilities, published = infer(
             chain, limits, machines, jax.tree.unflatten(tree, state), window, count, begins
         )
-        return jax.tree.leaves(progress), list(said), published.ints
+        return jax.tree.leaves(after), list(probabilities), published.ints
 
     window = jax.ShapeDtypeStruct((model.encoder.window, 6), jnp.float32)
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    begins = jax.ShapeDtypeStruct((len(chain.sights),), jnp.int32)
+    begins = jax.ShapeDtypeStruct((len(chain.views),), jnp.int32)
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     exported = export.export(jax.jit(run), platforms=tuple(platforms))(shapes, window, count, begins)
     require("flatbuffers", "export")  # of jax.export, which does not install it
@@ -87,7 +87,7 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
         "heads": [{"name": head.name, "classes": list(head.classes), "alarm": head.alarm} for head in model.heads],
     }
     state = io.BytesIO()
-    leaves = jax.tree.leaves(begin_stream(chain.sights))
+    leaves = jax.tree.leaves(begin_stream(chain.views))
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
     try:
         code = export_chain(model, platforms)

@@ -1,13 +1,12 @@
-"""From recordings to heads: what a stream would have seen, picked so that every part of a sub-task counts."""
+"""Training of introspection models on snapshots: what a stream would have known at moments of each interval."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int, Shaped
 
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -27,102 +26,105 @@ from rcbht_jax.types import Recordings
 # A sub-task: ranks, because attributes have long tails; the radial kernel alone, because what a force means depends on
 # the time that has passed.
 GRID = Grid(kernels=("rbf",), costs=(0.3, 1.0, 3.0), scalings=(True,), balanced=True, inner=3, floor=0.1, ranks=True)
-ENDS = 6  # looks that a complete sentence counts for: what it says matters most and is seen least
-
+ENDS = 6  # snapshots that a complete interval counts for: the belief at its end matters most and there is one only
 TRIAL_GRID = Grid(
     kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1
 )
-PICKED = 12  # looks per sentence and per spacing (even, geometric) for training
+PICKED = 12  # snapshots per interval and per spacing (even, geometric) for training
 
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Moments at which sentences are looked at."""
+    """Moments at which labelled intervals are described from what a stream has received."""
 
-    sentence: NDArray[np.int64]  # [look] item of the task
-    recording: NDArray[np.int64]  # [look]
-    begin: NDArray[np.int64]  # [look] first sample of the sentence
-    now: NDArray[np.int64]  # [look] samples received
-    whole: NDArray[np.bool_]  # [look] the sentence is complete
+    interval: Int[np.ndarray, " snapshot"]  # row of the labelled intervals
+    recording: Int[np.ndarray, " snapshot"]
+    begin: Int[np.ndarray, " snapshot"]  # first sample of the interval that is described
+    now: Int[np.ndarray, " snapshot"]  # samples received
+    complete: Bool[np.ndarray, " snapshot"]  # the labelled interval ends here
 
     def __len__(self) -> int:
         return len(self.now)
 
-    def take(self, rows: NDArray[Any]) -> Snapshots:
-        """The chosen looks."""
-        return Snapshots(*(getattr(self, name)[rows] for name in ("sentence", "recording", "begin", "now", "whole")))
+    def take(self, rows: Shaped[np.ndarray, " row"]) -> Snapshots:
+        """The chosen rows, by index or mask."""
+        return Snapshots(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def regular_snapshots(items: LabelledIntervals, every: int) -> Snapshots:
-    """Looks every ``every`` samples since the sentence began, and one at its end."""
-    return _looks(items, lambda size: np.append(np.arange(every, size, every), size))
+    """Snapshots every ``every`` samples since the interval began, and one at its end."""
+    return _snapshots(items, lambda size: np.append(np.arange(every, size, every), size))
 
 
 def training_snapshots(items: LabelledIntervals, every: int, count: int = PICKED, early: bool = True) -> Snapshots:
-    """At most ``2 * count`` of the streamed looks per sentence, so that long sentences do not outweigh short ones.
+    """At most ``2 * count`` of the regular snapshots per interval, so that long intervals do not outweigh short ones.
 
-    Half of them are evenly spaced; ``early`` puts the others at the beginning of the sentence, when a sub-task is
-    hardest to tell. Without it all are even: before contact a trial says nothing about its outcome.
+    Half of them are evenly spaced; ``early`` puts the others at the beginning of the interval, where a sub-task is
+    hardest to recognise. Without it all are even: before contact nothing depends on the outcome of the trial.
     """
 
-    def choose(size: int) -> NDArray[np.int64]:
+    def choose(size: int) -> Int[np.ndarray, " step"]:
         steps = np.append(np.arange(every, size, every), size)
         even = np.linspace(1, len(steps), count if early else 2 * count)
         first = np.geomspace(1, len(steps), count if early else 1)
         return steps[np.unique(np.rint(np.concatenate([even, first])).astype(np.int64)) - 1]
 
-    return _looks(items, choose)
+    return _snapshots(items, choose)
 
 
-def _looks(items: LabelledIntervals, choose: Callable[[int], NDArray[np.int64]]) -> Snapshots:
-    where = items.intervals[0]
-    steps = [choose(int(size)) for size in where.end - where.start]
-    sentence = np.repeat(np.arange(len(steps)), [len(s) for s in steps])
-    begin, end = where.start[sentence].astype(np.int64), where.end[sentence]
+def _snapshots(items: LabelledIntervals, choose: Callable[[int], Int[np.ndarray, " step"]]) -> Snapshots:
+    spans = items.intervals[0]
+    steps = [choose(int(size)) for size in spans.end - spans.start]
+    interval = np.repeat(np.arange(len(steps)), [len(s) for s in steps])
+    begin, end = spans.start[interval].astype(np.int64), spans.end[interval]
     now = begin + np.concatenate(steps)
-    return Snapshots(sentence, where.recording[sentence].astype(np.int64), begin, now, now == end)
+    return Snapshots(interval, spans.recording[interval].astype(np.int64), begin, now, now == end)
 
 
 def snapshot_features(
     recordings: Recordings,
-    looks: Snapshots,
-    sight: FeatureView,
+    snapshots: Snapshots,
+    view: FeatureView,
     config: EncoderConfig,
     thresholds: GradientThresholds,
-    progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float32]:
-    """Features ``[look, feature]`` as a stream would have had them."""
+    progress: Callable[[int], object] | None = None,
+) -> Float[np.ndarray, "snapshot feature"]:
+    """Features as a stream would have had them; see :func:`rcbht_jax.introspection.chain.online_features_batch`."""
     return online_features_batch(
-        config, thresholds, sight, recordings.wrench, looks.recording, looks.begin, looks.now, progress=progress
+        config, thresholds, view, recordings.wrench, snapshots.recording, snapshots.begin, snapshots.now, progress
     )
 
 
-def from_the_beginning(looks: Snapshots) -> Snapshots:
-    """The same moments, seen as parts of the whole trial: its sentence begins with the record."""
-    order = np.lexsort((looks.now, looks.recording))
-    return replace(looks, begin=np.zeros_like(looks.begin)).take(order)
+def since_trial_start(snapshots: Snapshots) -> Snapshots:
+    """The same moments, described from the first sample of the recording on; sorted by recording and time."""
+    order = np.lexsort((snapshots.now, snapshots.recording))
+    return replace(snapshots, begin=np.zeros_like(snapshots.begin)).take(order)
 
 
 @dataclass(frozen=True)
 class HeadSpec:
-    """What a head is to learn, and from which features."""
+    """What a classifier learns, and from which features.
+
+    >>> HeadSpec(TaskSpec("outcome")).view.spec.families
+    ('histogram', 'attributes', 'offset', 'course', 'edges')
+    """
 
     task: TaskSpec
-    families: tuple[str, ...] = ()  # none = those of the module for the head's scope
-    relative: bool = False  # of these, only families that hold neither time nor absolute values
-    rate: float = 10.0  # looks per second
-    phase: bool = False  # tell the states from the trial's sentence, to find out when a sub-task begins
-    false_alarms: float = 0.0  # per nominal trial, for the head that alarms; 0 = leave its level to the introspector
+    families: tuple[str, ...] = ()  # of features; none = the recipe for the scope
+    relative: bool = False  # the recipe without time and absolute level
+    rate: float = 10.0  # snapshots per second
+    phase: bool = False  # states from the features of the whole trial, to find out when a sub-task begins
+    false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
 
     @property
     def scope(self) -> Scope:
-        """States are told from the sub-task's sentence unless it is to be found, everything else from the trial's."""
+        """The sub-task for states unless its start is to be detected, the trial for everything else."""
         return "subtask" if self.task.task == "states" and not self.phase else "trial"
 
     @property
-    def sight(self) -> FeatureView:
-        """What it sees; where the force is, how it moves and for how long weigh the same in a sub-task."""
+    def view(self) -> FeatureView:
+        """Features; in a sub-task those of level, of movement and of time weigh the same."""
         subtask = self.scope == "subtask"
         every, relative = (SUBTASK, SUBTASK_RELATIVE) if subtask else (TRIAL, TRIAL_RELATIVE)
         families = self.families or (relative if self.relative else every)
@@ -130,38 +132,41 @@ class HeadSpec:
 
     @property
     def learning(self) -> tuple[Grid, int]:
-        """What kernel and cost are chosen from, and the looks that a complete sentence counts for."""
+        """The grid of hyper-parameters, and the snapshots that a complete interval counts for."""
         return (GRID, ENDS) if self.scope == "subtask" else (TRIAL_GRID, 1)
 
     @property
     def name(self) -> str:
-        """Of the head."""
+        """Of the classifier."""
         return PHASE if self.phase else self.task.task
 
 
 def learn(
-    x: NDArray[np.floating[Any]],
-    looks: Snapshots,
+    x: Float[np.ndarray, "snapshot feature"],
+    snapshots: Snapshots,
     items: LabelledIntervals,
     spec: FeatureSpec,
     grid: Grid,
     ends: int,
     seed: int,
 ) -> ProbabilisticSvm:
-    """A machine from looks at training sentences; kernel and cost are chosen by cross-validation grouped by trial.
+    """Train a classifier; kernel and cost are chosen by cross-validation grouped by trial.
 
     Args:
-        x: features of ``spec``, ``[look, feature]``.
-        looks: where they come from.
+        x: features of ``spec``.
+        snapshots: one per row of ``x``.
         items: the task.
-        spec: of the features; says how they are weighed.
-        grid: what to choose from.
-        ends: looks that a complete sentence counts for.
+        spec: of the features; says how they are weighted.
+        grid: of hyper-parameters.
+        ends: times that the last snapshot of a complete interval counts.
         seed: of the folds.
+
+    Raises:
+        InputError: a class has fewer trials than the cross-validation has folds, or a feature is not finite.
     """
-    rows = np.repeat(np.arange(len(looks)), np.where(looks.whole, ends, 1))
-    sentence = looks.sentence[rows]
-    y, groups, weight = items.y[sentence], items.trial[sentence], weights(spec)
+    rows = np.repeat(np.arange(len(snapshots)), np.where(snapshots.complete, ends, 1))
+    interval = snapshots.interval[rows]
+    y, groups, weight = items.y[interval], items.trial[interval], weights(spec)
     chosen = select({"": x[rows]}, y, groups, grid, seed, {"": weight})
     return fit_probabilistic(x[rows], y, groups, items.classes, chosen, seed, weight=weight)
 
@@ -172,29 +177,34 @@ def train_head(
     config: EncoderConfig,
     thresholds: GradientThresholds,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Head:
-    """Learn one head; kernel and cost are chosen by cross-validation grouped by trial.
+    """Train one classifier on the training snapshots of its task.
 
-    ``progress`` is called with the number of looks done since the last call and the total.
+    ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
         InputError: fewer than two classes, a class with a single trial, or too few nominal trials for ``false_alarms``.
     """
     items = labelled_intervals(recordings, spec.task)
-    looks = training_snapshots(items, max(1, round(1 / (spec.rate * config.dt))), early=spec.task.task == "states")
-    looks = from_the_beginning(looks) if spec.phase else looks
-    sight, total = spec.sight, len(looks)
+    snapshots = training_snapshots(items, _every(spec, config), early=spec.task.task == "states")
+    snapshots = since_trial_start(snapshots) if spec.phase else snapshots
+    view, total = spec.view, len(snapshots)
     x = snapshot_features(
-        recordings, looks, sight, config, thresholds, progress and (lambda done: progress(done, total))
+        recordings, snapshots, view, config, thresholds, progress and (lambda done: progress(done, total))
     )
-    machine = learn(x, looks, items, sight.spec, *spec.learning, seed)
+    machine = learn(x, snapshots, items, view.spec, *spec.learning, seed)
     alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
     level = 0.0
     if alarm and spec.false_alarms:
-        training = x, items.y[looks.sentence], items.trial[looks.sentence]
+        training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
         level = _alarm_level(recordings, spec, config, thresholds, items, machine, training, seed)
-    return Head(spec.name, spec.scope, sight, machine, alarm, level)
+    return Head(spec.name, spec.scope, view, machine, alarm, level)
+
+
+def _every(spec: HeadSpec, config: EncoderConfig) -> int:
+    """Samples between snapshots."""
+    return max(1, round(1 / (spec.rate * config.dt)))
 
 
 def _alarm_level(
@@ -204,17 +214,17 @@ def _alarm_level(
     thresholds: GradientThresholds,
     items: LabelledIntervals,
     machine: ProbabilisticSvm,
-    training: tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.str_]],
+    training: tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]],
     seed: int,
 ) -> float:
-    """Level of the alarm from the successes, each streamed through a machine that did not see it."""
+    """Level of the alarm from the successes, each streamed through a classifier that was not trained on it."""
     alarm = items.classes.index(OUTCOMES[0])
-    looks = regular_snapshots(items, max(1, round(1 / (spec.rate * config.dt))))
-    looks = looks.take(np.flatnonzero(items.y[looks.sentence] != alarm))
-    x = snapshot_features(recordings, looks, spec.sight, config, thresholds)
-    groups = items.trial[looks.sentence]
-    said = held_out(machine, *training, x, groups, seed)[:, alarm]
-    return conformal_threshold(peaks(said, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
+    snapshots = regular_snapshots(items, _every(spec, config))
+    snapshots = snapshots.take(np.flatnonzero(items.y[snapshots.interval] != alarm))
+    x = snapshot_features(recordings, snapshots, spec.view, config, thresholds)
+    groups = items.trial[snapshots.interval]
+    probability = held_out(machine, *training, x, groups, seed)[:, alarm]
+    return conformal_threshold(peaks(probability, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
 
 
 def train_model(
@@ -223,9 +233,12 @@ def train_model(
     config: EncoderConfig | None = None,
     thresholds: GradientThresholds | None = None,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> IntrospectionModel:
-    """Learn a model with one head per specification; see :func:`train_head`."""
+    """Train a model with one classifier per specification; see :func:`train_head`.
+
+    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings.
+    """
     config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset()
     heads = tuple(train_head(recordings, spec, config, thresholds, seed, progress) for spec in specs)
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}

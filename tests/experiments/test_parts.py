@@ -46,8 +46,8 @@ def test_classes_are_drawn_in_equal_number() -> None:
 def test_a_belief_stands_until_the_next() -> None:
     now = np.array([60, 90, 10, 110])  # the third look is another sentence's
     begin = np.full(4, 10)
-    looks = Snapshots(np.array([3, 3, 2, 3]), np.zeros(4, np.int64), begin, now, now == 110)
-    course = confidence.held(looks, np.array([0.2, 0.4, 9.0, 1.0]), 3, 100)
+    snapshots = Snapshots(np.array([3, 3, 2, 3]), np.zeros(4, np.int64), begin, now, now == 110)
+    course = confidence.held(snapshots, np.array([0.2, 0.4, 9.0, 1.0]), 3, 100)
     expected = [0.4 if k >= 16 else 0.2 if k >= 10 else np.nan for k in range(confidence.PARTS)]
     np.testing.assert_array_equal(course, expected)
 

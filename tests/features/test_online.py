@@ -121,10 +121,10 @@ def test_readings_are_near_the_moments(hiro_recordings):
 def test_readings_depend_on_the_samples_alone():
     """Whether the stream was asked often or once, also in windows longer than the readings reach."""
     config = EncoderConfig(window=300)
-    wrench, sight = signal(1, 1400, 7)[0], FeatureView(FeatureSpec(tuple(drawn.FAMILIES), ("primitive",)))
+    wrench, view = signal(1, 1400, 7)[0], FeatureView(FeatureSpec(tuple(drawn.FAMILIES), ("primitive",)))
     begin = np.array([0, 7, 7, 7, 7, 7])
-    often = online_features(config, preset(), sight, wrench, begin, np.array([7, 9, 290, 603, 1205, 1400]))
-    once = online_features(config, preset(), sight, wrench, begin[-1:], np.array([1400]))
+    often = online_features(config, preset(), view, wrench, begin, np.array([7, 9, 290, 603, 1205, 1400]))
+    once = online_features(config, preset(), view, wrench, begin[-1:], np.array([1400]))
     np.testing.assert_array_equal(often[-1], once[0])
 
 
@@ -136,19 +136,19 @@ def test_the_future_changes_nothing(data):
     begin = np.array([0, 0, data.draw(st.integers(now[1], now[2] - 1))])
     other = wrench.copy()
     other[now[-1] :] = 1e3
-    sight = FeatureView(EVERYTHING)
+    view = FeatureView(EVERYTHING)
     np.testing.assert_array_equal(
-        online_features(CONFIG, preset(), sight, wrench, begin, now),
-        online_features(CONFIG, preset(), sight, other, begin, now),
+        online_features(CONFIG, preset(), view, wrench, begin, now),
+        online_features(CONFIG, preset(), view, other, begin, now),
     )
 
 
 def test_looks_do_not_disturb_each_other():
     wrench = signal(1, 1400, 4)[0]
-    sight = FeatureView(EVERYTHING)
-    together = online_features(CONFIG, preset(), sight, wrench, BEGIN, NOW)
+    view = FeatureView(EVERYTHING)
+    together = online_features(CONFIG, preset(), view, wrench, BEGIN, NOW)
     for k in range(len(NOW)):
-        alone = online_features(CONFIG, preset(), sight, wrench, BEGIN[k : k + 1], NOW[k : k + 1])
+        alone = online_features(CONFIG, preset(), view, wrench, BEGIN[k : k + 1], NOW[k : k + 1])
         np.testing.assert_array_equal(alone[0], together[k])
 
 

@@ -24,15 +24,15 @@ from tests.support.introspection_models import CONFIG, trial
 
 
 @given(st.lists(st.floats(0, 1), max_size=30), st.integers(1, 5))
-def test_a_peak_is_where_an_alarm_stops(values, looks):
+def test_a_peak_is_where_an_alarm_stops(values, snapshots):
     """An alarm just below the peak is raised, one at the peak is not."""
     said = np.array(values)
-    peak = sustained_peak(said, looks)
-    runs = [min(values[k : k + looks]) for k in range(len(values) - looks + 1)]
+    peak = sustained_peak(said, snapshots)
+    runs = [min(values[k : k + snapshots]) for k in range(len(values) - snapshots + 1)]
     assert peak == max(runs, default=0.0)
 
     def raised(level: float) -> bool:
-        alarm = Alarm(level, 0.1 * (looks - 1))
+        alarm = Alarm(level, 0.1 * (snapshots - 1))
         return any(alarm.update(p, 0.1 * t) for t, p in enumerate(values))
 
     assert not raised(peak)

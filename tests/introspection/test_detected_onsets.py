@@ -17,7 +17,7 @@ from rcbht_jax.events import Belief, SubtaskStarted
 from rcbht_jax.introspection.alarms import LEAST, PhaseFilter
 from rcbht_jax.introspection.introspector import PHASE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
-from rcbht_jax.introspection.training import HeadSpec, from_the_beginning, regular_snapshots
+from rcbht_jax.introspection.training import HeadSpec, regular_snapshots, since_trial_start
 from rcbht_jax.learning.tasks import TaskSpec
 from tests.support.introspection_models import head, model, trial
 
@@ -32,22 +32,22 @@ def story() -> np.ndarray:
     return np.concatenate([trial(0, 70, 300), trial(1, 71, 500), trial(2, 72, 400)])
 
 
-LOOKS = st.lists(
+BELIEFS = st.lists(
     st.tuples(st.floats(0.02, 0.5), st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)), min_size=1, max_size=4
 )
 
 
-@given(LOOKS)
-def test_the_filter_sums_over_all_ways_to_go_forwards(looks):
+@given(BELIEFS)
+def test_the_filter_sums_over_all_ways_to_go_forwards(snapshots):
     stay, memory = 0.7, 0.15
     phases, time = PhaseFilter(("a", "b", "c"), stay, memory), 0.0
-    for passed, p in looks:
+    for passed, p in snapshots:
         time += passed
         phases.update(p, time)
     weight = np.zeros(3)
-    for path in itertools.combinations_with_replacement(range(3), len(looks)):
+    for path in itertools.combinations_with_replacement(range(3), len(snapshots)):
         total = 1.0
-        for before, after, (passed, p) in zip((0, *path), path, looks, strict=False):
+        for before, after, (passed, p) in zip((0, *path), path, snapshots, strict=False):
             mean, steps = passed / stay, after - before
             if after == 2:  # the last stays, however many would follow
                 moved = 1.0 - sum(math.exp(-mean) * mean**k / math.factorial(k) for k in range(steps))
@@ -114,16 +114,16 @@ def test_a_model_that_cannot():
         Introspector(model(), detect=True)
 
 
-def test_a_phase_is_seen_from_the_beginning_of_its_trial():
+def test_a_phase_is_seen_since_trial_start_of_its_trial():
     spec = HeadSpec(TaskSpec(), phase=True)
     assert (spec.name, spec.scope) == (PHASE, "trial")
     assert (HeadSpec(TaskSpec()).name, HeadSpec(TaskSpec()).scope) == ("states", "subtask")
     from tests.introspection.test_training import sentences_of
 
-    looks = regular_snapshots(sentences_of([200, 300, 100, 400]), 20)
-    whole = from_the_beginning(looks)
+    snapshots = regular_snapshots(sentences_of([200, 300, 100, 400]), 20)
+    whole = since_trial_start(snapshots)
     assert (whole.begin == 0).all()
-    assert sorted(zip(whole.recording, whole.now, whole.sentence, strict=True)) == list(
-        zip(whole.recording, whole.now, whole.sentence, strict=True)
+    assert sorted(zip(whole.recording, whole.now, whole.interval, strict=True)) == list(
+        zip(whole.recording, whole.now, whole.interval, strict=True)
     )
-    assert sorted(whole.now) == sorted(looks.now)
+    assert sorted(whole.now) == sorted(snapshots.now)

@@ -29,7 +29,7 @@ from rcbht_jax.introspection.alarms import Alarm, Confidence
 from rcbht_jax.introspection.chain import online_features
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.learning.model_io import write_archive
-from tests.support.introspection_models import CONFIG, SIGHT, model, trial
+from tests.support.introspection_models import CONFIG, VIEW, model, trial
 
 
 def story() -> np.ndarray:
@@ -64,7 +64,7 @@ def test_equals_the_batch(rate):
     for head, begin in zip(model().heads, (starts[np.searchsorted(starts, now) - 1], 0 * now, 0 * now), strict=True):
         mine = [b for b in beliefs if b.head == head.name]
         assert [b.sample for b in mine] == now.tolist()
-        x = online_features(CONFIG, preset(), SIGHT, signal, begin, now)
+        x = online_features(CONFIG, preset(), VIEW, signal, begin, now)
         np.testing.assert_allclose([b.probabilities for b in mine], head.machine.probability(x), atol=1e-4)
         assert all(b.label == b.classes[int(np.argmax(b.probabilities))] for b in mine)
 
@@ -74,7 +74,7 @@ def test_the_state_has_a_fixed_size():
     shapes = set()
     for _ in range(50):
         introspector.push(trial(1, 5, 73))
-        shapes.add(str(jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), introspector._progress)))
+        shapes.add(str([(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(introspector._state)]))
     assert len(shapes) == 1
 
 

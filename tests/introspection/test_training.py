@@ -1,4 +1,4 @@
-"""Which looks train a head: every sentence alike, its end always, its beginning where that is asked for."""
+"""Which snapshots train a head: every sentence alike, its end always, its beginning where that is asked for."""
 
 from __future__ import annotations
 
@@ -30,47 +30,47 @@ def sentences_of(lengths: list[int]) -> LabelledIntervals:
 @pytest.mark.parametrize("early", [False, True])
 def test_picked_looks(early):
     items = sentences_of([10_000, 200, 21, 5])
-    looks, every = training_snapshots(items, 20, 12, early), regular_snapshots(items, 20)
+    snapshots, every = training_snapshots(items, 20, 12, early), regular_snapshots(items, 20)
     for k, length in enumerate([10_000, 200, 21, 5]):
-        mine, all_of_it = looks.sentence == k, every.sentence == k
-        steps = looks.now[mine] - looks.begin[mine]
+        mine, all_of_it = snapshots.interval == k, every.interval == k
+        steps = snapshots.now[mine] - snapshots.begin[mine]
         assert len(steps) <= 24
         assert steps[-1] == length
-        assert looks.whole[mine].tolist() == [False] * (len(steps) - 1) + [True]
+        assert snapshots.complete[mine].tolist() == [False] * (len(steps) - 1) + [True]
         assert set(steps) <= set(every.now[all_of_it] - every.begin[all_of_it])
         assert (np.diff(steps) > 0).all()
-        assert set(looks.recording[mine]) == {k % 2}
-    first = looks.now[looks.sentence == 0]
+        assert set(snapshots.recording[mine]) == {k % 2}
+    first = snapshots.now[snapshots.interval == 0]
     assert (np.sum(first < 1000) > 5) == early
-    assert len(every.now[every.sentence == 3]) == 1
-    assert np.sum(every.sentence == 0) == 500
+    assert len(every.now[every.interval == 3]) == 1
+    assert np.sum(every.interval == 0) == 500
 
 
 @pytest.mark.parametrize("time_alone", [False, True])
 def test_a_complete_sentence_counts_several_times(time_alone):
     items = sentences_of([400] * 12)
-    looks = training_snapshots(items, 20, 4)
+    snapshots = training_snapshots(items, 20, 4)
     spec = FeatureSpec(families=("elapsed",) if time_alone else ("levels", "elapsed"), balance=True)
-    x = np.random.default_rng(0).normal(size=(len(looks), len(names(spec))))
+    x = np.random.default_rng(0).normal(size=(len(snapshots), len(names(spec))))
     grid = Grid(kernels=("rbf",), costs=(1.0,), scalings=(True,), ranks=True)
-    rows = np.concatenate([np.arange(len(looks)), *[np.flatnonzero(looks.whole)] * 2])
-    y, trial = items.y[looks.sentence[rows]], items.trial[looks.sentence[rows]]
-    made = learn(x, looks, items, spec, grid, 3, 0)
+    rows = np.concatenate([np.arange(len(snapshots)), *[np.flatnonzero(snapshots.complete)] * 2])
+    y, trial = items.y[snapshots.interval[rows]], items.trial[snapshots.interval[rows]]
+    made = learn(x, snapshots, items, spec, grid, 3, 0)
     again = fit_probabilistic(x[rows], y, trial, items.classes, made.svm.spec, 0, weight=weights(spec))
     np.testing.assert_allclose(made.probability(x), again.probability(x), atol=5e-3)
-    once = learn(x, looks, items, spec, grid, 1, 0)
+    once = learn(x, snapshots, items, spec, grid, 1, 0)
     assert np.abs(made.probability(x) - once.probability(x)).max() > 0.02
 
 
 def test_what_a_head_sees_depends_on_its_sentence():
     state, phase = HeadSpec(TaskSpec()), HeadSpec(TaskSpec(), phase=True)
-    assert (state.sight.spec.families, state.sight.spec.balance) == (SUBTASK, True)
-    assert (phase.sight.spec.families, phase.sight.spec.balance) == (TRIAL, False)
-    assert HeadSpec(TaskSpec("outcome"), ("edges",)).sight.spec.families == ("edges",)
+    assert (state.view.spec.families, state.view.spec.balance) == (SUBTASK, True)
+    assert (phase.view.spec.families, phase.view.spec.balance) == (TRIAL, False)
+    assert HeadSpec(TaskSpec("outcome"), ("edges",)).view.spec.families == ("edges",)
     for head, families in (
         (HeadSpec(TaskSpec(), relative=True), SUBTASK_RELATIVE),
         (HeadSpec(TaskSpec("outcome"), relative=True), TRIAL_RELATIVE),
     ):
-        assert head.sight.spec.families == families
+        assert head.view.spec.families == families
     assert not {"elapsed", "duration"} & {*TRIAL, *SUBTASK_RELATIVE}
     assert not {*ABSOLUTE} & {*SUBTASK_RELATIVE, *TRIAL_RELATIVE}

@@ -1,4 +1,4 @@
-"""Small models for the tests of introspection, trained on made-up signals."""
+"""Small models for the tests of introspection, trained on synthetic signals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 
 CONFIG = EncoderConfig()
-SIGHT = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
+VIEW = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
 def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
@@ -31,11 +31,11 @@ def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
 def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "") -> Head:
     now = np.arange(20, 401, 40)
     kinds = np.repeat(np.arange(len(classes)), 6)
-    x = [online_features(CONFIG, preset(), SIGHT, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
+    x = [online_features(CONFIG, preset(), VIEW, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
     y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
     spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
-    machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(SIGHT.spec))
-    return Head(name, scope, SIGHT, machine, alarm)
+    machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(VIEW.spec))
+    return Head(name, scope, VIEW, machine, alarm)
 
 
 @cache

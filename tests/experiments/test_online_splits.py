@@ -1,0 +1,118 @@
+"""The splits of the streaming experiments: training reads one half of the trials, the scores read the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.online import detected_starts, table2
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection.training import Snapshots, regular_snapshots, since_trial_start, training_snapshots
+from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.types import Recordings
+
+TRIALS, STATE, DT, EVERY, SEED = 16, 60, 0.005, 20, 3  # STATE: samples in each of the four states
+FAST = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,), inner=2)
+
+
+def data() -> Recordings:
+    onset = np.tile(np.arange(4) * STATE * DT, (TRIALS, 1))
+    text = np.full(TRIALS, "")
+    return Recordings(
+        wrench=np.zeros((TRIALS, 4 * STATE, 6), np.float32), length=np.full(TRIALS, 4 * STATE, np.int32), dt=DT,
+        onset=onset, onset_harmonised=onset, trial=np.array([f"t{k:02d}" for k in range(TRIALS)]),
+        arm=np.full(TRIALS, "R"), source=text, session=text, outcome=np.full(TRIALS, "success"), failure_type=text,
+        deviation=np.zeros((TRIALS, 3)), note=text,
+    )  # fmt: skip
+
+
+def features(snapshots: Snapshots, columns: int) -> np.ndarray:
+    """Noise, and the present state in every fourth column."""
+    x = np.random.default_rng(0).normal(size=(len(snapshots), columns))
+    state = np.minimum((snapshots.now - 1) // STATE, 3)
+    return (x + 3 * (np.arange(columns) % 4 == state[:, None])).astype(np.float32)
+
+
+def spoilt(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Features of these rows that nobody may read: training refuses them, and their probabilities are not numbers."""
+    return np.where(rows[:, None], np.nan, x)
+
+
+def assert_same(one: Any, other: Any) -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_same(one[key], other[key])
+    elif isinstance(one, tuple):
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.fixture
+def items() -> LabelledIntervals:
+    return labelled_intervals(data(), TaskSpec())
+
+
+def test_halves_never_divide_a_trial(items: LabelledIntervals) -> None:
+    inside = table2.halves(items, SEED)
+    assert all(len(set(inside[items.trial == trial].tolist())) == 1 for trial in items.trial)
+    assert inside.sum() == len(inside) / 2
+    assert not np.array_equal(inside, table2.halves(items, SEED + 1))
+
+
+def test_table2_trains_on_one_half_and_scores_the_other(
+    items: LabelledIntervals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table2, "GRID", FAST)
+    x: dict[str, Any] = {"picked": training_snapshots(items, EVERY), "streamed": regular_snapshots(items, EVERY)}
+    families = ("levels",)
+    x["family"] = np.array([name.split(".")[0] for name in names(table2.FeatureSpec(families=families))])
+    x |= {f"{part}_x": features(x[part], len(x["family"])) for part in ("picked", "streamed")}
+    inside = table2.halves(items, SEED)
+    hidden = {
+        "picked_x": spoilt(x["picked_x"], ~inside[x["picked"].interval]),
+        "streamed_x": spoilt(x["streamed_x"], inside[x["streamed"].interval]),
+    }
+    result = table2.repeat(x, items, families, SEED, DT)
+    assert_same(table2.repeat(x | hidden, items, families, SEED, DT), result)
+    probability, y_true = result[table2.WHOLE]
+    assert np.isfinite(probability).all()
+    np.testing.assert_array_equal(y_true, items.y[~inside])
+    assert result["full-sequence accuracy"] > 0.8
+
+
+def test_detected_starts_trains_on_one_half_and_scores_the_other(
+    items: LabelledIntervals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside = table2.halves(items, SEED)
+    monkeypatch.setattr(
+        detected_starts, "snapshot_features",
+        lambda _, snapshots, view, *rest: features(snapshots, len(names(view.spec))),
+    )  # fmt: skip
+    monkeypatch.setattr(detected_starts.HeadSpec, "learning", (FAST, 1))
+    training, regular = training_snapshots(items, EVERY), regular_snapshots(items, EVERY)
+    views = {}
+    for name, snapshots in {
+        "state trains": training,
+        "state": regular,
+        "phase trains": since_trial_start(training),
+        "phase": since_trial_start(regular),
+    }.items():
+        head = detected_starts.HEADS[name.split()[0]]
+        x = features(snapshots, len(names(head.view.spec)))
+        views[name] = detected_starts.View(snapshots, x, head)
+    hidden = {}
+    for name, view in views.items():
+        trains = inside[view.snapshots.interval]
+        hidden[name] = replace(view, x=spoilt(view.x, ~trains if "trains" in name else trains))
+    result = detected_starts.repeat(data(), items, views, SEED)
+    assert_same(detected_starts.repeat(data(), items, hidden, SEED), result)
+    assert len(result["errors"]) == TRIALS / 2
+    assert result["macro step accuracy, given"] > 0.8
+    assert result["macro step accuracy, phase alone"] > 0.6
