@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LAYERS = ("primitive", "mc", "llb")
+STATES = ("approach", "rotation", "insertion", "mating")  # sub-tasks of the snap assembly, in order
 
 
 class Primitive(IntEnum):

@@ -34,9 +34,10 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
+from rcbht_jax.labels import STATES
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import FAILURE_TYPES, STATES, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.scene import one_arm

@@ -120,7 +120,7 @@ class PlotBeliefs(Command):
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
         from rcbht_jax.io.playback import read_store
-        from rcbht_jax.learning.tasks import STATES
+        from rcbht_jax.labels import STATES
         from rcbht_jax.plots import save
         from rcbht_jax.plots.beliefs import belief_map
 

@@ -35,29 +35,32 @@ def write_tracks(
 ) -> None:
     """Add a set of label tracks to a store, atomically.
 
+    >>> write_tracks(Path("trials.zarr"), "online-W5", tracks, {"window": 5})  # doctest: +SKIP
+
     Args:
         path: an existing store.
         name: for example "online-W5" or "offline-master"; letters, digits, dot, hyphen and underscore.
-        tracks: arrays [recording, axis, slot]; the layers may differ in slots.
+        tracks: arrays ``[recording, axis, slot]``; the layers may differ in slots.
         attrs: how the labels were made (semantics, window, thresholds): JSON values.
-        created: what to keep as creation date; default now.
+        created: creation date to store; default now.
 
     Raises:
-        InputError: no store, the name is malformed or taken, wrong shapes or dtypes, or ``attrs`` not JSON.
+        InputError: ``path`` is not a store, the name is malformed or taken, a shape or dtype is wrong, or ``attrs``
+            is not JSON.
     """
     count = count_recordings(path)
     target = _folder(path, name)
     if target.exists():
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
     arrays = {layer: _checked(getattr(tracks, layer), layer, count) for layer in LAYERS}
-    own = {
+    header = {
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "content_sha256": content_hash(a for layer in arrays.values() for a in layer.values()),
     }
-    # Outside the store while it grows: readers list every folder inside it.
+    # The draft is outside the store: readers list every folder inside it.
     with atomic_folder(target, near=path) as draft:
-        group = zarr_io.create_group(draft, {**attrs, **own})
+        group = zarr_io.create_group(draft, {**attrs, **header})
         for layer, by_field in arrays.items():
             sub = group.create_group(layer)
             for field_name, values in by_field.items():
@@ -68,16 +71,18 @@ def write_tracks(
 
 
 def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
-    """Read a set of label tracks and its attributes.
+    """Read a set of label tracks ``[recording, axis, slot]`` and its attributes.
+
+    >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")  # doctest: +SKIP
 
     Raises:
-        InputError: no such store or tracks, or they are damaged.
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
     count = count_recordings(path)
     folder = _folder(path, name)
     if not folder.is_dir():
-        known = ", ".join(list_tracks(path)) or "none"
-        raise InputError(f"{path} has no label tracks {name}; it has: {known}.")
+        names = ", ".join(list_tracks(path)) or "none"
+        raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     group = zarr_io.open_group(folder)
     with zarr_io.reading(folder):
         arrays = {layer: _read_layer(group, layer) for layer in LAYERS}
@@ -89,28 +94,28 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
 
 
 def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
-    """The label tracks of that name; without a name, the only ones there are.
+    """Name, label tracks and attributes of the tracks ``name``; without a name, of the only ones in the store.
 
     Raises:
-        InputError: there are none, or none of that name, or several and no name.
+        InputError: there are none, none of that name, or several and no name is given.
     """
-    known = list_tracks(path)
-    if not known:
+    names = list_tracks(path)
+    if not names:
         raise InputError(f'{path} has no label tracks; run "rcbht encode {path}" first.')
-    if not name and len(known) > 1:
-        raise InputError(f"{path} has several label tracks; choose one with --tracks: {', '.join(known)}.")
-    if name and name not in known:
+    if not name and len(names) > 1:
+        raise InputError(f"{path} has several label tracks; choose one with --tracks: {', '.join(names)}.")
+    if name and name not in names:
         raise InputError(
-            f'{path} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(known)}.'
+            f'{path} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(names)}.'
         )
-    return (name or known[0], *read_tracks(path, name or known[0]))
+    return (name or names[0], *read_tracks(path, name or names[0]))
 
 
 def list_tracks(path: Path) -> list[str]:
     """Names of the label tracks in a store, sorted.
 
     Raises:
-        InputError: no such store.
+        InputError: ``path`` is not a store.
     """
     open_store(path)
     return sorted(entry.parent.name for entry in (path / "labels").glob("*/zarr.json"))
@@ -126,7 +131,7 @@ def _read_layer(group: zarr.Group, layer: str) -> dict[str, Any]:
     sub = group[layer]
     if not isinstance(sub, zarr.Group):
         raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
-    return {name: zarr_io.read_array(sub, name, None if kind == "float" else kind) for name, kind in FIELDS.items()}
+    return {name: zarr_io.read_array(sub, name, None if dtype == "float" else dtype) for name, dtype in FIELDS.items()}
 
 
 def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
@@ -135,11 +140,11 @@ def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
     shape = arrays["label"].shape
     if len(shape) != 3 or shape[:2] != (count, 6):
         raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, 6 axes, slots].")
-    for name, kind in FIELDS.items():
+    for name, expected in FIELDS.items():
         dtype = arrays[name].dtype
-        fits = dtype in (np.float32, np.float64) if kind == "float" else dtype == kind
-        if arrays[name].shape != shape or not fits:
+        matches = dtype in (np.float32, np.float64) if expected == "float" else dtype == expected
+        if arrays[name].shape != shape or not matches:
             raise InputError(
-                f"{layer} {name} is {dtype} of shape {arrays[name].shape}; expected {kind} of shape {shape}."
+                f"{layer} {name} is {dtype} of shape {arrays[name].shape}; expected {expected} of shape {shape}."
             )
     return arrays

@@ -1,9 +1,9 @@
-"""What a source of wrenches may say, and JSON lines that say it.
+"""Messages of a wrench source, and their form as JSON lines.
 
 A line is one JSON object. ``{"wrench": [Fx, Fy, Fz, Mx, My, Mz], "time": 1.005}`` is a sample in N and Nm; ``time``
-(s) may be missing. A ROS ``Wrench`` or ``WrenchStamped`` as JSON (``{"force": {"x": ...}, "torque": ...}``, alone,
-under ``wrench``, with ``header.stamp``) is one as well. ``{"begin": true}`` says that a sub-task begins with the
-next sample, ``{"reset": true}`` that a trial does.
+(s) is optional. A ROS ``Wrench`` or ``WrenchStamped`` as JSON (``{"force": {"x": ...}, "torque": ...}``, alone or
+under ``wrench``, with ``header.stamp``) is a sample as well. With ``{"begin": true}`` a sub-task begins at the next
+sample, with ``{"reset": true}`` a trial.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any, Protocol, runtime_checkable
 
 from rcbht_jax.errors import InputError
 
-MAX_LINE = 65_536  # bytes; a longer line is no wrench
+MAX_LINE = 65_536  # bytes; a longer line is malformed
 _AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One reading; values and time may be anything a float can be."""
+    """One reading; values and time may be NaN or infinite."""
 
     wrench: tuple[float, ...]  # 6 values, N and Nm
     time: float | None = None  # s
@@ -42,14 +42,14 @@ class Reset:
 
 @dataclass(frozen=True)
 class Malformed:
-    """Something that is no message."""
+    """Input that is not a message."""
 
-    text: str
+    text: str  # what is wrong with it
 
 
 @dataclass(frozen=True)
 class Silence:
-    """A live source has said nothing for so many seconds."""
+    """A live source has sent nothing for this many seconds."""
 
     seconds: float
 
@@ -59,14 +59,19 @@ Message = Sample | Begin | Reset | Malformed | Silence
 
 @runtime_checkable
 class LineReader(Protocol):
-    """The part of a binary file that is needed to read lines."""
+    """A binary file, as far as reading lines needs it."""
 
     def readline(self, size: int, /) -> bytes:
-        """At most ``size`` bytes, up to and with the next line feed."""
+        """At most ``size`` bytes, up to and including the next line feed."""
 
 
 def read_lines(source: LineReader) -> Iterator[Message]:
-    """Messages from a binary file of JSON lines, in constant memory whatever it holds; empty lines are skipped."""
+    """Messages of a binary file of JSON lines, in constant memory; empty lines are skipped.
+
+    >>> import io
+    >>> list(read_lines(io.BytesIO(b'{"begin": true}')))
+    [Begin()]
+    """
     while raw := source.readline(MAX_LINE):
         if len(raw) == MAX_LINE and not raw.endswith(b"\n"):
             while raw and not raw.endswith(b"\n"):
@@ -77,19 +82,23 @@ def read_lines(source: LineReader) -> Iterator[Message]:
 
 
 def parse(line: bytes | str) -> Message:
-    """The message of one line; :class:`Malformed` if there is none. Never raises."""
+    """The message of one line; :class:`Malformed` if it is not one. Never raises.
+
+    >>> parse('{"wrench": [0, 0, 5, 0, 0, 0.1], "time": 1.005}')
+    Sample(wrench=(0.0, 0.0, 5.0, 0.0, 0.0, 0.1), time=1.005)
+    """
     try:
         return _message(json.loads(line))
     except (ValueError, RecursionError, OverflowError, TypeError, KeyError) as error:
-        return Malformed(f"a line is no message ({type(error).__name__}: {str(error)[:80]})")
+        return Malformed(f"a line is not a message ({type(error).__name__}: {str(error)[:80]})")
 
 
 def _message(value: Any) -> Message:
     if not isinstance(value, dict):
         raise TypeError("expected an object")
-    for word, kind in (("begin", Begin), ("reset", Reset)):
-        if value.get(word) is True:
-            return kind()
+    for key, message in (("begin", Begin), ("reset", Reset)):
+        if value.get(key) is True:
+            return message()
     wrench = value.get("wrench", value)
     time = value.get("time", _stamp(value.get("header")))
     return Sample(_six(wrench), None if time is None else _number(time))
@@ -100,7 +109,7 @@ def _six(wrench: Any) -> tuple[float, ...]:
         wrench = [wrench[part][axis] for part in ("force", "torque") for axis in _AXES]
     if not isinstance(wrench, list) or len(wrench) != 6:
         raise ValueError("expected six numbers")
-    # JSON has no NaN; null is how many sources say it.
+    # JSON has no NaN; many sources write null.
     return tuple(math.nan if value is None else _number(value) for value in wrench)
 
 
@@ -121,17 +130,17 @@ def _stamp(header: Any) -> float | None:
     return None
 
 
-_BACKLOG = 1000  # messages read ahead; beyond that the writer has to wait, and memory does not grow
+_BACKLOG = 1000  # messages read ahead; then the writer waits, so that memory stays bounded
 
 
 def read_live(source: LineReader, silent: float = 1.0) -> Iterator[Message]:
-    """Messages of ``source``, and :class:`Silence` each time nothing arrived for ``silent`` seconds.
+    """Messages of ``source``, and :class:`Silence` each time nothing has arrived for ``silent`` seconds.
 
     Raises:
         InputError: ``silent`` is not positive.
     """
     if not 0 < silent < float("inf"):
-        raise InputError(f"silence cannot be {silent} s long; expected a positive number.")
+        raise InputError(f"The silence is {silent} s; expected a positive number of seconds.")
     ready: queue.Queue[Message | BaseException | None] = queue.Queue(_BACKLOG)
 
     def read() -> None:
@@ -139,7 +148,7 @@ def read_live(source: LineReader, silent: float = 1.0) -> Iterator[Message]:
             for message in read_lines(source):
                 ready.put(message)
             ready.put(None)
-        except BaseException as error:  # handed over to the reader of the queue
+        except BaseException as error:  # raised again by the consumer of the queue
             ready.put(error)
 
     threading.Thread(target=read, daemon=True).start()

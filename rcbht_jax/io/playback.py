@@ -1,4 +1,4 @@
-"""Recorded trials as messages: from a store, or from one folder of the authors' layout."""
+"""Recorded trials as messages: from a store, or from one trial folder in HIRO's layout."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
@@ -20,10 +20,16 @@ Starts = Literal["harmonised", "recorded", "none"]
 def read_store(
     path: Path, trials: tuple[str, ...] = (), arm: str = "R", starts: Starts = "harmonised"
 ) -> Iterator[Message]:
-    """Trials of a store one after the other, each begun by a reset; sub-tasks begin where the store says.
+    """Trials of a store one after the other, each after a reset.
+
+    Args:
+        path: store of recordings.
+        trials: names; default all.
+        arm: "R" or "L".
+        starts: sub-tasks begin at the harmonised or the recorded starts, or not at all.
 
     Raises:
-        InputError: no such store, or no such trial.
+        InputError: ``path`` is not a store, or has no such trial or arm.
     """
     recordings = read_recordings(path)
     unknown = set(trials) - set(recordings.trial.tolist())
@@ -31,7 +37,7 @@ def read_store(
         raise InputError(f"{path} has no trial {', '.join(sorted(unknown))}.")
     chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
     if not chosen.any():
-        raise InputError(f"{path} has no recording of arm {arm} among the trials asked for.")
+        raise InputError(f"{path} has no recording of arm {arm} among the chosen trials.")
     onsets = recordings.onset_harmonised if starts == "harmonised" else recordings.onset
     for row in np.flatnonzero(chosen):
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
@@ -41,19 +47,19 @@ def read_store(
 
 
 def read_folder(path: Path, arm: str = "R", starts: Starts = "harmonised") -> Iterator[Message]:
-    """One trial of the authors' layout (``R_Torques.dat`` and so on).
+    """One trial folder in HIRO's layout (``R_Torques.dat`` and so on).
 
     Raises:
         InputError: the folder holds no readable trial of that arm.
     """
-    complaints: list[str] = []
+    problems: list[str] = []
 
-    def complain(where: Path, text: str) -> None:
-        complaints.append(f"{where}: {text}")
+    def report(where: Path, text: str) -> None:
+        problems.append(f"{where}: {text}")
 
-    records = [record for record in read_trial(path, path.parent.name, complain, complain) if record.arm == arm]
+    records = [record for record in read_trial(path, path.parent.name, report, report) if record.arm == arm]
     if not records:
-        raise InputError(complaints[0] if complaints else f"{path} has no arm {arm}.")
+        raise InputError(problems[0] if problems else f"{path} has no arm {arm}.")
     record = records[0]
     table = record.table
     onset = record.onset_harmonised if starts == "harmonised" else record.onset
@@ -61,10 +67,14 @@ def read_folder(path: Path, arm: str = "R", starts: Starts = "harmonised") -> It
 
 
 def _trial(
-    time: NDArray[np.floating], wrench: NDArray[np.floating], onset: NDArray[np.float64], dt: float, starts: Starts
+    time: Float[np.ndarray, " time"],
+    wrench: Float[np.ndarray, "time 6"],
+    onset: Float[np.ndarray, " state"],
+    dt: float,
+    starts: Starts,
 ) -> Iterator[Message]:
-    known = onset[np.isfinite(onset)] if starts != "none" else onset[:0]
-    begins = set(np.rint(known / dt).astype(int).tolist()) - {0}
+    finite = onset[np.isfinite(onset)] if starts != "none" else onset[:0]
+    begins = set(np.rint(finite / dt).astype(int).tolist()) - {0}
     for index, (stamp, row) in enumerate(zip(time.tolist(), wrench.tolist(), strict=True)):
         if index in begins:
             yield Begin()

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Int
 
+from rcbht_jax._util.atomic import draft_of
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event
@@ -55,20 +55,24 @@ string json
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: by suffix, or a folder with the metadata of ROS 2."""
+    """Whether a path is named like a bag, or is a folder with the metadata of a ROS 2 bag."""
     return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
-    """Wrenches of one topic, by the stamp in their header (time of receipt where it is zero).
+    """Wrenches of one topic in N and Nm, timed by the stamp in their header (by receipt where it is zero).
+
+    A message that cannot be read becomes :class:`Malformed`, and so does the end of a truncated file.
+
+    >>> for message in read_bag(Path("assembly.mcap"), "/wrench"):  # doctest: +SKIP
+    ...     print(message)
 
     Args:
         path: ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag.
-        topic: which one, if there are several of the type.
+        topic: needed if the bag has several topics of wrenches.
 
     Raises:
-        InputError: missing, not a bag, or no such topic. A message that cannot be read becomes ``Malformed``, and
-            so does the end of a truncated file.
+        InputError: the file is missing, not a bag, or has no such topic.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
@@ -84,15 +88,13 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
 
 
 def _wrenches(reader: AnyReader, path: Path, topic: str) -> Iterator[Message]:
-    found = [c for c in reader.connections if c.msgtype in WRENCH]
-    topics = sorted({c.topic for c in found})
+    connections = [c for c in reader.connections if c.msgtype in WRENCH]
+    topics = sorted({c.topic for c in connections})
     if topic and topic not in topics:
         raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
     if not topic and len(topics) != 1:
-        known = ", ".join(topics)
-        raise InputError(f"{path} has wrenches on {len(topics)} topics ({known}); choose one with --topic.")
-    chosen = [c for c in found if c.topic == (topic or topics[0])]
-    messages = reader.messages(connections=chosen)
+        raise InputError(f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic.")
+    messages = reader.messages(connections=[c for c in connections if c.topic == (topic or topics[0])])
     while True:
         try:
             connection, received, raw = next(messages)
@@ -116,17 +118,20 @@ def _sample(message: Any, received: int) -> Sample:
 
 
 class McapWriter:
-    """Writes wrench, labels, beliefs and events as an MCAP that Foxglove and PlotJuggler show; a context manager.
+    """Context manager that writes wrench, labels, beliefs and events as an MCAP file for Foxglove and PlotJuggler.
 
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``), ``/labels`` (codes and names per axis), ``/belief/HEAD``
-    and ``/events`` (JSON). The file appears when the block is left without an error.
+    and ``/events`` (JSON). The file appears when the block ends without an error.
+
+    Raises:
+        InputError: the folder of the file does not exist.
     """
 
     def __init__(self, path: Path) -> None:
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder; create it first.")
         self._path = path
-        self._folder = path.with_name(f".{path.name}.partial-{uuid.uuid4().hex[:12]}")
+        self._folder = draft_of(path)  # the writer makes a folder with the file in it
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for kind, text in (("Labels", _LABELS), ("Belief", _BELIEF), ("Event", _EVENT)):
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
@@ -165,8 +170,8 @@ class McapWriter:
         wrench = self._store.types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
         self._write("/wrench", WRENCH[0], time, wrench=wrench)
 
-    def labels(self, time: float, codes: NDArray[np.integer[Any]]) -> None:
-        """Latest published label of every layer and axis: codes ``[3, 6]``, 0 = none yet."""
+    def labels(self, time: float, codes: Int[np.ndarray, "3 6"]) -> None:
+        """Latest published label of every layer and axis, 0 = none yet."""
         fields: dict[str, Any] = {"axis": list(AXES)}
         for layer, row in zip(LAYERS, codes, strict=True):
             fields[layer] = row.astype(np.int32)
@@ -174,7 +179,7 @@ class McapWriter:
         self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
 
     def event(self, event: Event) -> None:
-        """One event; beliefs have a topic of their own per head."""
+        """One event; the beliefs of every head have their own topic."""
         if not isinstance(event, Belief):
             text = json.dumps(event.to_json(), allow_nan=False)
             self._write("/events", "rcbht_msgs/msg/Event", event.time, event=type(event).__name__, json=text)

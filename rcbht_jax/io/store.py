@@ -4,12 +4,11 @@ Layout (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero be
 ``dt`` (scalar and attribute); ``onset``, ``onset_harmonised [trial, state]``; ``deviation [trial, pose]``;
 the string variables ``trial_name``, ``arm``, ``source``, ``session``, ``outcome``, ``failure_type``, ``note``
 ``[trial]``; the coordinate ``axis``; label tracks in ``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``);
-what a simulation knows besides in ``simulation/``, every array ``[trial, ...]``.
+parameters and ground truth of a simulation in ``simulation/``, every array ``[trial, ...]``.
 The dimension "trial" counts recordings: one arm of one trial.
 
-Every chunk carries a CRC-32C and the group a SHA-256 of its content: truncation and loss show on reading.
-Writes go to a temporary sibling and are renamed when complete: an interrupted one never looks whole.
-Source: design page "architecture", section "Store".
+Every chunk carries a CRC-32C and the group a SHA-256 of its content, so that reading detects truncation and loss.
+Stores are written atomically (:mod:`rcbht_jax._util.atomic`).
 """
 
 from __future__ import annotations
@@ -56,11 +55,11 @@ VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
 
 
 def check_target(path: Path, overwrite: bool) -> None:
-    """Check that a store may be written at ``path``, before the work is done.
+    """Check that a store can be written at ``path``, before the work is done.
 
     Raises:
-        InputError: the parent folder does not exist, or something is there that ``overwrite`` does not allow
-            to replace; only a store is ever replaced.
+        InputError: the parent folder does not exist, or ``path`` exists and ``overwrite`` is false or it is not a
+            store; nothing else is ever replaced.
     """
     zarr_io.check_target(path, FORMAT, overwrite)
 
@@ -76,21 +75,23 @@ def write_recordings(
 ) -> None:
     """Write recordings as a store, atomically.
 
+    >>> write_recordings(Path("trials.zarr"), recordings, {"importer": "my-robot"})  # doctest: +SKIP
+
     Args:
-        path: folder to create; by custom it ends in ``.zarr``.
-        recordings: what to write.
-        attrs: provenance (JSON values), kept beside version, creation date and content hash.
-        overwrite: replace an existing store, once the new one is complete.
-        created: what to keep as creation date; default now. With a fixed text, equal content gives equal bytes.
-        simulation: arrays ``[trial, ...]`` kept in the group ``simulation/``; text as NumPy strings.
+        path: folder to create, by convention ending in ``.zarr``.
+        recordings: wrenches in N and Nm with their metadata.
+        attrs: provenance (JSON values), stored with the version, the creation date and the content hash.
+        overwrite: replace an existing store once the new one is complete.
+        created: creation date to store; default now. With a fixed text, equal content gives equal bytes.
+        simulation: arrays ``[recording, ...]`` for the group ``simulation/``; text as NumPy strings.
 
     Raises:
-        InputError: the recordings contradict themselves, ``path`` is taken, or ``attrs`` is not JSON.
+        InputError: the recordings contradict themselves, ``path`` exists, or ``attrs`` is not JSON.
     """
     check_target(path, overwrite)
     validate(recordings)
     arrays = {variable: getattr(recordings, spec[0]) for variable, spec in VARIABLES.items()}
-    own: dict[str, Any] = {
+    header: dict[str, Any] = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "rcbht_jax_version": rcbht_jax.__version__,
@@ -99,7 +100,7 @@ def write_recordings(
         "content_sha256": content_hash([*arrays.values(), np.float64(recordings.dt)]),
     }
     with atomic_folder(path) as draft:
-        group = zarr_io.create_group(draft, {**attrs, **own})
+        group = zarr_io.create_group(draft, {**attrs, **header})
         for variable, (_, dimensions, dtype, attributes) in VARIABLES.items():
             zarr_io.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
         zarr_io.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
@@ -112,8 +113,13 @@ def write_recordings(
 def read_recordings(path: Path) -> Recordings:
     """Read and check a whole store.
 
+    >>> recordings = read_recordings(Path("trials.zarr"))  # doctest: +SKIP
+    >>> recordings.wrench.shape  # [recording, time, axis], N and Nm  # doctest: +SKIP
+    (21, 3354, 6)
+
     Raises:
-        InputError: nothing there, not a store of this format, or damaged (a chunk missing, cut or altered).
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged (a chunk is missing,
+            truncated or altered).
     """
     group = open_store(path)
     with zarr_io.reading(path):
@@ -141,17 +147,17 @@ def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], cou
 
 
 def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
-    """What a simulation kept beside its recordings: arrays ``[trial, ...]`` by name; see ``sim_mjx.synthesis.pipeline``.
+    """Parameters and ground truth of simulated recordings: arrays ``[recording, ...]`` by name.
 
     Raises:
-        InputError: no such store, it was not simulated, or it is damaged.
+        InputError: ``path`` is not a store, holds no simulation, or is damaged.
     """
     sub = open_store(path).get(SIMULATION)
     if not isinstance(sub, zarr.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
     with zarr_io.reading(path):
-        kinds = {name: None if array.dtype.kind in "biuf" else "string" for name, array in sub.arrays()}
-        arrays = {name: zarr_io.read_array(sub, name, kind) for name, kind in kinds.items()}
+        dtypes = {name: None if array.dtype.kind in "biuf" else "string" for name, array in sub.arrays()}
+        arrays = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()}
         expected = sub.attrs["content_sha256"]
     if _simulation_hash(arrays) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
@@ -166,7 +172,7 @@ def read_attrs(path: Path) -> dict[str, Any]:
     """The store's attributes: provenance, ``dt``, ``import_report`` and so on.
 
     Raises:
-        InputError: nothing there, or not a store of this format.
+        InputError: ``path`` does not exist or is not a store of this format.
     """
     return dict(open_store(path).attrs)
 
@@ -175,7 +181,7 @@ def open_store(path: Path) -> zarr.Group:
     """Open the store's group for reading.
 
     Raises:
-        InputError: nothing there, or not a store of this format and version.
+        InputError: ``path`` does not exist or is not a store of this format and version.
     """
     group = zarr_io.open_group(path)
     if group.attrs.get("format") != FORMAT:
@@ -192,7 +198,7 @@ def count_recordings(path: Path) -> int:
     """Number of recordings in a store.
 
     Raises:
-        InputError: nothing there, not a store of this format, or damaged.
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group = open_store(path)
     with zarr_io.reading(path):
@@ -203,8 +209,8 @@ def validate(recordings: Recordings) -> None:
     """Check that the fields of recordings agree with each other.
 
     Raises:
-        InputError: no recording, a wrong shape or dtype, a length outside the array, a value that is not
-            finite within it or not zero beyond it, or an unknown arm or outcome.
+        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
+            finite within the length or not zero beyond it, or an arm or outcome is unknown.
     """
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or wrench.shape[2] != 6 or 0 in wrench.shape:
@@ -220,8 +226,8 @@ def validate(recordings: Recordings) -> None:
             raise InputError(f"{where}: the wrench is not finite everywhere; expected numbers.")
         if wrench[row, samples:].any():
             raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
-    _check_words("arm", recordings.arm, ("R", "L"))
-    _check_words("outcome", recordings.outcome, OUTCOMES)
+    _check_choice("arm", recordings.arm, ("R", "L"))
+    _check_choice("outcome", recordings.outcome, OUTCOMES)
 
 
 def _check_shapes(recordings: Recordings, count: int) -> None:
@@ -229,12 +235,12 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
     for name, dimensions, dtype, _ in VARIABLES.values():
         array = np.asarray(getattr(recordings, name))
         shape = (count, *(width[dimensions[1]] if len(dimensions) > 1 else ()))
-        kind = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
-        if array.shape != shape or not kind:
+        matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
+        if array.shape != shape or not matches:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
 
 
-def _check_words(name: str, values: NDArray[np.str_], allowed: tuple[str, ...]) -> None:
+def _check_choice(name: str, values: NDArray[np.str_], allowed: tuple[str, ...]) -> None:
     wrong = [str(value) for value in values if value not in allowed]
     if wrong:
         raise InputError(f"{name} is {wrong[0]!r}; expected one of {', '.join(allowed)}.")

@@ -1,4 +1,4 @@
-"""Small Zarr helpers shared by the store and the label tracks: checked arrays, atomic replacement."""
+"""Zarr helpers shared by the store and the label tracks: checked groups and arrays, one error message for damage."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CHUNKS_PER_SHARD = 32
 
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
-    """Check that a group of format ``kind`` may be written at ``path``; see :func:`store.check_target`."""
+    """Check that a group of format ``kind`` can be written at ``path``; see :func:`store.check_target`."""
     if not path.name:
         raise InputError(f'"{path}" is not a name for a store; expected for example trials.zarr.')
     if not path.parent.is_dir():
@@ -36,7 +36,7 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
         return
     if not overwrite:
         raise InputError(f"{path} exists already; choose another name, or pass --overwrite to replace it.")
-    # Only what this program made is ever deleted.
+    # Only stores made by this program are ever deleted.
     try:
         ours = open_group(path).attrs.get("format") == kind
     except InputError:
@@ -63,7 +63,7 @@ def open_group(path: Path) -> zarr.Group:
     """Open a group for reading.
 
     Raises:
-        InputError: there is no readable Zarr v3 group at ``path``.
+        InputError: ``path`` is not a readable Zarr v3 group.
     """
     try:
         if not path.is_dir():
@@ -77,7 +77,7 @@ def open_group(path: Path) -> zarr.Group:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever a damaged store raises into one sentence."""
+    """Turn any exception of a damaged store into one InputError."""
     try:
         yield
     except InputError:
@@ -114,10 +114,10 @@ def write_array(
 
 @uninterrupted()
 def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
-    """Read one array whole, strings as fixed-width NumPy strings; any dtype will do if ``dtype`` is None.
+    """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any.
 
     Raises:
-        InputError: it is missing or has another dtype.
+        InputError: the array is missing or has another dtype.
     """
     array = group.get(name)
     if not isinstance(array, zarr.Array):

@@ -24,12 +24,12 @@ from rcbht_jax.features import (
     concatenate_features,
     interval_features,
 )
+from rcbht_jax.labels import STATES
 from rcbht_jax.types import LabelTracks, Recordings
 
 TASKS = ("states", "outcome", "failure-type")
 BOUNDARIES = ("recorded", "harmonised", "merged")
 ARMS = ("R", "L", "both")
-STATES = ("approach", "rotation", "insertion", "mating")
 MERGED_STATES = ("approach", "rotation+insertion", "mating")
 OUTCOMES = ("failure", "success")
 UNKNOWN = "unknown"  # outcome of a trial that nobody judged

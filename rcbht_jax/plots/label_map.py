@@ -12,9 +12,8 @@ from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import AXES, COLORS, LAYERS
+from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES
 from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure
-from rcbht_jax.reference.published_features import STATES
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels

@@ -15,9 +15,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import AXES, COLORS, LAYERS, name
+from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES, name
 from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, text_color
-from rcbht_jax.reference.published_features import STATES
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels

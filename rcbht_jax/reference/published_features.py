@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, name
+from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, STATES, name
 from rcbht_jax.reference import OfflineLabels, state_onsets
 
-STATES = ("approach", "rotation", "insertion", "mating")
 Row = NDArray[np.int16]
 
 

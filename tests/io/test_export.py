@@ -247,7 +247,7 @@ def test_lerobot_starts_another_file_when_one_is_full(
 
 
 def test_lerobot_refuses_a_broken_rate(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="whole frames"):
+    with pytest.raises(InputError, match="whole number of frames"):
         export(bare(dataclasses.replace(simple(), dt=0.0033)), tmp_path / "out", "lerobot")
     folder_is_clean(tmp_path)
 
@@ -300,8 +300,8 @@ def test_card_counts_and_warns(data: DataSet, tmp_path: Path) -> None:
     export(bare(twice), tmp_path / "out", "csv")
     text = (tmp_path / "out/README.md").read_text()
     assert "| set | A | success | R | 1 | 2.00 / 2.00 / 2.00 |" in text
-    assert "No session holds more than one outcome" in text
-    assert "in 100% (balanced)" in text
+    assert "No session has more than one outcome" in text
+    assert "with a balanced accuracy of 100%" in text
     assert "Exact copies of another recording: 1;" in text
     assert "Licence:** not stated yet" in text
     export(data, tmp_path / "labelled", "csv")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, STATES
 from rcbht_jax.reference import OfflineLabels
 from rcbht_jax.reference import published_features as pub
 from tests.support.reference_cases import TWO_ARMS, encode_all, job, onset
@@ -60,7 +60,7 @@ def test_every_success_is_published_cell_for_cell(
         outcome = pub.outcome_features(labels, pub.LENGTHS[f"{task}_outcome"])
         assert _is_row(outcome, published["success"]), path.name
         rows = pub.state_features(labels, onset(path), pub.LENGTHS[f"{task}_states"])
-        for row, state in zip(rows, pub.STATES, strict=True):
+        for row, state in zip(rows, STATES, strict=True):
             assert _is_row(row, published[state]), (path.name, state)
 
 
@@ -71,7 +71,7 @@ def test_every_two_arm_state_is_published_cell_for_cell(arm: str, side: str, hir
     assert len(trials) == 13
     for path, labels in zip(trials, _labels(trials, "a1ca1d1", arm), strict=True):
         rows = pub.state_features(labels, onset(path), pub.LENGTHS[f"two_{side}_states"])
-        for row, state in zip(rows, pub.STATES, strict=True):
+        for row, state in zip(rows, STATES, strict=True):
             assert _is_row(row, published[f"{side}_{state}"]), (path.name, state)
 
 

@@ -12,9 +12,8 @@ from tests.support.store_cases import simple
 
 def test_values_never_change(tmp_path: Path) -> None:
     (tmp_path / "a.dat").write_text("1 2\n")
-    assert (
-        content_hash([np.arange(3, dtype=np.float32), np.array(["ä", "b"]), np.float64(0.5)])[:16] == "1e0618abad72810c"
-    )
+    arrays = [np.arange(3, dtype=np.float32), np.array(["ä", "b"]), np.float64(0.5)]
+    assert content_hash(arrays)[:16] == "1e0618abad72810c"
     assert data_hash(simple())[:16] == "53f070c3ff0516c5"
     assert json_hash({"b": 1, "a": [0.5, None]})[:16] == "7be76337a4b4fbe9"
     assert files_hash(tmp_path, [tmp_path / "a.dat", tmp_path / "missing.dat"])[:16] == "f382723095204e9e"

@@ -1,7 +1,7 @@
-"""Data out: a store as Parquet, LeRobotDataset v3, MCAP or CSV, each a folder with a data card.
+"""Export of a store as Parquet, LeRobotDataset v3, MCAP or CSV: a folder with a data card.
 
-Parquet and LeRobot need the extra ``export`` (pyarrow, pandas). Values, names, NaN and labels come out as they are in
-the store; nothing is resampled, filtered or rotated.
+Parquet and LeRobot need the extra ``export`` (pyarrow, pandas). Values, names, NaN and labels are written as they are
+in the store; nothing is resampled, filtered or rotated.
 """
 
 from rcbht_jax.io.export.dataset import DataSet, load

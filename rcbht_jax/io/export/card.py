@@ -1,9 +1,11 @@
-"""The data card: what the data is, where it comes from, and what must not be concluded from it."""
+"""The data card: what the data is, where it comes from, and which conclusions it does not allow."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,16 @@ from rcbht_jax._util.digest import content_hash
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.labels import LAYERS, MEANING, name
-from rcbht_jax.learning.tasks import CONFOUNDS
 from rcbht_jax.types import Recordings
 
-_HIDDEN = ("import_report", "diverged", "format", "format_version", "dt")  # long, or said elsewhere
+_OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
+
+
+def write_card(data: DataSet, folder: Path, layout: str, front: str = "") -> None:
+    """Write ``dataset.json`` and ``README.md``; the arguments are those of :func:`card`."""
+    text = json.dumps(description(data), indent=1, ensure_ascii=False)
+    (folder / "dataset.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "README.md").write_text(card(data, layout, front), encoding="utf-8")
 
 
 def description(data: DataSet) -> dict[str, Any]:
@@ -33,7 +41,7 @@ def description(data: DataSet) -> dict[str, Any]:
             for layer in LAYERS
         },
         "labels": {"name": data.tracks_name, **data.tracks_attrs},
-        "store": {key: value for key, value in data.attrs.items() if key not in _HIDDEN},
+        "store": {key: value for key, value in data.attrs.items() if key not in _OMITTED},
         "confounds": confounds(data),
     }
 
@@ -48,60 +56,77 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
     """
     recordings = data.recordings
     samples = int(recordings.length.sum())
+    trials = set(zip(recordings.source.tolist(), recordings.trial.tolist(), strict=True))
     origin = "simulated" if "simulated" in data.attrs else "recorded"
+    about = description(data)
     parts = [
         f"{front}# Wrench recordings",
-        f"{len(recordings)} recordings of {len(set(_keys(recordings)))} {origin} trials, {samples} samples at "
+        f"{len(recordings)} recordings of {len(trials)} {origin} trials, {samples} samples at "
         f"{1 / recordings.dt:g} Hz ({samples * recordings.dt / 60:.1f} min). A recording is one arm of one trial.",
-        "**Licence:** not stated yet; name it here before you pass this on. It is that of the recordings, not that of "
-        "the program that wrote them.",
+        "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
+        "that of the program that wrote these files.",
         f"## Files\n\n{layout}",
         "## Units and frames\n\nForces Fx Fy Fz in N, moments Mx My Mz in N m, times in s from the first sample of a "
         "recording, evenly spaced. The wrench is as the source logged it: not tared, filtered, resampled or rotated. "
         "HIRO's one-arm trials, recorded or simulated, are in the robot's base frame (x forward, y left, z up), its "
-        "two-arm trials in each wrist's frame; moments are about a point of the wrist.",
+        "two-arm trials in the frame of each wrist; moments are about a point of the wrist.",
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
-        "## Known confounds\n\n" + "\n".join(f"* {sentence}" for sentence in confounds(data)),
+        "## Known confounds\n\n" + "\n".join(f"* {sentence}" for sentence in about["confounds"]),
         f"## Provenance\n\nWritten by rcbht-jax {rcbht_jax.__version__}.\n\n```json\n"
-        + json.dumps(description(data)["store"], indent=1, ensure_ascii=False)
+        + json.dumps(about["store"], indent=1, ensure_ascii=False)
         + "\n```",
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def confounds(data: DataSet) -> list[str]:
-    """What a careful reader should know before scoring anything on this data: one sentence each."""
-    recordings, found = data.recordings, []
-    outcomes = sorted(set(recordings.outcome.tolist()))
-    if len(outcomes) > 1:
-        mixed = [s for s in np.unique(recordings.session) if len(set(recordings.outcome[recordings.session == s])) > 1]
-        if not mixed:
-            found.append(
-                "No session holds more than one outcome: whatever tells sessions apart seems to tell outcomes apart."
-            )
-        found += _durations(recordings)
-    copies = _copies(recordings)
-    if copies:
-        found.append(f"Exact copies of another recording: {copies}; keep copies on one side of every split.")
-    missing = int(np.isnan(recordings.onset_harmonised).any(1).sum())
-    if missing:
-        found.append(f"Recordings that lack the start of a state: {missing}.")
-    if data.attrs.get("importer") == "hiro":
-        found += CONFOUNDS.values()
-    return found or ["None was found; that does not mean that there is none."]
+def confounds(data: DataSet) -> Sequence[str]:
+    """What may be mistaken for a result on this data: one sentence each, derived from the data."""
+    recordings = data.recordings
+    sentences = _outcome_confounds(recordings) + _state_confounds(recordings)
+    if copies := _copies(recordings):
+        sentences.append(f"Exact copies of another recording: {copies}; keep copies on one side of every split.")
+    return sentences or ["None was detected; that does not mean that there is none."]
 
 
-def _durations(recordings: Recordings) -> list[str]:
-    """Whether the best threshold on duration tells success from failure."""
-    good, bad = (recordings.length[recordings.outcome == word] for word in ("success", "failure"))
-    if not (len(good) and len(bad)):
+def _outcome_confounds(recordings: Recordings) -> list[str]:
+    if len(set(recordings.outcome.tolist())) < 2:
         return []
-    cuts = np.unique(recordings.length)[:, None]
-    balanced = ((good >= cuts).mean(1) + (bad < cuts).mean(1)) / 2
-    best = float(np.maximum(balanced, 1 - balanced).max())
-    sentence = f"Duration alone, at its best threshold, tells success from failure in {best:.0%} (balanced)."
-    return [sentence] if best > 0.7 else []
+    sentences = []
+    sessions = (recordings.outcome[recordings.session == session] for session in np.unique(recordings.session))
+    if all(len(set(outcomes)) == 1 for outcomes in sessions):
+        sentences.append("No session has more than one outcome: what separates sessions seems to separate outcomes.")
+    accuracy = _duration_accuracy(recordings)
+    if accuracy > 0.7:
+        sentences.append(
+            f"Duration alone separates success from failure with a balanced accuracy of {accuracy:.0%} at its best "
+            "threshold."
+        )
+    return sentences
+
+
+def _state_confounds(recordings: Recordings) -> list[str]:
+    sentences = []
+    onset, logged = recordings.onset_harmonised, recordings.onset
+    if missing := int(np.isnan(onset).any(1).sum()):
+        sentences.append(f"Recordings that lack the start of a state: {missing}.")
+    durations = [column[np.isfinite(column)] for column in np.diff(onset, axis=1).T]
+    medians = [float(np.median(column)) for column in durations if len(column)]
+    if medians and max(medians) > 2 * min(medians):
+        sentences.append("The states differ in length: compare scores of states with those of duration alone.")
+    if single := int((logged[:, 2] - logged[:, 1] < 1.5 * recordings.dt).sum()):
+        sentences.append(f"Recordings whose logged rotation lasts one sample: {single}; use the harmonised boundaries.")
+    return sentences
+
+
+def _duration_accuracy(recordings: Recordings) -> float:
+    """Balanced accuracy of the best threshold on duration; NaN without successes or without failures."""
+    success, failure = (recordings.length[recordings.outcome == outcome] for outcome in ("success", "failure"))
+    if not (len(success) and len(failure)):
+        return float("nan")
+    thresholds = np.unique(recordings.length)[:, None]
+    balanced = ((success >= thresholds).mean(1) + (failure < thresholds).mean(1)) / 2
+    return float(np.maximum(balanced, 1 - balanced).max())
 
 
 def _copies(recordings: Recordings) -> int:
@@ -110,20 +135,16 @@ def _copies(recordings: Recordings) -> int:
     return sum(count - 1 for count in hashes.values())
 
 
-def _keys(recordings: Recordings) -> list[tuple[str, str]]:
-    return list(zip(recordings.source.tolist(), recordings.trial.tolist(), strict=True))
-
-
 def _labels(data: DataSet) -> str:
     if data.tracks is None:
         return "None are included."
-    how = data.tracks_attrs
-    window = f", windows of {how['window']} samples" if "window" in how else ""
+    attrs = data.tracks_attrs
+    window = f", windows of {attrs['window']} samples" if "window" in attrs else ""
     return (
-        f"`{data.tracks_name}` ({how.get('semantics', 'unknown')} taxonomy{window}): three layers, primitives, motion "
-        "compositions (mc) and low-level behaviours (llb), for each axis. A label describes the samples from `t0` to "
-        "before `t1`; it was known once `emit` samples had been received, which is later. Do not feed a predictor "
-        "labels before their `emit`."
+        f"`{data.tracks_name}` ({attrs.get('semantics', 'unknown')} taxonomy{window}): three layers, primitives, "
+        "motion compositions (mc) and low-level behaviours (llb), for each axis. A label describes the samples from "
+        "`t0` to before `t1`; it was known once `emit` samples had been received, which is later. Do not give a "
+        "predictor labels before their `emit`."
     )
 
 
@@ -137,6 +158,6 @@ def _counts(recordings: Recordings) -> str:
     for key in dict.fromkeys(rows):
         seconds = recordings.length[[row == key for row in rows]] * recordings.dt
         low, middle, high = np.quantile(seconds, (0.0, 0.5, 1.0))
-        cells = " | ".join(str(word).replace("|", "\\|").replace("\n", " ") for word in key)
+        cells = " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in key)
         lines.append(f"| {cells} | {len(seconds)} | {low:.2f} / {middle:.2f} / {high:.2f} |")
     return "\n".join(lines)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int8
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
@@ -21,10 +22,10 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 @dataclass(frozen=True)
 class DataSet:
-    """Recordings, their labels, and where both come from."""
+    """Recordings, their labels, and the provenance of both."""
 
     recordings: Recordings
-    tracks: LabelTracks | None  # None = no labels
+    tracks: LabelTracks | None  # [recording, axis, slot]; None = no labels
     tracks_name: str  # "" = no labels
     tracks_attrs: dict[str, Any]  # how the labels were made
     attrs: dict[str, Any]  # of the store: provenance
@@ -36,30 +37,35 @@ def load(store: Path, tracks: str = "", window: int | None = None) -> DataSet:
 
     Args:
         store: folder made by ``rcbht import`` or ``rcbht simulate``.
-        tracks: which label tracks; "" = the only ones there are, or none.
-        window: label now with the streaming encoder, windows of so many samples, HIRO's thresholds; then ``tracks``
-            must be "".
+        tracks: name of the label tracks; "" = the only ones in the store, or none if it has none.
+        window: encode now with the streaming encoder, this many samples per window and HIRO's thresholds, instead
+            of reading stored labels.
 
     Raises:
-        InputError: no such store or tracks, several and none chosen, or both ``tracks`` and ``window``.
+        InputError: no such store or tracks, several tracks and none chosen, or both ``tracks`` and ``window``.
     """
     if window is not None and tracks:
-        raise InputError("Labels are either taken from the store or made now; give --tracks or --window, not both.")
+        raise InputError("Labels are either read from the store or made now; give --tracks or --window, not both.")
     recordings = read_recordings(store)
-    name, found, how = "", None, dict[str, Any]()
+    name, labels, attrs = "", None, dict[str, Any]()
     if window is not None:
-        name, (found, how) = f"online-W{window}", _encode(recordings, window)
+        name, (labels, attrs) = f"online-W{window}", _encode(recordings, window)
     elif tracks or list_tracks(store):
-        name, found, how = choose_tracks(store, tracks)
+        name, labels, attrs = choose_tracks(store, tracks)
     simulation = read_simulation(store) if SIMULATION in open_store(store) else {}
-    return DataSet(recordings, found, name, how, read_attrs(store), simulation)
+    return DataSet(recordings, labels, name, attrs, read_attrs(store), simulation)
 
 
 def _encode(recordings: Recordings, window: int) -> tuple[LabelTracks, dict[str, Any]]:
-    config, limits = EncoderConfig(window, recordings.dt), preset("hiro")
-    tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
-    how = {"semantics": "online", "window": window, "config": asdict(config), "thresholds": limits.limits.tolist()}
-    return tracks, how
+    config, thresholds = EncoderConfig(window, recordings.dt), preset("hiro")
+    tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length)
+    attrs = {
+        "semantics": "online",
+        "window": window,
+        "config": asdict(config),
+        "thresholds": np.asarray(thresholds.limits).tolist(),
+    }
+    return tracks, attrs
 
 
 def words(track: LabelTrack, row: int, axis: int) -> dict[str, NDArray[Any]]:
@@ -68,35 +74,34 @@ def words(track: LabelTrack, row: int, axis: int) -> dict[str, NDArray[Any]]:
     return {field: np.asarray(values)[row, axis][used] for field, values in vars(track).items()}
 
 
-def codes_at_samples(tracks: LabelTracks, row: int, samples: int) -> NDArray[np.int8]:
-    """What a label was at each sample: int8 ``[sample, layer, axis]``, 0 = none.
+def codes_at_samples(tracks: LabelTracks, row: int, samples: int) -> Int8[np.ndarray, "sample layer axis"]:
+    """The label in force at each sample of a recording, 0 = none.
 
-    Online labels appear when they are published (what a robot could know after that sample); labels of an offline
-    encoder, which have no such moment, over the span that they describe.
+    Online labels hold from their publication on (what a robot could know after that sample); labels of an offline
+    encoder, which have no moment of publication, over the span that they describe.
     """
     codes = np.zeros((samples, len(LAYERS), 6), np.int8)
     for number, layer in enumerate(LAYERS):
         for axis in range(6):
-            word = words(getattr(tracks, layer), row, axis)
-            codes[:, number, axis] = _at_samples(word, samples)
+            codes[:, number, axis] = _at_samples(words(getattr(tracks, layer), row, axis), samples)
     return codes
 
 
-def _at_samples(word: dict[str, NDArray[Any]], samples: int) -> NDArray[np.int8]:
+def _at_samples(word: dict[str, NDArray[Any]], samples: int) -> Int8[np.ndarray, " sample"]:
     if not len(word["label"]):
         return np.zeros(samples, np.int8)
     online = bool((word["emit"] >= 0).all())
     received = np.arange(1, samples + 1)
     # Sample i is the (i+1)-th: a label with emit = i+1 is known with it, a span from t0 = i covers it.
     latest = np.searchsorted(word["emit"] if online else word["t0"] + 1, received, side="right") - 1
-    known = latest >= 0
+    valid = latest >= 0
     if not online:
-        known &= received <= word["t1"][latest]
-    return np.where(known, word["label"][latest], 0).astype(np.int8)
+        valid &= received <= word["t1"][latest]
+    return np.where(valid, word["label"][latest], 0).astype(np.int8)
 
 
-def states_at_samples(recordings: Recordings, row: int) -> NDArray[np.int8]:
-    """State of the assembly at each sample, harmonised boundaries: int8 ``[sample]``, -1 = before the first known."""
+def states_at_samples(recordings: Recordings, row: int) -> Int8[np.ndarray, " sample"]:
+    """State of the assembly at each sample by the harmonised boundaries; -1 before the first known one."""
     samples = np.arange(recordings.length[row])
     state = np.full(len(samples), -1, np.int8)
     for number, onset in enumerate(recordings.onset_harmonised[row]):

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.export import card, tables
+from rcbht_jax.io.export import tables
+from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import DataSet, codes_at_samples, states_at_samples
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.labels import AXES, LAYERS
@@ -25,14 +27,14 @@ QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 _LAYOUT = """LeRobotDataset v3.0: `LeRobotDataset("any/name", root="this folder")` reads it. One episode is one
-recording (one arm of one trial); names, outcome and starts of states are further columns of `meta/episodes`. Tasks are
-the sources. There are no actions and no images.
+recording (one arm of one trial); names, outcome and starts of states are further columns of `meta/episodes`. The tasks
+are the data sets. There are no actions and no images.
 
 * `observation.wrench`: Fx Fy Fz Mx My Mz, N and N m;
-* `observation.state_index`: 0 approach, 1 rotation, 2 insertion, 3 mating (harmonised); -1 = not known;
-* `observation.label.primitive`, `.mc`, `.llb`: codes per axis, 0 = none. Labels of the streaming encoder appear when
-  they were published, so that a frame holds nothing of its future; offline labels cover the span that they describe,
-  which does use the future;
+* `observation.state_index`: 0 approach, 1 rotation, 2 insertion, 3 mating (harmonised boundaries); -1 = unknown;
+* `observation.label.primitive`, `.mc`, `.llb`: codes per axis, 0 = none. Labels of the streaming encoder start when
+  they were published, so that no frame depends on later ones; offline labels cover the span that they describe and
+  do depend on later frames;
 * `next.done`: true in an episode's last frame."""
 
 
@@ -40,11 +42,9 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     """Fill ``folder`` with a LeRobot data set.
 
     Raises:
-        InputError: pyarrow or pandas is missing, or the sampling rate is no whole number per second.
+        InputError: pyarrow or pandas is missing, or the sampling rate is not a whole number of hertz.
     """
-    from rcbht_jax.io.export.write import require
-
-    pd, fps = require("pandas"), _fps(data.recordings.dt)
+    pd, fps = require("pandas", "export"), _fps(data.recordings.dt)
     tasks = list(dict.fromkeys(source or "unnamed" for source in data.recordings.source.tolist()))
     episodes, total = _write_frames(data, folder, fps, tasks, progress)
     meta = folder / "meta"
@@ -55,32 +55,31 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     named.to_parquet(meta / "tasks.parquet")
     _write_json(meta / "info.json", _info(data, fps, len(tasks), len(episodes), total))
     _write_json(meta / "stats.json", _total(episodes))
-    _write_json(folder / "dataset.json", card.description(data))
     front = "---\ntags: [LeRobot, robotics, force-torque]\nconfigs:\n- config_name: default\n"
     front += "  data_files: data/*/*.parquet\n---\n"
-    (folder / "README.md").write_text(card.card(data, _LAYOUT, front), encoding="utf-8")
+    write_card(data, folder, _LAYOUT, front)
 
 
 def _fps(dt: float) -> int:
     fps = round(1 / dt)
     if fps < 1 or abs(fps * dt - 1) > 1e-6:
         raise InputError(
-            f"LeRobot counts whole frames per second, but the samples are {dt:g} s apart; choose another format."
+            f"LeRobot needs a whole number of frames per second, but the period is {dt:g} s; choose another format."
         )
     return fps
 
 
 def _features(labelled: bool) -> dict[str, dict[str, Any]]:
-    axes, one = list(AXES), {"shape": [1], "names": None}
+    axes, scalar = list(AXES), {"shape": [1], "names": None}
     features: dict[str, dict[str, Any]] = {
         "observation.wrench": {"dtype": "float32", "shape": [6], "names": axes},
-        "observation.state_index": {"dtype": "int64", **one},
+        "observation.state_index": {"dtype": "int64", **scalar},
     }
     if labelled:
         features |= {f"observation.label.{layer}": {"dtype": "int64", "shape": [6], "names": axes} for layer in LAYERS}
-    features |= {"next.done": {"dtype": "bool", **one}, "timestamp": {"dtype": "float32", **one}}
+    features |= {"next.done": {"dtype": "bool", **scalar}, "timestamp": {"dtype": "float32", **scalar}}
     return features | {
-        key: {"dtype": "int64", **one} for key in ("frame_index", "episode_index", "index", "task_index")
+        key: {"dtype": "int64", **scalar} for key in ("frame_index", "episode_index", "index", "task_index")
     }
 
 
@@ -126,10 +125,12 @@ def _frames(data: DataSet, row: int, fps: int, first: int, task: int) -> Table:
 def _write_frames(
     data: DataSet, folder: Path, fps: int, tasks: list[str], progress: Callable[[int], None]
 ) -> tuple[list[dict[str, Any]], int]:
-    """Write the frames, one row group per episode; the episodes' rows of ``meta/episodes`` and the number of frames."""
-    from rcbht_jax.io.export.write import require
+    """Write the frames, one row group per episode.
 
-    pa, pq = require("pyarrow"), require("pyarrow.parquet")
+    Returns:
+        the rows of ``meta/episodes`` and the number of frames.
+    """
+    pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
     names = tables.trials(data.recordings)
     episodes: list[dict[str, Any]] = []
     first, file, written, writer = 0, 0, 0, None
@@ -149,14 +150,14 @@ def _write_frames(
             writer.write_table(table)
             written += table.nbytes
             last = first + len(frames["index"])
-            known = {key: values[row].item() for key, values in names.items() if key not in ("recording", "samples")}
+            columns = {key: values[row].item() for key, values in names.items() if key not in ("recording", "samples")}
             episodes.append(
                 {
                     "episode_index": row, "tasks": [task], "length": last - first,
                     "dataset_from_index": first, "dataset_to_index": last,
                     "data/chunk_index": chunk, "data/file_index": place,
                     "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-                    **known, **_statistics(frames),
+                    **columns, **_statistics(frames),
                 }
             )  # fmt: skip
             first = last
@@ -174,31 +175,30 @@ def _column(pa: Any, values: NDArray[Any]) -> Any:
 
 
 def _statistics(frames: Table) -> dict[str, list[Any]]:
-    """``stats/FEATURE/WHAT`` of one episode: lists of one value per element, ``count`` of one number."""
-    found: dict[str, list[Any]] = {}
+    """``stats/FEATURE/STATISTIC`` of one episode: lists of one value per element, ``count`` of one number."""
+    statistics: dict[str, list[Any]] = {}
     for key, values in frames.items():
         wide = values.reshape(len(values), -1).astype(np.float64)
         moments = {"min": wide.min(0), "max": wide.max(0), "mean": wide.mean(0), "std": wide.std(0)}
-        shares = {
-            f"q{100 * q:02.0f}": level for q, level in zip(QUANTILES, np.quantile(wide, QUANTILES, 0), strict=True)
-        }
-        found |= {f"stats/{key}/{what}": value.tolist() for what, value in (moments | shares).items()}
-        found[f"stats/{key}/count"] = [len(values)]
-    return found
+        levels = zip(QUANTILES, np.quantile(wide, QUANTILES, 0), strict=True)
+        quantiles = {f"q{100 * q:02.0f}": level for q, level in levels}
+        statistics |= {f"stats/{key}/{name}": value.tolist() for name, value in (moments | quantiles).items()}
+        statistics[f"stats/{key}/count"] = [len(values)]
+    return statistics
 
 
 def _total(episodes: list[dict[str, Any]]) -> dict[str, dict[str, list[Any]]]:
-    """Statistics of all frames; quantiles are means over the episodes, weighted by frames, as LeRobot's are."""
+    """Statistics of all frames; quantiles are means over the episodes, weighted by frames, as in LeRobot."""
     weight = np.array([episode["length"] for episode in episodes], np.float64)[:, None]
     total: dict[str, dict[str, list[Any]]] = {}
     for path in (key for key in episodes[0] if key.startswith("stats/")):
-        key, what = path.removeprefix("stats/").rsplit("/", 1)
-        total.setdefault(key, {})[what] = _combined(what, _stacked(episodes, path), weight).tolist()
-    for key, found in total.items():
+        key, name = path.removeprefix("stats/").rsplit("/", 1)
+        total.setdefault(key, {})[name] = _combined(name, _stacked(episodes, path), weight).tolist()
+    for key, statistics in total.items():
         means = _stacked(episodes, f"stats/{key}/mean")
         within = _stacked(episodes, f"stats/{key}/std") ** 2
-        spread = ((within + (means - found["mean"]) ** 2) * weight).sum(0) / weight.sum()
-        found["std"] = np.sqrt(spread).tolist()
+        variance = ((within + (means - statistics["mean"]) ** 2) * weight).sum(0) / weight.sum()
+        statistics["std"] = np.sqrt(variance).tolist()
     return total
 
 
@@ -206,16 +206,14 @@ def _stacked(episodes: Iterable[dict[str, Any]], path: str) -> NDArray[Any]:
     return np.array([episode[path] for episode in episodes])
 
 
-def _combined(what: str, values: NDArray[Any], weight: NDArray[np.float64]) -> NDArray[Any]:
-    if what in ("min", "max"):
-        return values.min(0) if what == "min" else values.max(0)
-    return values.sum(0) if what == "count" else (values * weight).sum(0) / weight.sum()
+def _combined(name: str, values: NDArray[Any], weight: NDArray[np.float64]) -> NDArray[Any]:
+    if name in ("min", "max"):
+        return values.min(0) if name == "min" else values.max(0)
+    return values.sum(0) if name == "count" else (values * weight).sum(0) / weight.sum()
 
 
 def _write_table(columns: dict[str, list[Any]], path: Path) -> None:
-    from rcbht_jax.io.export.write import require
-
-    require("pyarrow.parquet").write_table(require("pyarrow").table(columns), path)
+    require("pyarrow.parquet", "export").write_table(require("pyarrow", "export").table(columns), path)
 
 
 def _write_json(path: Path, value: Any) -> None:

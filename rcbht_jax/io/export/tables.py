@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.io.export.dataset import DataSet, words
-from rcbht_jax.labels import AXES, LAYERS, MEANING, name
-from rcbht_jax.reference.published_features import STATES
+from rcbht_jax.labels import AXES, LAYERS, MEANING, STATES, name
 from rcbht_jax.types import Recordings
 
 Table = dict[str, NDArray[Any]]
@@ -25,8 +24,8 @@ COLUMNS = {
     "source": "data set",
     "session": "recording session",
     "outcome": "success, failure or unknown",
-    "failure_type": "kind of failure; empty = none",
-    "note": "what the importer had to say",
+    "failure_type": "type of failure; empty = none",
+    "note": "flags of the importer, separated by semicolons",
     "samples": "number of samples",
     "seconds": "duration, s",
     "onset_*": "logged start of a state, s; NaN = missing",
@@ -38,7 +37,7 @@ COLUMNS = {
     "Mx My Mz": "moment, N m",
     "layer": "primitive, mc or llb",
     "axis": "Fx Fy Fz Mx My Mz",
-    "word": "position in the sentence of this layer and axis, from 0",
+    "word": "number of the label in its layer and axis, from 0",
     "code": "label as a number, see alphabets",
     "label": "label as a name",
     "t0, t1": "first sample of the span, and one past its last",
@@ -97,12 +96,12 @@ def _sentence(data: DataSet, row: int, layer: str, axis: int) -> Table:
 
 
 def simulation(data: DataSet) -> Table:
-    """What a simulation knows besides, one row per recording; arrays as one column per element: ``name[i,j]``."""
+    """Parameters and ground truth of a simulation, one row per recording; a column per element: ``name[i,j]``."""
     table: Table = {"recording": np.arange(len(data.recordings), dtype=np.int32)}
     for key, values in data.simulation.items():
         if values.ndim == 1:
             table[key] = values
             continue
-        for place in np.ndindex(values.shape[1:]):
-            table[f"{key}[{','.join(map(str, place))}]"] = values[(slice(None), *place)]
+        for index in np.ndindex(values.shape[1:]):
+            table[f"{key}[{','.join(map(str, index))}]"] = values[(slice(None), *index)]
     return table if data.simulation else {}

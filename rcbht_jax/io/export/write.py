@@ -3,44 +3,47 @@
 from __future__ import annotations
 
 import csv
-import importlib
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_folder
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
-from rcbht_jax.io.export import card, tables
+from rcbht_jax.io.export import tables
+from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import DataSet, codes_at_samples
+from rcbht_jax.io.export.lerobot import write_lerobot
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
 
-Progress = Callable[[int], None]  # called with the recordings done since the last call
+Progress = Callable[[int], None]  # called with the number of recordings done since the last call
 
 _TABLES = """* `trials.{0}`: one row per recording: names, outcome, starts of states;
 * {1};
 * `labels.{0}`: one row per label, where labels are included;
-* `simulation.{0}`: what the simulation drew and knew, where the trials were simulated;
+* `simulation.{0}`: parameters and ground truth of the simulation, where the trials were simulated;
 * `dataset.json`: sampling period, columns with units, alphabets, provenance."""
 
 
 def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: None) -> None:
-    """Write a data set as a new folder, atomically: it is complete or not there.
+    """Write a data set as a new folder, atomically.
+
+    >>> data = load(Path("hiro.zarr"), window=5)  # doctest: +SKIP
+    >>> export(data, Path("hiro-parquet"), "parquet")  # doctest: +SKIP
 
     Args:
-        data: see :func:`rcbht_jax.io.export.load`.
+        data: made by :func:`rcbht_jax.io.export.load`.
         out: folder to create; nothing is ever replaced.
-        kind: one of ``FORMATS``.
+        kind: one of ``FORMATS``: "parquet", "lerobot", "mcap" or "csv".
         progress: called with the number of recordings done since the last call.
 
     Raises:
-        InputError: ``out`` is taken or has no parent, the format is unknown, a library is missing, a name cannot be
-            written as UTF-8, or the format cannot hold the data.
+        InputError: ``out`` exists or has no parent, the format is unknown or cannot hold the data, a package is
+            missing, or a name cannot be written as UTF-8.
     """
     if kind not in FORMATS:
         raise InputError(f"{kind!r} is not a format; expected one of {', '.join(FORMATS)}.")
@@ -50,32 +53,19 @@ def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: N
         draft.mkdir()
         FORMATS[kind](data, draft, progress)
         if os.path.lexists(out):
-            raise InputError(f"{out} was made by someone else meanwhile; choose another name.")
+            raise InputError(f"{out} was created by another process meanwhile; choose another name.")
 
 
 def check_target(out: Path) -> None:
-    """Check that a folder may be made at ``out``.
+    """Check that a folder can be created at ``out``.
 
     Raises:
-        InputError: it may not.
+        InputError: ``out`` exists, or its parent does not.
     """
     if not out.name or not out.parent.is_dir():
-        raise InputError(f'"{out}" cannot be made: {out.parent} is not a folder, or there is no name.')
+        raise InputError(f'"{out}" cannot be created: {out.parent} is not a folder, or there is no name.')
     if os.path.lexists(out):
         raise InputError(f"{out} exists already; choose another name, or move it away.")
-
-
-def require(module: str) -> ModuleType:
-    """Import a library of the extra ``export``.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        name = module.split(".")[0]
-        raise InputError(f"This format needs {name}; install the extra: pip install 'rcbht-jax[export]'.") from error
 
 
 def _check_names(data: DataSet) -> None:
@@ -87,14 +77,8 @@ def _check_names(data: DataSet) -> None:
                 raise InputError(f"The {field} of recording {row} is {text!r}, which is not valid Unicode.") from None
 
 
-def _finish(data: DataSet, folder: Path, layout: str) -> None:
-    (folder / "README.md").write_text(card.card(data, layout), encoding="utf-8")
-    text = json.dumps(card.description(data), indent=1, ensure_ascii=False)
-    (folder / "dataset.json").write_text(text + "\n", encoding="utf-8")
-
-
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
-    pa, pq = require("pyarrow"), require("pyarrow.parquet")
+    pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
     period = {"dt_seconds": repr(data.recordings.dt)}
 
     pq.write_table(pa.table(tables.trials(data.recordings)), folder / "trials.parquet")
@@ -114,9 +98,8 @@ def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
     finally:
         if writer is not None:
             writer.close()
-    _finish(
-        data, folder, _TABLES.format("parquet", "`wrench.parquet`: one row per sample, one row group per recording")
-    )
+    layout = "`wrench.parquet`: one row per sample, one row group per recording"
+    write_card(data, folder, _TABLES.format("parquet", layout))
 
 
 def _write_csv(path: Path, table: Table, *, header: bool = True) -> None:
@@ -138,13 +121,13 @@ def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
     if simulation := tables.simulation(data):
         _write_csv(folder / "simulation.csv", simulation)
-    for number, part in enumerate(tables.labels(data)):
-        _write_csv(folder / "labels.csv", part, header=number == 0)
+    for number, table in enumerate(tables.labels(data)):
+        _write_csv(folder / "labels.csv", table, header=number == 0)
     (folder / "wrench").mkdir()
     for row in range(len(data.recordings)):
         _write_csv(folder / "wrench" / f"{row:06d}.csv", tables.wrench(data.recordings, row))
         progress(1)
-    _finish(data, folder, _TABLES.format("csv", "`wrench/NNNNNN.csv`: one row per sample of recording N"))
+    write_card(data, folder, _TABLES.format("csv", "`wrench/NNNNNN.csv`: one row per sample of recording N"))
 
 
 def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
@@ -158,7 +141,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
         "* `trials.csv`: one row per recording: names, outcome, starts of states;\n"
         "* `dataset.json`: sampling period, columns with units, alphabets, provenance."
     )
-    _finish(data, folder, layout)
+    write_card(data, folder, layout)
 
 
 def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
@@ -176,15 +159,9 @@ def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
                 mcap.labels(time, codes[sample])
 
 
-def _lerobot(data: DataSet, folder: Path, progress: Progress) -> None:
-    from rcbht_jax.io.export.lerobot import write_lerobot
-
-    write_lerobot(data, folder, progress)
-
-
 FORMATS: dict[str, Callable[[DataSet, Path, Progress], None]] = {
     "parquet": _parquet,
-    "lerobot": _lerobot,
+    "lerobot": write_lerobot,
     "mcap": _mcap,
     "csv": _csv,
 }

@@ -1,1 +1,1 @@
-"""Import of the authors' trial folders (robot HIRO)."""
+"""Import of the trial folders of the robot HIRO."""

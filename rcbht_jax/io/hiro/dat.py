@@ -1,8 +1,7 @@
-"""Strict parser of the authors' whitespace-separated tables (``R_Torques.dat`` and its siblings).
+"""Strict parser of the whitespace-separated tables of the HIRO recordings (``R_Torques.dat`` and so on).
 
 Spaces or tabs, trailing tabs, CRLF and blank lines are allowed; anything else that is not a complete table of
 finite numbers on an even time grid is an error that names the file and the line.
-Source: design page "offline taxonomy", section 2, and the data audit.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
 
@@ -21,27 +20,28 @@ MIN_DT, MAX_DT = 1e-4, 1.0
 PLAIN = b"0123456789+-.eE \t\r\n"
 DT_TOLERANCE = 0.05  # of the time step: far above print rounding, far below a lost sample
 
-# Largest believable magnitude of each quantity, and what a larger one probably means.
+# Largest plausible magnitude of each quantity, and what a larger one probably means.
 LIMITS = {
     "wrench": (1e5, "are the values in newtons and newton metres"),
     "joint angles": (10.0, "are the angles in radians, not degrees"),
     "pose": (10.0, "are the values in metres and radians, not millimetres and degrees"),
 }
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class TimedTable:
     """One signal file: a time column and six value columns."""
 
-    time: Floats  # [n] seconds, evenly spaced
-    values: Floats  # [n, 6]
-    dt: float  # seconds between rows
+    time: Float64[np.ndarray, " row"]  # s, evenly spaced
+    values: Float64[np.ndarray, "row 6"]
+    dt: float  # s between rows
 
 
-def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Floats:
-    """Read a table of finite numbers, array [rows, columns].
+def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Float64[np.ndarray, "row {columns}"]:
+    """Read a table of finite numbers.
+
+    >>> read_table(Path("trial/R_Torques.dat"), 7).shape  # doctest: +SKIP
+    (2060, 7)
 
     Raises:
         InputError: the file is missing, larger than ``max_bytes``, empty, or has a line that is not exactly
@@ -65,8 +65,8 @@ def read_timed(path: Path, quantity: str, max_bytes: int = MAX_BYTES) -> TimedTa
     """Read a signal file: time (s) and six columns of ``quantity`` (a key of ``LIMITS``).
 
     Raises:
-        InputError: as :func:`read_table`; also fewer than two rows, time that stands still, runs backwards or
-            is uneven, a time step outside 0.1 ms .. 1 s, or magnitudes that suggest other units.
+        InputError: as :func:`read_table`; also fewer than two rows, time stamps that do not increase or are uneven,
+            a time step outside 0.1 ms .. 1 s, or magnitudes that suggest other units.
     """
     table = read_table(path, 7, max_bytes)
     if len(table) < 2:
@@ -82,8 +82,8 @@ def read_timed(path: Path, quantity: str, max_bytes: int = MAX_BYTES) -> TimedTa
     return TimedTable(table[:, 0], table[:, 1:], dt)
 
 
-def read_state_times(path: Path) -> Floats:
-    """Read a state file: start times [k] in seconds, k = 0 for an empty file.
+def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
+    """Read a state file: start times in s, none for an empty file.
 
     Raises:
         InputError: a line is not one finite number, or the times do not increase.
@@ -112,8 +112,8 @@ def _read_bytes(path: Path, max_bytes: int) -> bytes:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
 
 
-def _time_step(path: Path, time: Floats, max_bytes: int) -> float:
-    """The constant time step of a file, s, or the error that says where it is not one."""
+def _time_step(path: Path, time: Float64[np.ndarray, " row"], max_bytes: int) -> float:
+    """The constant time step of a file, s; an InputError names the line where it is not constant."""
     step = np.diff(time)
     dt = float(np.median(step))
     uneven = np.flatnonzero((step <= 0) | (np.abs(step - dt) > DT_TOLERANCE * abs(dt)))
@@ -135,8 +135,8 @@ def _time_step(path: Path, time: Floats, max_bytes: int) -> float:
     return dt
 
 
-def _read_fast(raw: bytes) -> Floats | None:
-    """The table in one go; None where it is not made of complete lines of plain numbers."""
+def _read_fast(raw: bytes) -> Float64[np.ndarray, "row column"] | None:
+    """The table by NumPy's reader; None if it does not consist of complete lines of plain numbers."""
     if raw.translate(None, PLAIN):
         return None
     try:
@@ -145,29 +145,28 @@ def _read_fast(raw: bytes) -> Floats | None:
         return None
 
 
-def _read_slowly(path: Path, raw: bytes, columns: int) -> Floats:
-    """Line by line: finds the first bad line, or reads what the bulk reader was too narrow for."""
+def _read_slowly(path: Path, raw: bytes, columns: int) -> Float64[np.ndarray, "row {columns}"]:
+    """Line by line: names the first bad line, or reads what the fast reader does not accept."""
     rows: list[list[float]] = []
     for number, line in enumerate(raw.splitlines(), start=1):
-        words = line.split()
-        if not words:
+        if not (fields := line.split()):
             continue
-        values = [_number(word, f"{path}, line {number}") for word in words]
+        values = [_number(field, f"{path}, line {number}") for field in fields]
         if len(values) != columns:
             raise InputError(f"{path}, line {number}: {len(values)} columns; expected {columns}. Is the line cut off?")
         rows.append(values)
     return np.array(rows, np.float64)
 
 
-def _number(word: bytes, where: str) -> float:
+def _number(field: bytes, where: str) -> float:
     try:
         # Python reads 1_000 as a number; no logger writes that.
-        if b"_" in word:
+        if b"_" in field:
             raise ValueError
-        return float(word)
+        return float(field)
     except ValueError:
-        shown = repr(word[:30]).removeprefix("b")
-        raise InputError(f"{where}: {shown} is not a number.") from None
+        text = repr(field[:30]).removeprefix("b")
+        raise InputError(f"{where}: {text} is not a number.") from None
 
 
 def _line_of_row(raw: bytes, row: int) -> int:

@@ -1,4 +1,4 @@
-"""Import of the authors' data sets: folders of trials -> ``Recordings`` and a report of what was left out.
+"""Import of the HIRO data sets: folders of trials -> ``Recordings`` and a report of what was not imported.
 
 Layout: DIR is a data set, or holds data sets; a data set holds one folder per trial; a trial holds
 ``R_Torques.dat`` (time Fx Fy Fz Mx My Mz) and, where kept, ``R_State.dat``, ``R_Angles.dat`` and
@@ -6,11 +6,10 @@ Layout: DIR is a data set, or holds data sets; a data set holds one folder per t
 
 Notes (semicolon-separated in ``Recordings.note``):
 ``state-file-missing``, ``state-file-unusable``, ``state-times-empty``, ``state-times-of-right-arm``,
-``onset-beyond-end:S1=52.61`` (the mark lies after the record: missing), ``onset-before-start:..``,
-``onset-at-end:S1`` (kept: on the last sample), ``harmonised`` / ``harmonised-fallback`` (rotation boundary
-moved, ``-from-pose`` when taken from R_CartPos), ``angles-missing``, ``angles-length:2060/3354``,
-``clock-starts-at:..``,
-``off-seat`` (a success whose part ended beside the seat), ``other-setup``, ``session-unknown``,
+``onset-beyond-end:S1=52.61`` (the mark is after the end: treated as missing), ``onset-before-start:..``,
+``onset-at-end:S1`` (on the last sample: used), ``harmonised`` / ``harmonised-fallback`` (rotation boundary
+moved, ``-from-pose`` when computed from R_CartPos), ``angles-missing``, ``angles-length:2060/3354``,
+``clock-starts-at:..``, ``off-seat`` (a success whose part ended beside the seat), ``other-setup``, ``session-unknown``,
 ``deviation-unreadable``, ``deviation-suspect``, ``contradictory-duplicate:OTHER``.
 """
 
@@ -27,7 +26,7 @@ import numpy as np
 from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.hiro.trial import ArmRecord, data_file, read_trial, with_note
+from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
 from rcbht_jax.types import Recordings
 
 Progress = Callable[[list[Path]], Iterable[Path]]
@@ -36,11 +35,11 @@ DT_EQUAL = 1e-3  # relative difference below which two time steps are the same
 
 @dataclass
 class ImportReport:
-    """What an import did. Paths are relative to the imported folder."""
+    """Result of an import. Paths are relative to the imported folder."""
 
     imported: list[str] = field(default_factory=list)  # set/trial/arm
     skipped: list[tuple[str, str]] = field(default_factory=list)  # path, reason
-    warnings: list[tuple[str, str]] = field(default_factory=list)  # path, what could not be used
+    warnings: list[tuple[str, str]] = field(default_factory=list)  # path, unusable file
     duplicates: list[tuple[str, str]] = field(default_factory=list)  # path of the copy, the original
     content_sha256: str = ""  # of every .dat file of the trials read
 
@@ -50,10 +49,10 @@ class ImportReport:
 
 
 def find_trials(directory: Path) -> list[tuple[str, Path]]:
-    """(data set, trial folder) for every folder that may be a trial, sorted.
+    """(data set, trial folder) for every folder that can be a trial, sorted.
 
     Raises:
-        InputError: ``directory`` is no folder, is itself a trial, or holds no trial.
+        InputError: ``directory`` is not a folder, is itself a trial, or holds no trial.
     """
     if not directory.is_dir():
         raise InputError(f"{directory} is not a folder; expected the folder of the data sets or one data set.")
@@ -69,14 +68,16 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
 
 
 def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, ImportReport]:
-    """Read every trial under a folder; a broken one is reported and never stops the others.
+    """Read every trial under a folder; a broken one is reported and does not stop the import.
 
     Exact copies of a trial are imported once. Identical trials whose names contradict each other (outcome or
-    deviation) are all kept, lose failure type and deviation, and carry ``contradictory-duplicate:OTHER``.
-    All recordings share one time step, the most frequent one; trials with another are skipped.
+    deviation) are all imported, without failure type and deviation, and noted ``contradictory-duplicate:OTHER``.
+    All recordings have one time step, the most frequent one; trials with another are skipped.
+
+    >>> recordings, report = read_hiro(Path("hiro"))  # doctest: +SKIP
 
     Args:
-        directory: the authors' folder, or one of its data sets.
+        directory: the folder of the data sets, or one of them.
         progress: wraps the list of trial folders, for a progress bar.
 
     Raises:
@@ -88,27 +89,29 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
     def name(path: Path) -> str:
         return str(path.relative_to(directory))
 
-    def complain(to: list[tuple[str, str]]) -> Callable[[Path, str], None]:
-        # The report is stored: it must not hold the importing machine's folders.
+    def into(problems: list[tuple[str, str]]) -> Report:
+        # The report is stored: it must not name folders of the importing machine.
         prefix = f"{directory}/"
-        return lambda path, text: to.append((name(path), text.replace(prefix, "")))
+        return lambda path, text: problems.append((name(path), text.replace(prefix, "")))
 
     source_of = {folder: source for source, folder in trials}
-    skip, warn = complain(report.skipped), complain(report.warnings)
+    skip, warn = into(report.skipped), into(report.warnings)
     read = [read_trial(folder, source_of[folder], skip, warn) for folder in progress(list(source_of))]
-    kept = _without_copies([arms for arms in read if arms], name, report)
-    kept = _same_time_step(kept, name, report)
-    if not kept:
+    records = _without_copies([arms for arms in read if arms], name, report)
+    records = _same_time_step(records, name, report)
+    if not records:
         first = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{directory} holds no usable trial.{first}")
-    report.imported = [f"{name(record.folder)}/{record.arm}" for record in kept]
+    report.imported = [f"{name(record.folder)}/{record.arm}" for record in records]
     files = (path for folder in source_of for path in sorted(folder.glob("*.dat")))
     report.content_sha256 = files_hash(directory, files)  # unreadable files are in the report already
-    return _pack(kept), report
+    return _pack(records), report
 
 
 def import_hiro(directory: Path, path: Path, overwrite: bool = False, progress: Progress = iter) -> ImportReport:
-    """Read the authors' folder and write it as a store at ``path``.
+    """Read the folder of the HIRO data sets, or one of them, and write it as a store at ``path``.
+
+    >>> report = import_hiro(Path("hiro"), Path("hiro.zarr"))  # doctest: +SKIP
 
     Raises:
         InputError: as :func:`read_hiro`, or ``path`` exists and ``overwrite`` is false.
@@ -134,11 +137,11 @@ def _is_trial(folder: Path) -> bool:
 def _without_copies(
     trials: list[list[ArmRecord]], name: Callable[[Path], str], report: ImportReport
 ) -> list[ArmRecord]:
-    """Keep one of each group of identical trials per label; mark groups with more than one label."""
+    """Keep one of each group of identical trials per outcome and deviation; note groups with more than one."""
     groups: dict[tuple[tuple[str, str], ...], list[list[ArmRecord]]] = {}
     for arms in trials:
         groups.setdefault(tuple((record.arm, record.digest()) for record in arms), []).append(arms)
-    kept: set[Path] = set()
+    originals_of_all: set[Path] = set()
     others: dict[Path, str] = {}
     for group in groups.values():
         originals: dict[object, Path] = {}
@@ -146,11 +149,11 @@ def _without_copies(
             first = arms[0]
             label = (first.name.outcome, first.name.deviation)
             if label in originals:
-                copied = f"exact copy of {name(originals[label])}; imported once."
-                report.duplicates.append((name(first.folder), copied))
+                text = f"exact copy of {name(originals[label])}; imported once."
+                report.duplicates.append((name(first.folder), text))
             else:
                 originals[label] = first.folder
-        kept.update(originals.values())
+        originals_of_all.update(originals.values())
         for folder in originals.values() if len(originals) > 1 else ():
             rest = [other.name for other in originals.values() if other != folder]
             others[folder] = ",".join(rest).replace(";", ",")
@@ -159,12 +162,12 @@ def _without_copies(
         _contradicted(record, others[record.folder]) if record.folder in others else record
         for arms in trials
         for record in arms
-        if record.folder in kept
+        if record.folder in originals_of_all
     ]
 
 
 def _contradicted(record: ArmRecord, other: str) -> ArmRecord:
-    """Which of the two names is right is unknown: neither may teach a failure type."""
+    """The record without failure type and deviation, because it is unknown which of the names is right."""
     untyped = replace(record, name=replace(record.name, failure_type=""), deviation=np.full(3, np.nan))
     return with_note(untyped, f"contradictory-duplicate:{other}")
 
@@ -173,14 +176,14 @@ def _same_time_step(records: list[ArmRecord], name: Callable[[Path], str], repor
     if not records:
         return []
     dt = Counter(round(record.table.dt, 6) for record in records).most_common(1)[0][0]
-    kept = []
+    same = []
     for record in records:
         if abs(record.table.dt - dt) <= DT_EQUAL * dt:
-            kept.append(record)
+            same.append(record)
         else:
             reason = f"time step {record.table.dt:g} s; the other trials have {dt:g} s. Import it on its own."
             report.skipped.append((f"{name(record.folder)}/{record.arm}", reason))
-    return kept
+    return same
 
 
 def _pack(records: list[ArmRecord]) -> Recordings:

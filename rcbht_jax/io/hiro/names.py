@@ -1,14 +1,11 @@
-"""What the names of the authors' folders say: data set, session, outcome and deviation of a trial.
-
-Source: the data audit (sessions, off-seat trials, the one trial of another set-up, the class names).
-"""
+"""Metadata in the names of the HIRO folders: data set, session, outcome and deviation of a trial."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
-# Data set -> (session, outcome). The real successes hold two sessions, told apart by trial number.
+# Data set -> (session, outcome). The real successes are of two sessions, distinguished by trial number.
 SETS = {
     "REAL_HIRO_ONE_SA_SUCCESS": ("", "success"),
     "REAL_HIRO_ONE_SA_ERROR_CHARAC": ("C", "failure"),
@@ -21,7 +18,7 @@ LAST_TRIAL_OF_A, LAST_TRIAL_OF_B = 21, 46
 # Session B counts these as successes although the part ends 11-38 mm away, or tilted by 1.4 degrees.
 OFF_SEAT_B = (26, 31, 36, 39, 41, 44, 46)
 OTHER_SETUP = "20120426-1732-SideApproach-S"
-SUSPECT_SHIFT = 0.05  # m: the audit takes one 0.100 for a typing error of 0.0100
+SUSPECT_SHIFT = 0.05  # m: the one shift of 0.100 is probably a typing error for 0.0100
 
 _DEVIATION = re.compile(r"XX((?:[+-][xyr]\d*\.?\d+)*)")
 _PART = re.compile(r"([+-])([xyr])(\d*\.?\d+)")
@@ -29,18 +26,18 @@ _PART = re.compile(r"([+-])([xyr])(\d*\.?\d+)")
 
 @dataclass(frozen=True)
 class TrialName:
-    """What is known of a trial before a file is opened."""
+    """Metadata of a trial that need no file."""
 
     source: str
     session: str
     outcome: str  # "success", "failure" or "unknown"
     failure_type: str  # sign pattern such as "+x-y+r"; "" = none
-    deviation: tuple[float, float, float] | None  # x (m), y (m), roll (rad); None = the name does not say
+    deviation: tuple[float, float, float] | None  # x (m), y (m), roll (rad); None = not in the name
     notes: tuple[str, ...]
 
 
 def parse_trial(source: str, trial: str) -> TrialName:
-    """Read the names of the data set and the trial; an unknown set's own name is its session."""
+    """Parse the names of the data set and the trial; the session of an unknown set is its name."""
     session, outcome = SETS.get(source, (source, _guess_outcome(source)))
     if session == "SIM1F":
         return _simulated_failure(source, trial)
@@ -81,6 +78,6 @@ def _simulated_failure(source: str, trial: str) -> TrialName:
         return TrialName(source, "SIM1F", "failure", "", None, ("deviation-unreadable",))
     value = {axis: float(sign + size) for sign, axis, size in parts}
     x, y, r = (value.get(axis, 0.0) for axis in "xyr")
-    kind = "".join(("+" if value[axis] > 0 else "-") + axis for axis in "xyr" if value.get(axis))
+    failure_type = "".join(("+" if value[axis] > 0 else "-") + axis for axis in "xyr" if value.get(axis))
     suspect = max(abs(x), abs(y)) > SUSPECT_SHIFT
-    return TrialName(source, "SIM1F", "failure", kind, (x, y, r), ("deviation-suspect",) if suspect else ())
+    return TrialName(source, "SIM1F", "failure", failure_type, (x, y, r), ("deviation-suspect",) if suspect else ())

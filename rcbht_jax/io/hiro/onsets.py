@@ -1,34 +1,36 @@
-"""State start times: what a state file means for a record, and the harmonised rotation boundary.
+"""Start times of the states: from the marks of a state file, and with the harmonised rotation boundary.
 
-Source: design page "hiro task", section "Signature metric"; "offline taxonomy", section 2.
+The harmonised boundary ends the rotation where the hand is nearly vertical, in every session alike; sessions B and C
+logged a rotation of one sample.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float64
 
 from rcbht_jax.errors import InputError
 
 HARMONISED_TILT = 1.96  # degrees between hand and vertical at which insertion begins
-FALLBACK_SHARE = 0.9  # of the way from contact to mating, where the hand never gets that upright
+FALLBACK_SHARE = 0.9  # of the time from contact to mating, if the hand never becomes that upright
 SINGLE_SAMPLE = 1.5  # time steps: a rotation shorter than this is one sample
 
-Floats = NDArray[np.float64]
+Onset = Float[np.ndarray, "4"]  # s from the first sample: approach, rotation, insertion, mating; NaN = missing
+Times = Float[np.ndarray, " sample"]
 
 
-def onsets_from_marks(marks: Floats, time: Floats, dt: float) -> tuple[Floats, list[str]]:
-    """The four state start times of one record.
+def onsets_from_marks(marks: Float64[np.ndarray, " mark"], time: Times, dt: float) -> tuple[Onset, list[str]]:
+    """The start times of the four states of one record.
 
     Args:
-        marks: start times [k] of the state file, s, increasing.
-        time: the record's time stamps [n], s.
-        dt: seconds between samples.
+        marks: start times in the state file, s, increasing.
+        time: time stamps of the record, s.
+        dt: s between samples.
 
     Returns:
-        onset [4], s from the first sample, NaN where missing, and the notes. A mark after the last sample
-        is missing (the clock of many simulated failures was not reset) and its value stays in the note; a
-        mark on the last sample is kept and noted. A fifth mark is the record's end and is not used.
+        start times and notes. A mark after the last sample counts as missing (the clock of many simulated failures
+        was not reset); its value stays in the note. A mark on the last sample is used and noted. A fifth mark is the
+        end of the record and is not used.
 
     Raises:
         InputError: more than five marks.
@@ -51,26 +53,25 @@ def onsets_from_marks(marks: Floats, time: Floats, dt: float) -> tuple[Floats, l
     return onset, notes
 
 
-def needs_harmonising(onset: Floats, dt: float) -> bool:
+def needs_harmonising(onset: Onset, dt: float) -> bool:
     """Whether the recorded rotation state is a single sample, as in sessions B and C.
 
-    Everywhere else (session A, the simulations) the recorded boundary stands; a missing one is not invented.
+    Elsewhere (session A, the simulations) the recorded boundary is used; a missing one stays missing.
     """
     return bool(np.isfinite(onset[1:3]).all() and onset[2] - onset[1] < SINGLE_SAMPLE * dt)
 
 
-def harmonised(onset: Floats, time: Floats, tilt: Floats) -> tuple[Floats, str]:
+def harmonised(onset: Onset, time: Times, tilt: Times) -> tuple[Onset, str]:
     """Move the rotation's end to the first time after contact at which the hand is nearly vertical.
 
     Args:
-        onset: recorded start times [4], s from the first sample.
-        time: time stamps [n] of the tilt, s from the first sample.
-        tilt: angle [n] between hand and vertical, degrees.
+        onset: recorded start times.
+        time: time stamps of the tilt, s from the first sample.
+        tilt: angle between hand and vertical, degrees.
 
     Returns:
-        onset [4] with the harmonised third entry and a note: "harmonised" or, where the tilt never gets below
-        the limit before mating, "harmonised-fallback" (0.9 of the way from contact to mating; NaN without
-        mating).
+        start times with the harmonised third entry and a note: "harmonised" or, if the tilt does not fall below the
+        limit before mating, "harmonised-fallback" (0.9 of the time from contact to mating; NaN without mating).
     """
     out = onset.copy()
     before_mating = time < onset[3] if np.isfinite(onset[3]) else np.ones(len(time), bool)
@@ -81,8 +82,8 @@ def harmonised(onset: Floats, time: Floats, tilt: Floats) -> tuple[Floats, str]:
     return fallback(onset)
 
 
-def fallback(onset: Floats) -> tuple[Floats, str]:
-    """The harmonised onset [4] where no tilt can be had: see :func:`harmonised`."""
+def fallback(onset: Onset) -> tuple[Onset, str]:
+    """The harmonised start times where no tilt is known: see :func:`harmonised`."""
     out = onset.copy()
     out[2] = onset[1] + FALLBACK_SHARE * (onset[3] - onset[1])
     return out, "harmonised-fallback"

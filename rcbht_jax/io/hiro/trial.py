@@ -1,7 +1,6 @@
-"""One trial folder of the authors' layout -> one record per arm.
+"""One trial folder in HIRO's layout -> one record per arm.
 
-Only a broken wrench table loses an arm; a broken state, angle or pose file costs what depends on it and is
-noted.
+An arm is skipped only if its wrench table is broken; if its state, angle or pose file is, a note says so.
 """
 
 from __future__ import annotations
@@ -12,16 +11,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat, onsets
 from rcbht_jax.io.hiro.names import TrialName, parse_trial
+from rcbht_jax.io.hiro.onsets import Onset
 from rcbht_jax.robots import kinematics
 
 ARMS = ("R", "L")
-Complain = Callable[[Path, str], None]  # called with a path and what is wrong with it
+Report = Callable[[Path, str], None]  # called with a path and what is wrong with it
 
 
 @dataclass(frozen=True)
@@ -33,40 +33,40 @@ class ArmRecord:
     arm: str
     name: TrialName
     table: dat.TimedTable
-    onset: NDArray[np.float64]  # [4] s, NaN = missing
-    onset_harmonised: NDArray[np.float64]  # [4] s
-    deviation: NDArray[np.float64]  # [3] m, m, rad; NaN = unknown
+    onset: Onset
+    onset_harmonised: Onset
+    deviation: Float64[np.ndarray, 3]  # m, m, rad; NaN = unknown
     notes: tuple[str, ...]
 
     def digest(self) -> str:
-        """Hash of the wrench table: equal for exact copies."""
+        """Digest of the wrench table: equal for exact copies."""
         return content_hash([self.table.time, self.table.values])
 
 
 def data_file(folder: Path, arm: str, kind: str) -> Path | None:
-    """The arm's file of a kind such as "State", the right arm's also without prefix; None = missing."""
+    """An arm's file of a kind such as "State", the right arm's also without prefix; None = missing."""
     names = [f"{arm}_{kind}.dat"] + ([f"{kind}.dat"] if arm == "R" else [])
     return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
-def read_trial(folder: Path, source: str, skip: Complain, warn: Complain) -> list[ArmRecord]:
+def read_trial(folder: Path, source: str, skip: Report, warn: Report) -> list[ArmRecord]:
     """Read the arms of one trial.
 
     Args:
         folder: the trial's folder.
         source: name of its data set.
-        skip: told of every arm that could not be used.
-        warn: told of every file that could not be used although the arm was.
+        skip: called for every arm that cannot be used.
+        warn: called for every unusable file of an arm that can be used.
 
     Returns:
-        right arm, left arm: those that exist and have a sound wrench table.
+        right arm, left arm: those with a valid wrench table.
     """
     trial = os.fsencode(folder.name).decode("utf-8", "replace")
-    found = {arm: data_file(folder, arm, "Torques") for arm in ARMS}
-    if not any(found.values()):
+    paths = {arm: data_file(folder, arm, "Torques") for arm in ARMS}
+    if not any(paths.values()):
         skip(folder, "no R_Torques.dat or L_Torques.dat inside.")
     records = []
-    for arm, path in found.items():
+    for arm, path in paths.items():
         if path is None:
             continue
         try:
@@ -78,7 +78,7 @@ def read_trial(folder: Path, source: str, skip: Complain, warn: Complain) -> lis
     return records
 
 
-def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.TimedTable, warn: Complain) -> ArmRecord:
+def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.TimedTable, warn: Report) -> ArmRecord:
     notes = list(name.notes)
     if abs(table.time[0]) > table.dt / 2:
         notes.append(f"clock-starts-at:{table.time[0]:g}")
@@ -87,18 +87,18 @@ def _read_arm(folder: Path, trial: str, arm: str, name: TrialName, table: dat.Ti
     angles = _read_signal(folder, arm, "Angles", "joint angles", warn)
     if angles is not None and len(angles.time) != len(table.time):
         notes.append(f"angles-length:{len(angles.time)}/{len(table.time)}")
-    better = onset
+    harmonised = onset
     if onsets.needs_harmonising(onset, table.dt):
-        better, more = _harmonise(folder, arm, onset, table, angles, warn)
+        harmonised, more = _harmonise(folder, arm, onset, table, angles, warn)
         notes += more
     deviation = np.array(name.deviation if name.deviation is not None else (np.nan,) * 3)
     if name.session == "B":
         deviation = _grid_offset(folder, onset, warn)
-    return ArmRecord(folder, trial, arm, name, table, onset, better, deviation, tuple(notes))
+    return ArmRecord(folder, trial, arm, name, table, onset, harmonised, deviation, tuple(notes))
 
 
-def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Complain) -> dat.TimedTable | None:
-    """A signal file, or None where it is missing or unusable (then ``warn`` hears why)."""
+def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Report) -> dat.TimedTable | None:
+    """A signal file; None if it is missing, or unusable, which is reported to ``warn``."""
     path = data_file(folder, arm, kind)
     if path is None:
         return None
@@ -109,8 +109,8 @@ def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Complai
         return None
 
 
-def _read_onset(folder: Path, arm: str, table: dat.TimedTable, warn: Complain) -> tuple[NDArray[np.float64], list[str]]:
-    """State start times of an arm; a left arm without its own (fewer than two) takes the right arm's."""
+def _read_onset(folder: Path, arm: str, table: dat.TimedTable, warn: Report) -> tuple[Onset, list[str]]:
+    """Start times of the states of an arm; a left arm with fewer than two uses those of the right arm."""
     marks, notes = _read_marks(folder, arm, warn)
     if arm == "L" and len(marks) < 2:
         right, right_notes = _read_marks(folder, "R", warn)
@@ -126,7 +126,7 @@ def _read_onset(folder: Path, arm: str, table: dat.TimedTable, warn: Complain) -
     return onset, [*notes, *more]
 
 
-def _read_marks(folder: Path, arm: str, warn: Complain) -> tuple[NDArray[np.float64], list[str]]:
+def _read_marks(folder: Path, arm: str, warn: Report) -> tuple[Float64[np.ndarray, " mark"], list[str]]:
     path = data_file(folder, arm, "State")
     if path is None:
         return np.zeros(0), ["state-file-missing"]
@@ -140,11 +140,11 @@ def _read_marks(folder: Path, arm: str, warn: Complain) -> tuple[NDArray[np.floa
 def _harmonise(
     folder: Path,
     arm: str,
-    onset: NDArray[np.float64],
+    onset: Onset,
     table: dat.TimedTable,
     angles: dat.TimedTable | None,
-    warn: Complain,
-) -> tuple[NDArray[np.float64], list[str]]:
+    warn: Report,
+) -> tuple[Onset, list[str]]:
     """Harmonised onset from the joint angles, else from the recorded pose, else by the fixed share."""
     if angles is not None:
         # Session C's offset of the last joint needs no removal: that joint does not change the tilt.
@@ -160,8 +160,8 @@ def _harmonise(
     return out, ["angles-missing", note]
 
 
-def _grid_offset(folder: Path, onset: NDArray[np.float64], warn: Complain) -> NDArray[np.float64]:
-    """Session B's commanded offset [3] (m, m, rad), from where the hand is just before contact.
+def _grid_offset(folder: Path, onset: Onset, warn: Report) -> Float64[np.ndarray, 3]:
+    """Session B's commanded offset (m, m, rad), from the position of the hand just before contact.
 
     The approach ends on the line (.311+dx, -.1726+dy, .495) -> (.331+dx, -.1726+dy, .484) with whole
     millimetres dx and dy; the recorded poses lie within 0.03 mm of that grid.
@@ -179,5 +179,5 @@ def _grid_offset(folder: Path, onset: NDArray[np.float64], warn: Complain) -> ND
 
 
 def with_note(record: ArmRecord, note: str) -> ArmRecord:
-    """The record with one more note."""
+    """The record with an additional note."""
     return replace(record, notes=(*record.notes, note))
