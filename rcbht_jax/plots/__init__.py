@@ -1,6 +1,6 @@
 """Figures of recordings and their labels, as matplotlib objects without any global state.
 
-Nothing here computes results or touches ``pyplot`` and ``rcParams``: figures can be made in threads and servers.
+``pyplot`` and ``rcParams`` are not used: figures can be made in threads and servers.
 """
 
 from rcbht_jax._util.optional import needs_extra

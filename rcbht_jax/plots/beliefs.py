@@ -1,4 +1,4 @@
-"""Beliefs about one trial over time: a heat map per head (the paper's figure of online results, right column)."""
+"""Probabilities of the classes over one trial: a heat map per classifier of a model."""
 
 from __future__ import annotations
 
@@ -12,57 +12,57 @@ from rcbht_jax.events import Belief, Event, SubtaskStarted
 from rcbht_jax.plots.canvas import new_figure
 
 
-def belief_map(events: Sequence[Event], title: str = "", truth: Sequence[str] = ()) -> Figure:
-    """Probability of every class at every belief, a row per class and a panel per head.
+def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] = ()) -> Figure:
+    """Probability of every class at every belief: a panel per classifier, a row per class.
+
+    >>> introspector = Introspector(model)  # doctest: +SKIP
+    >>> figure = belief_map(introspector.feed(wrench), "trial 1")  # doctest: +SKIP
 
     Args:
-        events: of one trial, as an introspector gives them; lines mark the beginnings of sub-tasks.
-        title: above all.
-        truth: classes of the sub-tasks in their order, named where they begin.
-
-    Returns:
-        a figure with one panel per head.
+        events: of one trial, from an introspector; lines mark the starts of sub-tasks, dashed where detected.
+        title: of the figure.
+        states: true classes of the sub-tasks in order, written where they start.
 
     Raises:
         InputError: there is no belief among the events.
     """
     beliefs = [event for event in events if isinstance(event, Belief)]
     if not beliefs:
-        raise InputError("No belief was formed: the recording is shorter than one look.")
+        raise InputError("There is no belief among the events: the recording is too short for the first one.")
     heads = list(dict.fromkeys(belief.head for belief in beliefs))
     rows = [len(next(b for b in beliefs if b.head == head).classes) for head in heads]
     figure = new_figure((9.0, 1.1 + 0.5 * len(heads) + 0.28 * sum(rows)), 110)
     panels = figure.subplots(len(heads), 1, sharex=True, squeeze=False, height_ratios=rows)[:, 0]
     for panel, head in zip(panels, heads, strict=True):
-        mine = [belief for belief in beliefs if belief.head == head]
-        time = np.array([belief.time for belief in mine])
+        of_head = [belief for belief in beliefs if belief.head == head]
+        time = np.array([belief.time for belief in of_head])
         step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-        # A belief holds from the one before to its own moment; after a gap no longer than usual.
+        # A belief is drawn from the previous one to its own time; after a gap, over the usual period.
         edges = np.append(np.maximum(time - step, np.append(-np.inf, time[:-1])), time[-1])
-        shown = panel.pcolormesh(
-            edges, np.arange(len(mine[0].classes) + 1), np.array([belief.probabilities for belief in mine]).T,
+        image = panel.pcolormesh(
+            edges, np.arange(len(of_head[0].classes) + 1), np.array([belief.probabilities for belief in of_head]).T,
             cmap="viridis", vmin=0.0, vmax=1.0,
         )  # fmt: skip
-        panel.set_yticks(np.arange(len(mine[0].classes)) + 0.5, mine[0].classes, fontsize=8)
+        panel.set_yticks(np.arange(len(of_head[0].classes)) + 0.5, of_head[0].classes, fontsize=8)
         panel.invert_yaxis()
         panel.set_title(head, fontsize=9, loc="left")
         panel.tick_params(labelsize=8)
-        figure.colorbar(shown, ax=panel, pad=0.015, fraction=0.04).ax.tick_params(labelsize=7)
-    _beginnings(figure, len(heads), events, truth)
+        figure.colorbar(image, ax=panel, pad=0.015, fraction=0.04, label="probability").ax.tick_params(labelsize=7)
+    _mark_starts(figure, len(heads), events, states)
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(title, fontsize=10)
     figure.tight_layout()
     return figure
 
 
-def _beginnings(figure: Figure, panels: int, events: Sequence[Event], truth: Sequence[str]) -> None:
-    """Lines where sub-tasks begin, and their names above the first panel."""
+def _mark_starts(figure: Figure, panels: int, events: Sequence[Event], states: Sequence[str]) -> None:
+    """Lines where sub-tasks start, and their names above the first panel."""
     starts = [event for event in events if isinstance(event, SubtaskStarted)]
     for panel in figure.axes[:panels]:
         for start in starts:
             panel.axvline(start.time, color="white", linewidth=1.5)
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
-    for start, name in zip(starts, truth, strict=False):
+    for start, name in zip(starts, states, strict=False):
         figure.axes[0].annotate(
             name, (start.time, 1.0), xycoords=("data", "axes fraction"), xytext=(1, 2), textcoords="offset points",
             fontsize=7, rotation=20,

@@ -1,4 +1,4 @@
-"""What all figures share: the canvas, colours of text, legends of labels, atomic saving."""
+"""Shared by all figures: the canvas, colours of text, legends of labels, atomic saving."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
 
-# Fields written into the file that would differ from run to run are left out.
+# Fields that would differ from run to run are not written.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-_LAYER_TITLES = {"primitive": "Primitives", "mc": "Motion compositions", "llb": "Low-level behaviours"}
+LAYER_TITLES = {"primitive": "Primitives", "mc": "Motion compositions", "llb": "Low-level behaviours"}
 
 
 def new_figure(inches: tuple[float, float], dpi: int) -> Figure:
@@ -30,10 +30,10 @@ def new_figure(inches: tuple[float, float], dpi: int) -> Figure:
 
 
 def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
-    """Check that the tracks are those of the recordings.
+    """Check that the tracks belong to the recordings.
 
     Raises:
-        InputError: they differ in number, or a track is not [recording, 6, slot].
+        InputError: they differ in number, or a track is not ``[recording, 6, slot]``.
     """
     for layer in LAYERS:
         shape = np.shape(getattr(tracks, layer).label)
@@ -42,7 +42,7 @@ def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
 
 
 def text_color(color: str) -> str:
-    """Black or white, whichever reads better on ``color``."""
+    """Black or white, whichever contrasts more with ``color``."""
     red, green, blue = to_rgb(color)
     return "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"
 
@@ -63,7 +63,7 @@ def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple
         loc="lower left",
         bbox_to_anchor=anchor,
         ncols=columns,
-        title=_LAYER_TITLES[layer],
+        title=LAYER_TITLES[layer],
         fontsize=10,
         title_fontsize=10.5,
         frameon=False,
@@ -77,10 +77,12 @@ def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced when complete.
+    """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
+
+    >>> save(trial_figure(recordings, tracks, 0), Path("trial.png"))  # doctest: +SKIP
 
     Raises:
-        InputError: another suffix, no such folder, or the file cannot be written there.
+        InputError: the suffix is unknown, the folder does not exist, or the file cannot be written.
         OSError: the disk is full.
     """
     suffix = path.suffix.lower()

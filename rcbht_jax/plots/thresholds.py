@@ -1,10 +1,10 @@
-"""Thresholds over the gradients that they cut: a panel per axis and state."""
+"""Thresholds over histograms of the gradients that they separate: a panel per axis and class."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.encoding.thresholds import GradientThresholds
@@ -21,28 +21,30 @@ def threshold_figure(
     """Histograms of the windows' absolute slopes on a logarithmic scale, with the limits as lines.
 
     Args:
-        data: the trials whose windows are shown.
-        thresholds: limits ``[6, 4]``, solid lines.
+        data: trials with their windows.
+        thresholds: limits ``[6, 4]``, N/s and Nm/s, solid lines.
         base: limits to compare with, dotted lines.
 
     Returns:
-        a figure with a row per axis and a column per class of sentences; each panel says which share of the windows
-        the limits make constant, small, medium, big and impulse.
+        a figure with a row per axis and a column per class; each panel states the share of windows that the limits
+        make constant, small, medium, big and impulse.
     """
     figure = new_figure((3.2 * len(data.classes), 9.5), 110)
     panels = figure.subplots(len(AXES), len(data.classes), squeeze=False, sharex="row")
     for row, axis in enumerate(AXES):
         limits = np.asarray(thresholds.limits)[row]
         slopes = np.abs(data.windows.slope[..., row])
-        counted = slopes[slopes > 0]
+        positive = slopes[slopes > 0]
         # A thousandth of the small limit and everything below share the first bin.
-        low, high = limits[3] * 1e-3, max(counted.max(initial=0.0), limits[0]) * 1.5
+        low, high = limits[3] * 1e-3, max(positive.max(initial=0.0), limits[0]) * 1.5
         bins = np.geomspace(low, high, 50)
         for column, name in enumerate(data.classes):
             panel = panels[row, column]
-            shown = _inside(data, column, slopes)
-            panel.hist(np.maximum(shown, low), bins=bins, color="0.8")
-            panel.text(0.02, 0.96, _zones(shown, limits), transform=panel.transAxes, fontsize=6, va="top", color="0.25")
+            inside = _inside(data, column, slopes)
+            panel.hist(np.maximum(inside, low), bins=bins, color="0.8")
+            panel.text(
+                0.02, 0.96, _zones(inside, limits), transform=panel.transAxes, fontsize=6, va="top", color="0.25"
+            )
             for k, limit in enumerate(limits):
                 label = _NAMES[k] if (row, column) == (0, 0) else None
                 panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
@@ -58,24 +60,28 @@ def threshold_figure(
         unit = "N/s" if row < 3 else "Nm/s"
         panels[row, -1].annotate(unit, (1.01, 0), xycoords="axes fraction", fontsize=8)
     figure.legend(loc="upper left", ncols=4, fontsize=8, frameon=False)
-    figure.supxlabel("absolute slope of a window (solid: these thresholds, dotted: to compare)", fontsize=9)
+    figure.supxlabel(
+        "absolute slope of a window (solid lines: thresholds, dotted lines: thresholds to compare with)", fontsize=9
+    )
     figure.tight_layout(rect=(0, 0, 1, 0.97))
     return figure
 
 
-def _inside(data: CalibrationData, label: int, slopes: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Slopes of all windows that begin in a sentence of the class, over the recordings."""
-    found = []
+def _inside(
+    data: CalibrationData, label: int, slopes: Float[np.ndarray, "recording window"]
+) -> Float[np.ndarray, " slope"]:
+    """Slopes of all windows that start in an interval of the class."""
+    parts = []
     window = _window(data)
-    for recording, said in enumerate(data.y):
-        for sentence in np.flatnonzero(said == label):
-            first, last = data.edges[recording, sentence : sentence + 2]
-            found.append(slopes[recording, -(-first // window) : -(-last // window)])
-    return np.concatenate(found) if found else np.zeros(0)
+    for recording, y in enumerate(data.y):
+        for interval in np.flatnonzero(y == label):
+            first, last = data.edges[recording, interval : interval + 2]
+            parts.append(slopes[recording, -(-first // window) : -(-last // window)])
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _zones(slopes: NDArray[np.floating], limits: NDArray[np.floating]) -> str:
-    """Percent of the windows between the limits, one line per zone from the smallest slopes on."""
+def _zones(slopes: Float[np.ndarray, " slope"], limits: Float[np.ndarray, 4]) -> str:
+    """Percentage of the windows between the limits, one line per zone, smallest slopes first."""
     zone = (slopes[:, None] >= limits[::-1]).sum(1)
     share = 100 * np.bincount(zone, minlength=5) / max(len(zone), 1)
     return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *_NAMES[::-1]), strict=True))

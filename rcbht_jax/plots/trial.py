@@ -1,4 +1,4 @@
-"""One trial: six wrench axes, each with its fitted lines and the three layers of labels underneath."""
+"""One trial: six wrench axes, each above its three layers of labels."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES, name
@@ -39,7 +39,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class _View:
-    """What part of a trial is shown, in seconds."""
+    """The part of a trial to show, in seconds."""
 
     start: float
     stop: float
@@ -61,19 +61,21 @@ def trial_figure(
 ) -> Figure:
     """Wrench, fitted lines, labels and state boundaries of one recording.
 
+    >>> figure = trial_figure(recordings, tracks, 0, window=5)  # doctest: +SKIP
+
     Args:
         recordings: data set.
         tracks: its labels ``[recording, 6, slot]``.
         index: row of the recording.
         window: samples per straight-line fit, for the title.
-        seconds: first and last moment to show; default the whole recording.
+        seconds: start and end of the part to show; default the whole recording.
 
     Raises:
-        InputError: no such row, the tracks are not those of the recordings, or nothing lies within ``seconds``.
+        InputError: the row does not exist, the tracks do not belong to the recordings, or ``seconds`` selects nothing.
     """
     check_rows(recordings, tracks)
     if not 0 <= index < len(recordings):
-        raise InputError(f"There is no recording {index}; the data set holds {len(recordings)}.")
+        raise InputError(f"Recording {index} does not exist; the data set has {len(recordings)}, counted from 0.")
     view = _view(recordings, index, seconds)
     marks = [mark for mark in state_marks(recordings, index) if view.start <= mark.seconds < view.stop]
     figure = new_figure(INCHES, DPI)
@@ -106,8 +108,8 @@ def state_marks(recordings: Recordings, index: int) -> list[Mark]:
     return sorted(marks, key=lambda mark: mark.seconds)
 
 
-def fitted_lines(lane: LabelTrack, dt: float) -> NDArray[np.float64]:
-    """End points (seconds, N or Nm) of the lines of primitives ``[slot]``: float ``[slot, 2, 2]``.
+def fitted_lines(lane: LabelTrack, dt: float) -> Float[np.ndarray, "slot 2 2"]:
+    """Both end points (s, N or Nm) of the line of every primitive of one axis ``[slot]``.
 
     A line runs from the first to the last sample of its span and passes through the mean at its middle.
     """
@@ -121,16 +123,16 @@ def _view(recordings: Recordings, index: int, seconds: tuple[float, float] | Non
     duration = float(recordings.length[index] * recordings.dt)
     start, stop = (0.0, duration) if seconds is None else seconds
     if not 0 <= start < min(stop, duration):
-        raise InputError(f"Nothing lies between {start:g} s and {stop:g} s; the recording has {duration:g} s.")
+        raise InputError(f"No sample lies between {start:g} s and {stop:g} s; the recording lasts {duration:g} s.")
     return _View(start, min(stop, duration), recordings.dt)
 
 
 def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
     """The labels of one axis that are in view, without empty slots."""
     columns = {field: np.asarray(getattr(track, field))[index, axis] for field in _FIELDS}
-    seen = (columns["t1"] * view.dt > view.start) & (columns["t0"] * view.dt < view.stop)
-    kept = (columns["label"] > 0) & seen
-    return LabelTrack(**{field: values[kept] for field, values in columns.items()})
+    visible = (columns["t1"] * view.dt > view.start) & (columns["t0"] * view.dt < view.stop)
+    visible &= columns["label"] > 0
+    return LabelTrack(**{field: values[visible] for field, values in columns.items()})
 
 
 def _panels(figure: Figure) -> list[tuple[Axes, Axes]]:
@@ -153,14 +155,14 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primit
     values = recordings.wrench[index, : recordings.length[index], axis]
     times = np.arange(len(values)) * recordings.dt
     ax.plot(times, values, color="0.72", linewidth=2.6, gid="wrench", solid_joinstyle="round")
-    # Primitives of one window touch the next one nowhere: round caps let a chain of them read as one line.
+    # Primitives of one window do not touch each other: with round caps they look like one line.
     lines = LineCollection(
         list(fitted_lines(primitives, recordings.dt)), colors="black", linewidths=1.0, capstyle="round"
     )
     lines.set_gid("fits")
     ax.add_collection(lines, autolim=False)
-    shown = values[(times >= view.start) & (times <= view.stop)]
-    low, high = float(shown.min()), float(shown.max())
+    visible = values[(times >= view.start) & (times <= view.stop)]
+    low, high = float(visible.min()), float(visible.max())
     margin = max(0.08 * (high - low), 1e-3)
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
     ax.set_ylabel(f"{AXES[axis]}, {'N' if axis < 3 else 'Nm'}", fontsize=12)
@@ -173,7 +175,7 @@ def _draw_bands(ax: Axes, lanes: list[LabelTrack], view: _View) -> None:
         start, stop = lane.t0 * view.dt, lane.t1 * view.dt
         low, high = np.full(len(start), row + 0.06), np.full(len(start), row + 0.94)
         corners = [(start, low), (start, high), (stop, high), (stop, low)]
-        # White rims part equal neighbours, but would wash out spans of a few pixels.
+        # White rims separate equal neighbours, but would hide spans of a few pixels.
         rims = np.where((stop - start) * view.pixels > 6, 0.8, 0.0)
         band = PolyCollection(
             list(np.stack([np.stack(corner, -1) for corner in corners], 1)),
@@ -229,8 +231,8 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
 
 def _title(recordings: Recordings, index: int, window: int | None) -> str:
     arm = {"R": "right arm", "L": "left arm"}.get(str(recordings.arm[index]), "")
-    kind = f" ({recordings.failure_type[index]})" if recordings.failure_type[index] else ""
-    facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{kind}", arm]
+    failure = f" ({recordings.failure_type[index]})" if recordings.failure_type[index] else ""
+    facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
     return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(facts)}"
@@ -243,14 +245,14 @@ def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
 
 
 def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
-    """What the lines are, in the upper right corner."""
+    """Legend of the lines, in the upper right corner."""
     handles: list[Artist] = [ax.lines[0], ax.collections[0]]
-    words = ["wrench", "fitted lines"]
-    for dashed, text in ((False, "state starts, logged"), (True, "harmonised")):
+    texts = ["wrench", "fitted lines"]
+    for dashed, text in ((False, "start of a state, logged"), (True, "start of a state, harmonised")):
         if any(mark.dashed == dashed for mark in marks):
             handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))
-            words.append(text)
+            texts.append(text)
     figure.legend(
-        handles, words, loc="upper right", bbox_to_anchor=(RIGHT, 0.988), ncols=len(words),
+        handles, texts, loc="upper right", bbox_to_anchor=(RIGHT, 0.988), ncols=len(texts),
         fontsize=11, frameon=False, borderpad=0, borderaxespad=0,
     )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Filter of low-level behaviours: passes 9.1 to 9.6, run five times (section 9).
+"""Filter of low-level behaviours: passes 9.1 to 9.6, run five times.
 
-A pass fixes its range before it begins; a merged row is not compared again in that pass.
+The range of a pass is fixed before it starts; a merged row is not compared again in that pass.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ Rule = Callable[[Row, Row], bool]
 
 def absorb(rows: Table, i: int, label: LLB | None = None) -> None:
     """Merge the next row into row i, with a new label if given; the order of the steps matters."""
-    row, gone = rows[i], rows[i + 1]
+    row, merged = rows[i], rows[i + 1]
     if label is not None:
         row[llb.LABEL] = float(label)
-    row[llb.AVG2] = gone[llb.AVG2]
-    row[llb.AVG] = (row[llb.AVG] + gone[llb.AVG]) / 2
+    row[llb.AVG2] = merged[llb.AVG2]
+    row[llb.AVG] = (row[llb.AVG] + merged[llb.AVG]) / 2
     row[llb.MX1] = max(row[llb.MX1], row[llb.MX2])
-    row[llb.MX] = max(row[llb.MX], gone[llb.MX])
-    row[llb.AMP2] = gone[llb.AMP2]
-    row[llb.AMP] = max(row[llb.AMP], gone[llb.AMP])
+    row[llb.MX] = max(row[llb.MX], merged[llb.MX])
+    row[llb.AMP2] = merged[llb.AMP2]
+    row[llb.AMP] = max(row[llb.AMP], merged[llb.AMP])
     row[llb.M1] = row[llb.M2] = row[llb.LABEL]
     row[llb.T1E] = row[llb.T2E]
-    row[llb.T2S], row[llb.T2E] = gone[llb.T1S], gone[llb.T2E]
+    row[llb.T2S], row[llb.T2E] = merged[llb.T1S], merged[llb.T2E]
     # The repairs put the times back in order when the absorbed row is the earlier one.
-    if gone[llb.T2E] == row[llb.T1S]:
-        row[llb.T1S] = gone[llb.T1S]
+    if merged[llb.T2E] == row[llb.T1S]:
+        row[llb.T1S] = merged[llb.T1S]
     if row[llb.T1E] > row[llb.T2E]:
         row[llb.T2E] = row[llb.T1E]
     if row[llb.T2S] < row[llb.T1S]:
         row[llb.T1S] = row[llb.T2S]
-    if row[llb.T2E] < gone[llb.T1S]:
+    if row[llb.T2E] < merged[llb.T1S]:
         row[llb.T1S] = row[llb.T2S]
     row[llb.TMID] = (row[llb.T1S] + row[llb.T2E]) / 2
-    wipe(gone)
+    wipe(merged)
 
 
 def _durations(this: Row, following: Row) -> tuple[float, float]:
@@ -61,8 +61,8 @@ def _durations(this: Row, following: Row) -> tuple[float, float]:
 def merge_short(rows: Table) -> Table:
     """9.1: the much longer of two neighbours absorbs the other; the first pair that does not ends the pass.
 
-    The last pair is never compared (Q23). A pair with an amplitude of zero, on which the reference never
-    returns (Q24), is passed over.
+    The last pair is never compared (Q23). A pair with an amplitude of zero, on which the original
+    program never returns (Q24), is skipped.
     """
     i = 0
     while i < len(rows) - 2:
@@ -104,9 +104,9 @@ def _alike(p: Row, q: Row, amplitude: float, average: float, clean: bool) -> boo
 
 
 def push_and_pull(p: Row, q: Row, clean: bool = False) -> bool:
-    """9.2: push beside pull. The reference compares the amplitude twice, which is always met (Q19).
+    """9.2: push next to pull. The original program compares the amplitude twice, within a tolerance always met (Q19).
 
-    ``clean`` compares amplitudes and averages with the tolerances of pass 7.6.
+    ``clean`` compares amplitudes and averages, within the tolerances of pass 7.6.
     """
     if {p[llb.LABEL], q[llb.LABEL]} != set(_FORCED):
         return False
@@ -119,21 +119,21 @@ def decreasing(p: Row, q: Row) -> bool:
 
 
 def adjusted(p: Row, q: Row, clean: bool = False) -> bool:
-    """9.5: alignment or shift followed by push or pull of like size; ``clean`` in either order (Q26)."""
+    """9.5: alignment or shift followed by push or pull of similar size; ``clean`` in either order (Q26)."""
     ordered = p[llb.LABEL] in _ADJUSTING and q[llb.LABEL] in _FORCED
     mirrored = clean and p[llb.LABEL] in _FORCED and q[llb.LABEL] in _ADJUSTING
     return (ordered or mirrored) and _alike(p, q, 0.5, 1.0, clean)
 
 
 def fixed(p: Row, q: Row, clean: bool = False) -> bool:
-    """9.6: fixed beside anything but contact and noise, of like size and average."""
+    """9.6: fixed next to anything but contact and noise, of similar size and average."""
     labels = {p[llb.LABEL], q[llb.LABEL]}
     others = {LLB.FX, *_FORCED, *_ADJUSTING}
     return len(labels) == 2 and LLB.FX in labels and labels <= others and _alike(p, q, 0.75, 0.75, clean)
 
 
 def filter_behaviours(raw: Table, clean: bool = False) -> Table:
-    """Filtered copy of raw low-level behaviours; ``clean`` fixes Q15, Q19 and Q26."""
+    """Filtered copy of raw low-level behaviours; ``clean`` corrects Q15, Q19 and Q26."""
     rows = [row[:] for row in raw]
     for _ in range(ROUNDS):
         rows = merge_short(rows)

@@ -1,4 +1,4 @@
-"""Low-level behaviours: ordered pairs of motion compositions (section 8)."""
+"""Low-level behaviours: ordered pairs of motion compositions (paper, section III-C)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rcbht_jax.reference.rows import Row, Table
 
 LABEL, AVG1, AVG2, AVG, MX1, MX2, MX, AMP1, AMP2, AMP, M1, M2, T1S, T1E, T2S, T2E, TMID = range(17)
 
-LONG = 0.10  # seconds; a composition at least this long ends the noise stage of an axis
+LONG = 0.10  # s; a composition at least this long ends the noise stage of an axis
 NOISY, NONE = 9.0, 10.0  # second tags of rows made from one composition
 
 _SAME = {MC.K: LLB.FX, MC.I: LLB.PS, MC.D: LLB.PL}
@@ -74,8 +74,8 @@ def compose_behaviours(motions: Table) -> Table:
     """Low-level behaviours of filtered motion compositions: rows of seventeen columns.
 
     The last composition is paired with itself (Q12); once one composition other than a contact has lasted
-    ``LONG``, short ones are no noise any more (Q20); an adjustment that looks two rows ahead drops the row in
-    between (Q21).
+    ``LONG``, short ones are no longer noise (Q20); an adjustment paired with the row after the next drops the row
+    in between (Q21).
     """
     rows: Table = []
     long = False

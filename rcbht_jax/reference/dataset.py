@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 
 from rcbht_jax.reference.encode import encode, sample_times
@@ -14,11 +15,10 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 _FIELDS = tuple(LabelTrack.__dataclass_fields__)
 
 
-def as_written(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The shortest decimal number that each single-precision value can stand for, in double precision.
+def as_written(values: Float32[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
+    """The shortest decimal number of each single-precision value, in double precision.
 
-    Recorded text has at most seven digits, so this is the number of the file; decisions of the offline
-    taxonomy hang on it.
+    The files have at most seven digits, so this is the number in the file, on which labels can depend.
     """
     return values.astype("U").astype(np.float64)
 
@@ -33,15 +33,17 @@ def encode_dataset(
 ) -> LabelTracks:
     """Offline labels of every recording.
 
+    >>> tracks = encode_dataset(read_recordings(Path("hiro.zarr")))  # doctest: +SKIP
+
     Args:
-        recordings: data set in memory; a recording without any state time is treated as one whole state.
+        recordings: data set; a recording without start times is treated as one state.
         robot: preset of the thresholds.
-        version: variant of the authors' program, see ``VERSIONS``.
-        clean: with the fixes of the specification's section 12.
+        version: of the original programs, a key of ``VERSIONS``.
+        clean: correct the quirks listed in :mod:`rcbht_jax.reference`.
         progress: wraps the loop over recordings.
 
     Returns:
-        host arrays ``[recording, 6, slot]``, unused slots at the end.
+        host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
         InputError: a recording is too short or holds values that are not finite.
@@ -50,11 +52,11 @@ def encode_dataset(
     for index in progress(range(len(recordings))):
         length = int(recordings.length[index])
         onset = recordings.onset[index]
-        known = onset[: int(np.argmax(np.isnan(onset)))] if np.isnan(onset).any() else onset
+        starts = onset[: int(np.argmax(np.isnan(onset)))] if np.isnan(onset).any() else onset
         labels = encode(
             sample_times(length, recordings.dt),
             as_written(recordings.wrench[index, :length]),
-            known if len(known) else np.zeros(1),
+            starts if len(starts) else np.zeros(1),
             robot=robot,
             version=version,
             clean=clean,

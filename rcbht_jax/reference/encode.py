@@ -1,4 +1,4 @@
-"""One recording into the authors' offline label tables, axis by axis."""
+"""One recording into the label tables of the original offline programs, axis by axis."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float, Float64
+from numpy.typing import ArrayLike
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.reference import limits as lim
@@ -22,7 +23,8 @@ from rcbht_jax.reference.versions import Version, find_version
 MIN_SAMPLES = 7  # fewer can end in a segment of one sample, which has no slope
 WIDTHS = {"prim_raw": 7, "prim": 7, "mc_raw": 11, "mc": 11, "llb_raw": 17, "llb": 17}
 
-Tables = tuple[NDArray[np.float64], ...]
+Signal = Float64[np.ndarray, "sample 6"]
+Tables = tuple[Float64[np.ndarray, "row column"], ...]
 
 
 @dataclass(frozen=True)
@@ -30,42 +32,41 @@ class OfflineLabels:
     """Label tables of one recording; each field of tables holds six arrays, Fx Fy Fz Mx My Mz.
 
     Rows are in time order. Times in seconds, values in N or Nm, labels as codes of ``rcbht_jax.labels``.
-    Columns of primitives: average, maximum, minimum, start, end, slope, label.
-    Columns of compositions: label, average, maximum, amplitude, tags 1 and 2, start and end of the first and
-    of the second part, middle.
-    Columns of behaviours: label, averages 1, 2 and joint, maxima 1, 2 and joint, amplitudes 1, 2 and joint,
-    tags 1 and 2, start and end of the first and of the second part, middle.
+    Primitives: average, maximum, minimum, start, end, slope, label.
+    Compositions: label, average, maximum, amplitude, tags 1 and 2, start and end of the first and of the second
+    part, middle.
+    Behaviours: label, averages 1, 2 and joint, maxima 1, 2 and joint, amplitudes 1, 2 and joint, tags 1 and 2,
+    start and end of the first and of the second part, middle.
     """
 
-    prim_raw: Tables  # [*, 7] before the filter; what the authors' feature files contain
-    prim: Tables  # [*, 7] after the filter
-    mc_raw: Tables  # [*, 11]
-    mc: Tables  # [*, 11]
-    llb_raw: Tables  # [*, 17]
-    llb: Tables  # [*, 17]
-    thresholds: NDArray[np.float64]  # [6, 8] limits applied, impulse down to minus impulse
-    states: NDArray[np.float64]  # [states + 1] state vector in use, s, ends with the end of the recording
+    prim_raw: Tables  # [row, 7] before the filter, as in the published feature files
+    prim: Tables  # [row, 7] after the filter
+    mc_raw: Tables  # [row, 11]
+    mc: Tables  # [row, 11]
+    llb_raw: Tables  # [row, 17]
+    llb: Tables  # [row, 17]
+    thresholds: Float64[np.ndarray, "6 8"]  # limits applied, impulse down to minus impulse, N/s or Nm/s
+    states: Float64[np.ndarray, " time"]  # state vector, s: starts of the states and the end of the recording
     version: str  # key of VERSIONS
-    clean: bool  # fixes of section 12 applied
+    clean: bool  # quirks corrected
     samples: int  # length of the recording
     time_start: float  # first time stamp, s
 
 
-def sample_times(samples: int, dt: float) -> NDArray[np.float64]:
-    """Time stamps ``[samples]`` from zero, s, equal to those read from the authors' files bit for bit.
+def sample_times(samples: int, dt: float) -> Float64[np.ndarray, " {samples}"]:
+    """Time stamps from zero, s, bit for bit those of the recorded files.
 
-    Labels hang on exact ratios of durations, so the stamps must be the decimal numbers of the files and not
+    Labels depend on exact ratios of durations, so the stamps must be the decimal numbers of the files and not
     products with a rounding error.
     """
-    stamps: NDArray[np.float64] = np.round(np.arange(samples) * dt, 6)
-    return stamps
+    return np.round(np.arange(samples) * dt, 6)
 
 
 def state_onsets(onset: ArrayLike) -> list[float]:
-    """Start times of the states, s, without the trailing not-a-numbers that stand for missing states.
+    """Start times of the states, s, without the trailing NaN of missing states.
 
     Raises:
-        InputError: no states, too many, or not finite.
+        InputError: there are no states, too many, or one is not finite.
     """
     values: list[float] = np.asarray(onset, np.float64).ravel().tolist()
     while values and np.isnan(values[-1]):
@@ -78,10 +79,10 @@ def state_onsets(onset: ArrayLike) -> list[float]:
 
 
 def state_vector(onset: ArrayLike, t_end: float) -> list[float]:
-    """State vector of section 2 from the values of a state file, s, and the last time stamp.
+    """State vector: the values of a state file and the last time stamp ``t_end``, s.
 
     Raises:
-        InputError: no states, too many, or not finite.
+        InputError: there are no states, too many, or one is not finite.
     """
     values = state_onsets(onset)
     if len(values) == 5:
@@ -97,42 +98,50 @@ def encode(
     robot: str = "hiro",
     version: str = "master",
     clean: bool = False,
-    limits: NDArray[np.floating] | None = None,
+    limits: Float[np.ndarray, "axis limit"] | None = None,
     calibrated: bool = False,
     floor: float = FLOOR,
 ) -> OfflineLabels:
-    """Label one recording with the authors' offline taxonomy (offline specification, sections 2 to 9 and 11).
+    """Label one recording with the offline taxonomy of the original programs.
+
+    >>> from rcbht_jax.labels import LLB
+    >>> time = sample_times(400, 0.005)
+    >>> wrench = np.zeros((400, 6))
+    >>> wrench[200:, 2] = 5.0  # N, a step of Fz
+    >>> labels = encode(time, wrench, [0.0, 0.5])
+    >>> [LLB(code).name for code in labels.llb[2][:, 0]]  # of Fz: contact, then constant
+    ['CT', 'FX']
 
     Args:
-        time: ``[n]`` seconds, from zero or later, increasing; see :func:`sample_times`.
-        wrench: ``[n, 6]`` Fx Fy Fz Mx My Mz, N and Nm.
-        onset: start times of the states as in the state file, s; the first is zero, trailing not-a-numbers
-            are missing states. Both arms of a two-arm trial use those of the right arm (Q1).
+        time: ``[sample]`` s, from zero or later, increasing; see :func:`sample_times`.
+        wrench: ``[sample, 6]`` Fx Fy Fz Mx My Mz, N and Nm.
+        onset: start times of the states as in the state file, s; the first is zero, trailing NaN are missing
+            states. Both arms of a two-arm trial use those of the right arm (Q1).
         robot: one of ``rcbht_jax.encoding.thresholds.ROBOTS``; selects the hand-set limits.
         version: one of ``VERSIONS``.
-        clean: apply the fixes listed in :mod:`rcbht_jax.reference`.
-        limits: ``[6, 4]`` limits to use as they are, N/s and Nm/s, instead of the authors' rules.
+        clean: correct the quirks listed in :mod:`rcbht_jax.reference`.
+        limits: limits to apply without change, N/s and Nm/s, instead of the rules of the original programs.
         calibrated: use the limits shipped with the two-arm simulation.
         floor: sums of squares below it count as zero in the fit test, N^2 or (Nm)^2 (Q6).
 
     Raises:
-        InputError: the input has the wrong shape, is too short, not finite or not in time order, has no
-            states, or asks for something that does not exist.
+        InputError: the input has the wrong shape, is too short, not finite, not in time order or has no states, or
+            the robot or version does not exist.
     """
     stamps, signal = _checked(time, wrench)
     rules = find_version(version)
     states = state_vector(onset, float(stamps[-1]))
-    chosen = _limits(signal, robot, clean, limits, calibrated)
+    applied = _limits(signal, robot, clean, limits, calibrated)
     bounds = boundaries(states, rules)
     axes = [
-        _encode_axis(stamps, signal[:, axis], tuple(chosen[axis].tolist()), floor, bounds, rules, clean)
+        _encode_axis(stamps, signal[:, axis], tuple(applied[axis].tolist()), floor, bounds, rules, clean)
         for axis in range(6)
     ]
     layers = zip(WIDTHS.items(), zip(*axes, strict=True), strict=True)
     tables = {name: tuple(_array(rows, width) for rows in layer) for (name, width), layer in layers}
     return OfflineLabels(
         **tables,
-        thresholds=lim.mirrored(chosen),
+        thresholds=lim.mirrored(applied),
         states=np.array(states),
         version=version,
         clean=clean,
@@ -141,17 +150,17 @@ def encode(
     )
 
 
-def _array(rows: Table, width: int) -> NDArray[np.float64]:
+def _array(rows: Table, width: int) -> Float64[np.ndarray, "row {width}"]:
     return np.array(rows, np.float64).reshape(-1, width)
 
 
 def _limits(
-    signal: NDArray[np.float64],
+    signal: Signal,
     robot: str,
     clean: bool,
-    limits: NDArray[np.floating] | None,
+    limits: Float[np.ndarray, "axis limit"] | None,
     calibrated: bool,
-) -> NDArray[np.float64]:
+) -> Float64[np.ndarray, "6 4"]:
     if limits is not None:
         if calibrated:
             raise InputError("Both limits and calibrated are given; expected one of them.")
@@ -161,8 +170,8 @@ def _limits(
 
 
 def _encode_axis(
-    time: NDArray[np.float64],
-    values: NDArray[np.float64],
+    time: Float64[np.ndarray, " sample"],
+    values: Float64[np.ndarray, " sample"],
     limits: tuple[float, ...],
     floor: float,
     bounds: Boundaries,
@@ -179,7 +188,7 @@ def _encode_axis(
     return prim_raw, prim, mc_raw, mc, llb_raw, llb
 
 
-def _checked(time: ArrayLike, wrench: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _checked(time: ArrayLike, wrench: ArrayLike) -> tuple[Float64[np.ndarray, " sample"], Signal]:
     stamps, signal = np.asarray(time, np.float64), np.asarray(wrench, np.float64)
     if signal.ndim != 2 or signal.shape[1] != 6:
         raise InputError(f"The wrench has shape {signal.shape}; expected [samples, 6].")

@@ -1,4 +1,4 @@
-"""Motion compositions: ordered pairs of primitives (section 6)."""
+"""Motion compositions: ordered pairs of primitives (paper, section III-B)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SPAN = (
     (1, 0, 1, 1, 0),
     (1, 0, 0, 1, 0),
 )
-# The second label as stored; 0 = the true one. Six cells store a fixed label instead (Q13).
+# The second label to store; 0 = the true one. Some cells store a fixed label instead (Q13).
 _SECOND = (
     (0, 0, 7, 8, 9),
     (0, 0, 7, 8, 9),
@@ -75,8 +75,8 @@ def _pair(this: Row, partner: Row, first: int, second: int, amplitude: float) ->
 def compose_motions(primitives: Table, clean: bool = False) -> Table:
     """Motion compositions of filtered primitives: rows of eleven columns.
 
-    The last primitive is paired with itself (Q12). A composition of one primitive keeps the amplitude of the
-    pair that was rejected (Q14); ``clean`` gives it its own span.
+    The last primitive is paired with itself (Q12). A composition of one primitive has the amplitude of the
+    rejected pair (Q14); with ``clean`` its own span.
     """
     rows: Table = []
     i = 0

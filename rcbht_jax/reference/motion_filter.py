@@ -1,6 +1,6 @@
-"""Filter of motion compositions: passes 7.0 to 7.7, run four times (section 7).
+"""Filter of motion compositions: passes 7.0 to 7.7, run four times.
 
-Passes from a start row on fix their range before they begin; a merged row is not compared again in a pass.
+The range of a pass is fixed before it starts; a merged row is not compared again in that pass.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ ROUNDS = 4
 SAME_AMPLITUDE = (0.2, 5.0)
 SAME_DURATION = (0.2, 5.0)
 _CONTACTS = (MC.PC, MC.NC, MC.C)
-_WEAK = 0.1  # contacts below this share of the largest amplitude are no contacts
+_WEAK = 0.1  # contacts below this share of the largest amplitude are relabelled
 _BY_GROUP = {Group.P: MC.I, Group.N: MC.D, Group.K: MC.K, Group.PIMP: MC.PC, Group.NIMP: MC.NC}
 
 
 @dataclass(frozen=True)
 class Boundaries:
-    """The two times, in seconds, that the filter takes from the state vector (sections 7.0 and 11)."""
+    """The two times, in seconds, that the filter takes from the state vector."""
 
     start: float  # S_2: filtering starts with the first row that ends after it
     gate: float  # X: limit of adjustment runs in the gated versions, infinite in the others
@@ -36,35 +36,35 @@ def boundaries(states: list[float], version: Version) -> Boundaries:
     return Boundaries(states[1], states[3] - 0.002 if len(states) >= 4 else states[-1])
 
 
-def _absorb(row: Row, gone: Row) -> None:
-    row[AVG] = (row[AVG] + gone[AVG]) / 2
-    row[MX] = max(row[MX], gone[MX])
+def _absorb(row: Row, merged: Row) -> None:
+    row[AVG] = (row[AVG] + merged[AVG]) / 2
+    row[MX] = max(row[MX], merged[MX])
 
 
 def absorb_next(rows: Table, i: int, label: MC | None = None, amplitude: bool = False) -> None:
     """Merge the next row into row i, with a new label and the larger amplitude if asked."""
-    row, gone = rows[i], rows[i + 1]
-    _absorb(row, gone)
+    row, merged = rows[i], rows[i + 1]
+    _absorb(row, merged)
     if amplitude:
-        row[AMP] = max(row[AMP], gone[AMP])
+        row[AMP] = max(row[AMP], merged[AMP])
     if label is not None:
         row[LABEL] = float(label)
-    row[P2] = gone[P2]
-    row[T2S], row[T2E] = gone[T1S], gone[T2E]
+    row[P2] = merged[P2]
+    row[T2S], row[T2E] = merged[T1S], merged[T2E]
     row[T1E] = row[T2E]
     row[TMID] = (row[T1S] + row[T2E]) / 2
-    wipe(gone)
+    wipe(merged)
 
 
 def absorb_previous(rows: Table, i: int) -> None:
-    """Merge the previous row into row i; label and amplitude stay."""
-    row, gone = rows[i], rows[i - 1]
-    _absorb(row, gone)
-    row[P1] = gone[P1]
+    """Merge the previous row into row i, whose label and amplitude stay."""
+    row, merged = rows[i], rows[i - 1]
+    _absorb(row, merged)
+    row[P1] = merged[P1]
     row[T2S] = row[T1S]
-    row[T1S], row[T1E] = gone[T1S], gone[T2E]
+    row[T1S], row[T1E] = merged[T1S], merged[T2E]
     row[TMID] = (row[T1S] + row[T2E]) / 2
-    wipe(gone)
+    wipe(merged)
 
 
 def absorb_run(rows: Table, i: int, k: int) -> None:
@@ -76,15 +76,15 @@ def absorb_run(rows: Table, i: int, k: int) -> None:
     row[T2S], row[T2E] = run[-1][T1S], run[-1][T2E]
     row[T1E] = row[T2E]
     row[TMID] = (row[T1S] + row[T2E]) / 2
-    for gone in run[1:]:
-        wipe(gone)
+    for merged in run[1:]:
+        wipe(merged)
 
 
 def start_row(rows: Table, bounds: Boundaries, version: Version) -> int:
     """7.0: index of the first row that ends after the second state began.
 
-    Without such a row the last row is the start, so no pass from the start row on runs; one version takes
-    the last time in seconds, rounded up here, for a row number (counted from one).
+    Without such a row it is the last row, so that no pass from the start row on runs; one version uses the last
+    time in seconds, rounded up here, as a row number (counted from one).
     """
     for i, row in enumerate(rows):
         if row[T2E] > bounds.start:
@@ -105,14 +105,14 @@ def _merge_adjustments(rows: Table, first: int, last: int) -> None:
     row[T2S] = row[T1E] + 0.001
     row[T2E] = run[-1][T2E]
     row[TMID] = (row[T1S] + row[T2E]) / 2
-    for gone in run[1:]:
-        wipe(gone)
+    for merged in run[1:]:
+        wipe(merged)
 
 
 def merge_adjustments(rows: Table, start: int, gate: float, clean: bool) -> Table:
-    """7.1: runs of adjustments of like average become one.
+    """7.1: runs of adjustments of similar average become one.
 
-    The end of a run is looked for one row too late, and count and flag survive the gaps between runs (Q17).
+    The end of a run is tested one row too late, and count and flag survive the gaps between runs (Q17).
     """
     n = len(rows)
     count, armed = 0, False
@@ -144,7 +144,7 @@ def merge_repeats(rows: Table) -> Table:
     return compact(rows)
 
 
-def _amplitude_verdict(this: Row, following: Row) -> str:
+def _compare_amplitudes(this: Row, following: Row) -> str:
     if this[LABEL] in _CONTACTS:
         return "skip"
     size = ratio(abs(following[AMP]), abs(this[AMP]))
@@ -157,17 +157,16 @@ def relabel_halves(rows: Table, start: int, version: Version) -> float:
     """7.3: a row whose halves last very unequally takes the label of its longer half.
 
     Returns:
-        The largest amplitude among the rows that were compared, which excludes contacts and rows of one
-        primitive (Q18).
+        the largest amplitude of the compared rows, which excludes contacts and rows of one primitive (Q18).
     """
     largest = 0.0
     for i in range(start, len(rows) - 1):
         row = rows[i]
-        verdict = _amplitude_verdict(row, rows[i + 1])
-        if verdict == "differs" and version.amplitude_ends_pass:
+        comparison = _compare_amplitudes(row, rows[i + 1])
+        if comparison == "differs" and version.amplitude_ends_pass:
             break
         first, second = row[T1E] - row[T1S], row[T2E] - row[T2S]
-        if verdict != "compare" or first == 0.0 or second == 0.0:
+        if comparison != "compare" or first == 0.0 or second == 0.0:
             continue
         if outside(first / second, *SAME_DURATION):
             tag = row[P1] if first / second > SAME_DURATION[1] else row[P2]
@@ -177,14 +176,14 @@ def relabel_halves(rows: Table, start: int, version: Version) -> float:
 
 
 def merge_short(rows: Table, start: int, version: Version) -> Table:
-    """7.4: neighbours of like amplitude and very unlike duration merge."""
+    """7.4: neighbours of similar amplitude and very different duration merge."""
     for i in range(start, len(rows) - 1):
         this, following = rows[i], rows[i + 1]
-        verdict = _amplitude_verdict(this, following)
-        if verdict == "differs" and version.amplitude_ends_pass:
+        comparison = _compare_amplitudes(this, following)
+        if comparison == "differs" and version.amplitude_ends_pass:
             break
         first, second = this[T2E] - this[T1S], following[T2E] - following[T1S]
-        if verdict != "compare" or first == 0.0 or second == 0.0:
+        if comparison != "compare" or first == 0.0 or second == 0.0:
             continue
         if first / second > SAME_DURATION[1]:
             absorb_next(rows, i)
@@ -194,7 +193,7 @@ def merge_short(rows: Table, start: int, version: Version) -> Table:
 
 
 def demote_contacts(rows: Table, largest: float) -> None:
-    """7.5: contacts much weaker than the largest amplitude become increases and decreases."""
+    """7.5: contacts much weaker than the largest amplitude become increases or decreases."""
     for row in rows:
         if abs(row[AMP]) < _WEAK * largest:
             if row[LABEL] == MC.PC:
@@ -208,7 +207,7 @@ def _alike(this: Row, following: Row, amplitude: float, average: float, clean: b
 
 
 def merge_into_adjustments(rows: Table, start: int, clean: bool) -> Table:
-    """7.6: an adjustment and a neighbouring increase or decrease of like size become an adjustment."""
+    """7.6: an adjustment and a neighbouring increase or decrease of similar size become an adjustment."""
     for i in range(start, len(rows) - 1):
         labels = {rows[i][LABEL], rows[i + 1][LABEL]}
         if labels in ({MC.A, MC.I}, {MC.A, MC.D}) and _alike(rows[i], rows[i + 1], 0.5, 0.5, clean):
@@ -217,9 +216,9 @@ def merge_into_adjustments(rows: Table, start: int, clean: bool) -> Table:
 
 
 def merge_into_constants(rows: Table, start: int, clean: bool) -> Table:
-    """7.7: different neighbours among increase, decrease, constant become a constant.
+    """7.7: different neighbours among increase, decrease and constant become a constant.
 
-    The amplitude tolerance of 1.5 is always met (Q19); ``clean`` takes the one of pass 7.6.
+    The amplitude tolerance of 1.5 is always met (Q19); ``clean`` uses that of pass 7.6.
     """
     amplitude = 0.5 if clean else 1.5
     for i in range(start, len(rows) - 1):
@@ -231,7 +230,7 @@ def merge_into_constants(rows: Table, start: int, clean: bool) -> Table:
 
 
 def filter_motions(raw: Table, bounds: Boundaries, version: Version, clean: bool = False) -> Table:
-    """Filtered copy of raw motion compositions; ``clean`` fixes Q15 and Q19."""
+    """Filtered copy of raw motion compositions; ``clean`` corrects Q15 and Q19."""
     rows = [row[:] for row in raw]
     for _ in range(ROUNDS):
         start = start_row(rows, bounds, version)

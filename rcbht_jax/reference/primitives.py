@@ -1,4 +1,4 @@
-"""Primitive filter: merge repeats, then much shorter neighbours of like size (section 5)."""
+"""Filter of primitives: merge repeats, then neighbours of similar size and very different duration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def duration(row: Row) -> float:
 
 
 def _merge_run(rows: Table, i: int, k: int, clean: bool) -> None:
-    """Merge the k rows after row i into it; the reference divides the sums of k+1 >= 3 rows by k (Q9)."""
+    """Merge the k rows after row i into it; the original program divides sums of k+1 >= 3 rows by k (Q9)."""
     run = rows[i : i + k + 1]
     count = k if k >= 2 and not clean else k + 1
     for column in (AVG, SLOPE):
@@ -35,7 +35,7 @@ def _merge_run(rows: Table, i: int, k: int, clean: bool) -> None:
 
 
 def merge_repeats(rows: Table, clean: bool = False) -> Table:
-    """5.1: one row per run of equal labels. One scan is enough, because merged rows keep their label."""
+    """5.1: one row per run of equal labels; one scan is enough, because merged rows keep their label."""
     rows = compact(rows)
     i = 0
     while i < len(rows):
@@ -47,7 +47,7 @@ def merge_repeats(rows: Table, clean: bool = False) -> Table:
 
 
 def merge_short(rows: Table) -> Table:
-    """5.2: neighbours of like span and very unlike duration merge; a merged row is not compared again."""
+    """5.2: neighbours of similar span and very different duration merge; a merged row is not compared again."""
     for i in range(len(rows) - 1):
         this, following = rows[i], rows[i + 1]
         if this[LABEL] in _IMPULSES:

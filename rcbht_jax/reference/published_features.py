@@ -1,10 +1,9 @@
-"""The authors' published feature matrices: label sentences of fixed length.
+"""The published feature matrices of the RCBHT data sets: label sequences of fixed length.
 
-A sentence is the labels of one axis and layer, resampled to L slots of equal duration; a slot takes the label
-that fills most of it. Rows put the sentences of all axes and layers side by side. Labels count from zero, as
-in the published files. Ties between labels, and the order of columns, follow the iteration order of
-dictionaries of names in Python 2, which this module reproduces. (Offline specification, section 13; the keys
-are the names of the labels, not their numbers.)
+A sequence is the labels of one axis and layer, resampled to slots of equal duration; a slot has the label that fills
+most of it. A row concatenates the sequences of all axes and layers. Labels count from zero, as in the published
+files. Ties between labels and the order of the columns follow the iteration order of Python 2 dictionaries whose keys
+are the names of the labels; this module reproduces it.
 """
 
 from __future__ import annotations
@@ -13,24 +12,25 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from jaxtyping import Float64, Int16
+from numpy.typing import ArrayLike
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, STATES, name
 from rcbht_jax.reference import OfflineLabels, state_onsets
 
-Row = NDArray[np.int16]
+Row = Int16[np.ndarray, " feature"]
 
 
 class Lengths(NamedTuple):
-    """Slots per sentence of each layer."""
+    """Slots per sequence of each layer."""
 
     primitive: int
     mc: int
     llb: int
 
 
-# The longest sentence of each published set decides; "states" = per state, "outcome" = success or failure.
+# From the longest sequence of each published set; "states" = per state, "outcome" = success or failure.
 LENGTHS = {
     "sim_outcome": Lengths(266, 61, 36),
     "sim_states": Lengths(179, 37, 22),
@@ -40,7 +40,7 @@ LENGTHS = {
     "two_right_states": Lengths(250, 49, 35),
 }
 
-# Which columns of the tables the authors read: label, start, end.
+# Columns of the tables in the published features: label, start, end.
 _TABLES = {"primitive": ("prim_raw", 6, 3, 4), "mc": ("mc", 0, 6, 9), "llb": ("llb", 0, 12, 15)}
 _LEVEL_NAMES = {"primitive": "primitive", "composite": "mc", "llbehavior": "llb"}
 
@@ -52,14 +52,14 @@ _FIRST_SLOTS = 8
 
 
 class Sentence(NamedTuple):
-    """Names of the labels of one axis and layer, with their start and end times in seconds."""
+    """Names of the labels of one axis and layer, with their start and end times, s."""
 
     label: tuple[str, ...]
     start: tuple[float, ...]
     end: tuple[float, ...]
 
 
-Sentences = dict[str, tuple[Sentence, ...]]  # by layer name; six sentences, Fx Fy Fz Mx My Mz
+Sentences = dict[str, tuple[Sentence, ...]]  # by name of the layer; Fx Fy Fz Mx My Mz
 
 
 def python2_hash(text: str) -> int:
@@ -89,13 +89,13 @@ def python2_order(keys: Iterable[str]) -> list[str]:
     for used, key in enumerate(dict.fromkeys(keys), start=1):
         _insert(slots, key)
         if used * 3 >= len(slots) * 2:
-            old = [kept for kept in slots if kept is not None]
+            old = [slot for slot in slots if slot is not None]
             size = _FIRST_SLOTS
             while size <= 4 * used:
                 size *= 2
             slots = [None] * size
-            for kept in old:
-                _insert(slots, kept)
+            for old_key in old:
+                _insert(slots, old_key)
     return [key for key in slots if key is not None]
 
 
@@ -103,13 +103,13 @@ LEVEL_ORDER = tuple(_LEVEL_NAMES[level] for level in python2_order(_LEVEL_NAMES)
 AXIS_ORDER = tuple(python2_order(AXES))
 
 
-def _as_printed(values: NDArray[np.float64]) -> tuple[float, ...]:
-    """Values as read back from the authors' text files, which keep five decimals."""
+def _as_printed(values: Float64[np.ndarray, " row"]) -> tuple[float, ...]:
+    """Values as read from text files with five decimals, like those of the original programs."""
     return tuple(float(f"{value:.5f}") for value in values)
 
 
 def sentences(labels: OfflineLabels) -> Sentences:
-    """The sentences of one recording as in the authors' text files: raw primitives (Q8), filtered others."""
+    """The sequences of one recording as in the original text files: raw primitives (Q8), filtered others."""
     result: Sentences = {}
     for layer, (field, label, start, end) in _TABLES.items():
         result[layer] = tuple(
@@ -126,7 +126,7 @@ def sentences(labels: OfflineLabels) -> Sentences:
 def state_marks(onset: ArrayLike, recording: Sentences) -> list[float]:
     """End times of the four states, s, from the values of the state file.
 
-    Without an end of the last state, it ends with the last behaviour of Fx.
+    The last state ends with the last behaviour of Fx if the file has no end of it.
 
     Raises:
         InputError: a state is missing.
@@ -140,7 +140,7 @@ def state_marks(onset: ArrayLike, recording: Sentences) -> list[float]:
 
 
 def split(sentence: Sentence, marks: Sequence[float]) -> list[Sentence]:
-    """Sentence of each state that ends at one of the marks; a label across a mark is cut there."""
+    """Sequence of each state, which ends at one of the marks; a label across a mark is cut there."""
     parts: list[list[tuple[str, float, float]]] = [[] for _ in marks]
     k = 0
     for label, start, end in zip(*sentence, strict=True):
@@ -161,13 +161,13 @@ def _sentence(items: list[tuple[str, float, float]]) -> Sentence:
 
 
 def resample(sentence: Sentence, slots: int) -> Row:
-    """The labels of a sentence, counted from zero, in ``slots`` parts of equal duration: ``[slots]``.
+    """The labels of a sequence, counted from zero, in ``slots`` parts of equal duration.
 
-    Only the ends count: a gap goes to the label after it, and an overlap counts negative. A slot goes to the
-    label with the most time in it, ties to the first in Python 2 dictionary order.
+    Only end times are used: a gap belongs to the label after it, and an overlap counts as negative time. A slot has
+    the label with the most time in it; of several, the first in the order of a Python 2 dictionary.
 
     Raises:
-        InputError: no labels, no duration, or no slots.
+        InputError: there are no labels or slots, or the labels have no duration.
     """
     order = sorted(range(len(sentence.label)), key=lambda i: sentence.start[i])
     if not order or slots < 1:
@@ -178,27 +178,27 @@ def resample(sentence: Sentence, slots: int) -> Row:
         raise InputError(f"The labels last {duration} s; expected a positive duration.")
     winners: list[int] = []
     last, end = 0.0, duration * 1 / slots
-    tally: dict[str, float] = {}
+    durations: dict[str, float] = {}
     for i in order:
         label, until = sentence.label[i], sentence.end[i] - origin
         while until >= end and len(winners) < slots:
-            tally[label] = tally.get(label, 0) + (end - last)
-            winners.append(_NUMBER[_winner(tally)])
-            tally, last = {}, end
+            durations[label] = durations.get(label, 0) + (end - last)
+            winners.append(_NUMBER[_winner(durations)])
+            durations, last = {}, end
             end = duration * ((len(winners) + 1) / slots)
-        tally[label] = tally.get(label, 0) + (until - last)
+        durations[label] = durations.get(label, 0) + (until - last)
         last = until
     return np.array(winners, np.int16)
 
 
-def _winner(tally: dict[str, float]) -> str:
-    most = max(tally.values())
-    tied = [label for label, time in tally.items() if time == most]
-    return tied[0] if len(tied) == 1 else next(label for label in python2_order(tally) if label in tied)
+def _winner(durations: dict[str, float]) -> str:
+    most = max(durations.values())
+    tied = [label for label, time in durations.items() if time == most]
+    return tied[0] if len(tied) == 1 else next(label for label in python2_order(durations) if label in tied)
 
 
 def feature_row(recording: Sentences, lengths: Lengths) -> Row:
-    """Features of one recording or of one state of it, ``[6 * sum(lengths)]``; see :func:`feature_names`."""
+    """The ``6 * sum(lengths)`` features of one recording or one state; see :func:`feature_names`."""
     return np.concatenate(
         [
             resample(recording[layer][AXES.index(axis)], getattr(lengths, layer))
@@ -209,12 +209,12 @@ def feature_row(recording: Sentences, lengths: Lengths) -> Row:
 
 
 def outcome_features(labels: OfflineLabels, lengths: Lengths) -> Row:
-    """Features of a whole recording for the success or failure task, ``[6 * sum(lengths)]``."""
+    """The ``6 * sum(lengths)`` features of a whole recording, for success or failure."""
     return feature_row(sentences(labels), lengths)
 
 
-def state_features(labels: OfflineLabels, onset: ArrayLike, lengths: Lengths) -> Row:
-    """Features of the four states of a recording, ``[4, 6 * sum(lengths)]``.
+def state_features(labels: OfflineLabels, onset: ArrayLike, lengths: Lengths) -> Int16[np.ndarray, "4 feature"]:
+    """The ``6 * sum(lengths)`` features of each of the four states of a recording.
 
     Args:
         labels: of one recording.
@@ -236,10 +236,14 @@ def state_features(labels: OfflineLabels, onset: ArrayLike, lengths: Lengths) ->
 
 
 def longest(recordings: Iterable[Sentences]) -> Lengths:
-    """Slots per layer such that no sentence of these recordings (or states of recordings) loses a label."""
+    """Slots per layer such that no sequence of these recordings (or states of recordings) loses a label.
+
+    Raises:
+        InputError: there are no recordings.
+    """
     counts = [[max(len(axis.label) for axis in each[layer]) for layer in LAYERS] for each in recordings]
     if not counts:
-        raise InputError("There are no recordings; expected at least one to take the lengths from.")
+        raise InputError("There are no recordings; expected at least one, whose lengths are used.")
     return Lengths(*(max(column) for column in zip(*counts, strict=True)))
 
 

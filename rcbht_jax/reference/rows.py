@@ -1,7 +1,7 @@
-"""Rows of the authors' tables as lists of floats, and the arithmetic that their program relies on.
+"""Rows of the label tables as lists of floats, and the arithmetic on which the original programs rely.
 
 A deleted row is a row of zeros; it stays in place, and acts as a neighbour, until the end of the pass.
-Integer labels are stored as floats, as in the authors' tables.
+Integer labels are stored as floats, as in the original tables.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ Table = list[Row]
 
 
 def ratio(a: float, b: float) -> float:
-    """IEEE division: x/0 is infinite and 0/0 is not a number."""
+    """IEEE division: x/0 is infinite and 0/0 is NaN."""
     if b != 0.0:
         return a / b
     return math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a)
 
 
 def unusable(value: float) -> bool:
-    """The reference skips ratios of exactly zero or infinity; not-a-number passes."""
+    """The original program skips ratios of exactly zero or infinity, but not NaN."""
     return value == 0.0 or math.isinf(value)
 
 
 def outside(value: float, low: float, high: float) -> bool:
-    """True beyond either limit; not-a-number is inside because every comparison with it is false."""
+    """True beyond either limit; NaN is inside, because every comparison with it is false."""
     return value > high or value < low
 
 
 def near(x: float, following: float, tolerance: float, clean: bool = False) -> bool:
-    """Relative closeness of two values (section 7).
+    """Relative closeness of the magnitudes of two values.
 
-    The reference scales the tolerance by the larger *signed* value, so the answer changes with the sign
-    of the axis (quirk Q15); ``clean`` scales it by the larger magnitude.
+    The original program scales the tolerance by the larger *signed* value, so that the result depends on the sign
+    of the axis (Q15); ``clean`` scales it by the larger magnitude.
     """
     scale = max(abs(x), abs(following)) if clean else abs(max(x, following))
     return abs(abs(x) - abs(following)) <= tolerance * scale

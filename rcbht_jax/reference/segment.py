@@ -1,11 +1,11 @@
-"""Growing-window line fits: one axis of wrench into raw primitives (section 4)."""
+"""Growing-window line fits: one axis of the wrench into raw primitives (paper, section III-A)."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax.reference.limits import classify
 from rcbht_jax.reference.rows import Row, Table
@@ -13,10 +13,10 @@ from rcbht_jax.reference.rows import Row, Table
 STEP = 5  # samples between two tests of the fit
 ACCEPT = 0.90  # R-squared above which the window keeps growing
 FLOOR = 1e-4  # sums of squares below this count as zero, N^2 or (Nm)^2
-_STRETCH = 1.05  # the reference moves the end of a zero-length segment to 1.05 times its start
+_STRETCH = 1.05  # the end of a segment without duration becomes 1.05 times its start
 _GUARD = 1e-6  # decisions closer than this to a limit are repeated with the exact fit
 
-Signal = NDArray[np.float64]
+Signal = Float64[np.ndarray, " sample"]
 
 
 class Line(NamedTuple):
@@ -44,13 +44,13 @@ class Window(NamedTuple):
 
 
 def fit_line(time: Signal, values: Signal) -> Line:
-    """Least-squares line through ``values [m]`` at ``time [m]`` in seconds, m >= 2."""
+    """Least-squares line through at least two ``values`` (N or Nm) at ``time`` (s)."""
     n = len(time)
     mean_time, mean_value = float(time.sum()) / n, float(values.sum()) / n
     dt, dv = time - mean_time, values - mean_value
     slope = float(dt @ dv) / float(dt @ dt)
-    rest = dv - slope * dt
-    return Line(slope, mean_time, mean_value, float(rest @ rest), float(dv @ dv))
+    residual = dv - slope * dt
+    return Line(slope, mean_time, mean_value, float(residual @ residual), float(dv @ dv))
 
 
 def is_good(residual: float, spread: float, floor: float) -> bool:
@@ -61,7 +61,7 @@ def is_good(residual: float, spread: float, floor: float) -> bool:
 
 
 class _GrowingFit:
-    """Running sums about the anchor: decides most windows without touching their samples again."""
+    """Running sums about the anchor, which decide most windows without another pass over their samples."""
 
     def __init__(self, time: Signal, values: Signal, floor: float) -> None:
         self._arrays = time, values
@@ -74,7 +74,7 @@ class _GrowingFit:
         self._sums = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def good_to(self, end: int) -> bool:
-        """Is the line over anchor..end accepted?"""
+        """Whether the line over anchor..end is accepted."""
         t0, v0 = self._time[self.anchor], self._values[self.anchor]
         st, sv, stt, stv, svv = self._sums
         for t, v in zip(self._time[self._next : end + 1], self._values[self._next : end + 1], strict=True):
@@ -112,8 +112,8 @@ def find_windows(time: Signal, values: Signal, floor: float, old_ending: bool) -
     """Cut a signal into windows.
 
     Returns:
-        The windows, and whether the primitive filter runs afterwards: with ``old_ending`` a signal of 5m+1
-        samples that ends inside a window loses its tail and its filter (section 11).
+        the windows, and whether the primitive filter runs afterwards: with ``old_ending`` a signal of 5m+1 samples
+        that ends inside a window loses its tail and is not filtered.
     """
     fit = _GrowingFit(time, values, floor)
     last = len(time) - 1
@@ -165,20 +165,19 @@ def raw_primitives(
 ) -> tuple[Table, bool]:
     """Raw primitives of one axis.
 
-    A segment carries the slope and the extremes of the fit that was *rejected*, outlying samples included
-    (Q7); ``clean`` fits every segment to its own samples and drops the zero-length one that can follow a
-    rejected first window.
+    A segment has the slope and the extremes of the *rejected* fit, outlying samples included (Q7); ``clean`` fits
+    every segment to its own samples and drops the one without duration that can follow a rejected first window.
 
     Args:
-        time: ``[n]`` seconds, increasing.
-        values: ``[n]`` N or Nm.
+        time: s, increasing.
+        values: N or Nm.
         limits: impulse, big, medium and small limit, N/s or Nm/s.
         floor: sums of squares below it count as zero, N^2 or (Nm)^2.
         old_ending: end-of-signal rule of the versions before a1ca1d1.
-        clean: with the fixes of section 12.
+        clean: correct Q5 and Q7.
 
     Returns:
-        Rows of seven columns, and whether the primitive filter runs afterwards.
+        rows of seven columns, and whether the primitive filter runs afterwards.
     """
     windows, filtered = find_windows(time, values, floor, old_ending)
     if clean:

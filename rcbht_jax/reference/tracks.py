@@ -1,9 +1,9 @@
-"""Offline label tables as the label tracks that the rest of the library uses."""
+"""Offline label tables as label tracks."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.reference import behaviours as llb
@@ -12,10 +12,11 @@ from rcbht_jax.reference import primitives as prim
 from rcbht_jax.reference.encode import OfflineLabels, Tables
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-Floats = NDArray[np.float64]
+Rows = Float64[np.ndarray, " row"]
+Table = Float64[np.ndarray, "row column"]
 
 
-def _span(labels: OfflineLabels, start: Floats, end: Floats, dt: float) -> tuple[Floats, Floats]:
+def _span(labels: OfflineLabels, start: Rows, end: Rows, dt: float) -> tuple[Rows, Rows]:
     """Half-open sample spans: the sample shared by two neighbours belongs to the later one."""
     n = labels.samples
     first = np.clip(np.rint((start - labels.time_start) / dt), 0, n - 1)
@@ -24,8 +25,8 @@ def _span(labels: OfflineLabels, start: Floats, end: Floats, dt: float) -> tuple
     return first, np.maximum(last, first + 1)
 
 
-def _integral(table: Floats, labels: OfflineLabels, dt: float) -> Floats:
-    """Cumulative sum over samples of the slopes of filtered primitives, ``[samples + 1]``."""
+def _integral(table: Table, labels: OfflineLabels, dt: float) -> Float64[np.ndarray, " boundary"]:
+    """Cumulative sum over samples of the slopes of filtered primitives."""
     first, last = _span(labels, table[:, prim.START], table[:, prim.END], dt)
     slope = np.zeros(labels.samples)
     for t0, t1, value in zip(first.astype(int), last.astype(int), table[:, prim.SLOPE], strict=True):
@@ -33,22 +34,26 @@ def _integral(table: Floats, labels: OfflineLabels, dt: float) -> Floats:
     return np.concatenate([[0.0], np.cumsum(slope)])
 
 
-def _primitive_columns(table: Floats, labels: OfflineLabels, dt: float) -> list[Floats]:
+def _primitive_columns(table: Table, labels: OfflineLabels, dt: float) -> list[Rows]:
     span = _span(labels, table[:, prim.START], table[:, prim.END], dt)
     columns = (prim.MAX, prim.MIN, prim.AVG, prim.SLOPE)
     return [table[:, prim.LABEL], *span, *(table[:, column] for column in columns)]
 
 
 def _upper_columns(
-    table: Floats, integral: Floats, labels: OfflineLabels, dt: float, columns: tuple[int, ...]
-) -> list[Floats]:
+    table: Table,
+    integral: Float64[np.ndarray, " boundary"],
+    labels: OfflineLabels,
+    dt: float,
+    columns: tuple[int, ...],
+) -> list[Rows]:
     label, start, end, highest, amplitude, average = (table[:, column] for column in columns)
     first, last = _span(labels, start, end, dt)
     slope = (integral[last.astype(int)] - integral[first.astype(int)]) / (last - first)
     return [label, first, last, highest, highest - amplitude, average, slope]
 
 
-def _stack(axes: list[list[Floats]]) -> LabelTrack:
+def _stack(axes: list[list[Rows]]) -> LabelTrack:
     slots = max(len(columns[0]) for columns in axes)
     block = np.zeros((7, 6, slots))
     for axis, columns in enumerate(axes):
@@ -62,9 +67,9 @@ def _stack(axes: list[list[Floats]]) -> LabelTrack:
 def to_tracks(labels: OfflineLabels, dt: float) -> LabelTracks:
     """Filtered labels of the three layers as tracks ``[6, slot]``, padded to the longest axis.
 
-    Spans are rounded to samples: start to end of a primitive, start of the first to end of the second part
-    of the others. ``emit`` is -1. Of compositions and behaviours, ``vmax`` is the stored maximum, ``vmin``
-    lies one amplitude below it, and ``grad`` is the duration-weighted slope of the primitives within.
+    Spans are rounded to samples: from the start to the end of a primitive, and from the start of the first to the
+    end of the second part of the others. ``emit`` is -1. Of compositions and behaviours, ``vmax`` is the stored
+    maximum, ``vmin`` lies one amplitude below it, and ``grad`` is the duration-weighted slope of their primitives.
 
     Args:
         labels: of one recording.

@@ -1,4 +1,4 @@
-"""The authors' code versions as data (offline specification, section 11)."""
+"""The versions of the original programs, by what they do differently."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from rcbht_jax.errors import InputError
 
 @dataclass(frozen=True)
 class Version:
-    """What one version of the authors' program does differently from ``master``.
+    """What one version of the original programs does differently from ``master``.
 
     Attributes:
         key: name of the version.
         gated: adjustment runs (7.1) are merged only when they end before the last state of the vector.
-        amplitude_ends_pass: an amplitude ratio out of range ends passes 7.3 and 7.4, else it skips the row.
+        amplitude_ends_pass: an amplitude ratio out of range ends passes 7.3 and 7.4, instead of skipping the row.
         time_as_row: when no row ends after the second state, the last time serves as start row (7.0).
         old_ending: the final partial window is tested like any other window, and the tail may be lost.
     """
@@ -41,7 +41,7 @@ def find_version(key: str) -> Version:
     """The version with this key.
 
     Raises:
-        InputError: no such version.
+        InputError: the version does not exist.
     """
     if key not in VERSIONS:
         raise InputError(f"Version {key!r} does not exist; expected one of {', '.join(VERSIONS)}.")

@@ -219,14 +219,14 @@ def test_map_cuts_long_sentences_and_says_so(recordings: Recordings, tracks: Lab
     assert all(ax.images[0].get_array().shape == (3, 8) for ax in figure.axes)
     longer = int(((tracks.llb.label > 0).sum(-1) > 8).sum())
     assert 0 < longer < 18
-    assert f"{longer} of 18 sentences go on" in figure.get_suptitle()
+    assert f"{longer} of 18 rows are truncated" in figure.get_suptitle()
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         ({"layer": "words"}, "'words'"),
-        ({"layer": "llb", "words": 0}, "0 words cannot be shown"),
+        ({"layer": "llb", "words": 0}, "number of words to show is 0"),
         ({"layer": "llb", "select": np.zeros(3, bool)}, "No recording is selected"),
     ],
 )
@@ -238,9 +238,9 @@ def test_wrong_maps_are_refused(
 
 
 def test_wrong_trials_are_refused(recordings: Recordings, tracks: LabelTracks) -> None:
-    with pytest.raises(InputError, match="no recording 3; the data set holds 3"):
+    with pytest.raises(InputError, match="Recording 3 does not exist; the data set has 3"):
         trial_figure(recordings, tracks, 3)
-    with pytest.raises(InputError, match=r"between 5 s and 6 s; the recording has 4\.5 s"):
+    with pytest.raises(InputError, match=r"between 5 s and 6 s; the recording lasts 4\.5 s"):
         trial_figure(recordings, tracks, 0, seconds=(5.0, 6.0))
     short = LabelTracks(*(LabelTrack(*(x[:2] for x in vars(track).values())) for track in vars(tracks).values()))
     with pytest.raises(InputError, match=r"shape \(2, 6, 12\); expected \[3 recordings"):
