@@ -26,7 +26,7 @@ def load(path: Path, made_by: Any) -> Any:
     """The content of a checkpoint; None if there is no file.
 
     Raises:
-        InputError: the file is damaged, no checkpoint, or was made by something else.
+        InputError: the file is damaged, not a checkpoint, or belongs to a run with another ``made_by``.
     """
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))

@@ -1,7 +1,7 @@
 """CMA-ES: covariance matrix adaptation with rank-one and rank-mu updates and cumulative step-size control.
 
-Pure: whoever searches draws the points and judges them. Source: N. Hansen, The CMA Evolution Strategy: A Tutorial,
-arXiv:1604.00772, Table 1 and Appendix A, whose default strategy parameters are used.
+Pure functions: the caller draws the points and evaluates them. Source: N. Hansen, The CMA Evolution Strategy: A
+Tutorial, arXiv:1604.00772, Table 1 and Appendix A, whose default strategy parameters are used.
 """
 
 from __future__ import annotations
@@ -10,34 +10,36 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
-Floats = NDArray[np.float64]
+Vector = Float[np.ndarray, " n"]
 
 
 class State(NamedTuple):
     """The search distribution of n parameters."""
 
-    mean: Floats  # [n]
-    step: float
-    covariance: Floats  # [n, n]
-    step_path: Floats  # [n] p_sigma
-    path: Floats  # [n] p_c
+    mean: Vector
+    step: float  # sigma
+    covariance: Float[np.ndarray, "n n"]
+    step_path: Vector  # p_sigma
+    path: Vector  # p_c
 
 
-def start(mean: Floats, step: float) -> State:
-    """Round, of width ``step``, about ``mean [n]``."""
+def start(mean: Vector, step: float) -> State:
+    """A round distribution of width ``step`` about ``mean``."""
     zero = np.zeros_like(mean)
     return State(mean, step, np.eye(mean.size), zero, zero)
 
 
-def update(state: State, points: Floats, losses: Floats, number: int) -> State:
+def update(
+    state: State, points: Float[np.ndarray, "population n"], losses: Float[np.ndarray, " population"], number: int
+) -> State:
     """The distribution after a generation; tutorial, equations (numbers of Table 1) 37 to 47.
 
     Args:
-        state: that the points were drawn from.
-        points: population ``[population, n]``, as drawn or as moved into what is allowed.
-        losses: ``[population]``, smaller is better, NaN worst; ties go to the earlier point.
+        state: distribution from which the points were drawn.
+        points: as drawn, or as moved into the bounds.
+        losses: smaller is better, NaN is worst; the earlier of equal points ranks first.
         number: of the generation, from 1.
     """
     n, count = len(state.mean), len(points)
@@ -48,19 +50,19 @@ def update(state: State, points: Floats, losses: Floats, number: int) -> State:
     c1 = 2 / ((n + 1.3) ** 2 + mass)
     cmu = min(1 - c1, 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass))
     damping = 1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + cs
-    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # length of a standard normal vector
+    expected = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))  # length of a standard normal vector
 
     order = np.argsort(np.where(np.isnan(losses), np.inf, losses), kind="stable")
     moves = (points[order[: len(weights)]] - state.mean) / state.step
     move = weights @ moves
-    spread, turn = np.linalg.eigh(state.covariance)
-    whitened = turn @ ((turn.T @ move) / np.sqrt(np.maximum(spread, 1e-20)))
+    variances, basis = np.linalg.eigh(state.covariance)
+    whitened = basis @ ((basis.T @ move) / np.sqrt(np.maximum(variances, 1e-20)))
     step_path = (1 - cs) * state.step_path + math.sqrt(cs * (2 - cs) * mass) * whitened
     length = float(np.linalg.norm(step_path))
-    # a path that grows fast would stretch the covariance while the step still adapts
-    steady = length / math.sqrt(1 - (1 - cs) ** (2 * number)) < (1.4 + 2 / (n + 1)) * usual
+    # a fast-growing path would stretch the covariance while the step still adapts
+    steady = length / math.sqrt(1 - (1 - cs) ** (2 * number)) < (1.4 + 2 / (n + 1)) * expected
     path = (1 - cc) * state.path + steady * math.sqrt(cc * (2 - cc) * mass) * move
-    kept = 1 - c1 - cmu + (1 - steady) * c1 * cc * (2 - cc)
-    covariance = kept * state.covariance + c1 * np.outer(path, path) + cmu * (moves.T * weights) @ moves
-    step = state.step * math.exp(min(1.0, cs / damping * (length / usual - 1)))
+    decay = 1 - c1 - cmu + (1 - steady) * c1 * cc * (2 - cc)
+    covariance = decay * state.covariance + c1 * np.outer(path, path) + cmu * (moves.T * weights) @ moves
+    step = state.step * math.exp(min(1.0, cs / damping * (length / expected - 1)))
     return State(state.mean + state.step * move, step, covariance, step_path, path)

@@ -1,4 +1,4 @@
-"""Compiled programs kept on disk between processes: physics on a GPU takes up to a minute to compile."""
+"""A disk cache of compiled programs: physics on a GPU takes up to a minute to compile."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import jax
 
 from rcbht_jax.errors import InputError
 
-SLOW = 2.0  # s of compilation from which a program is kept
+SLOW = 2.0  # s; programs that compile faster are not stored
 
 
 def default_folder() -> Path:
-    """Where caches of a user belong: ``$XDG_CACHE_HOME`` or ``~/.cache``, in it ``rcbht-jax``."""
+    """``rcbht-jax`` in the user's cache folder: ``$XDG_CACHE_HOME`` or ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rcbht-jax"
 
 
 def use(folder: Path | None = None) -> None:
-    """Keep programs that this process compiles from now on, and load those that are kept.
+    """Store the programs that this process compiles from now on, and load stored ones.
 
     Args:
-        folder: made if it is not there; default the user's cache folder. It may be deleted at any time.
+        folder: created if it does not exist; default :func:`default_folder`. It may be deleted at any time.
 
     Raises:
-        InputError: the folder cannot be made.
+        InputError: the folder cannot be created.
     """
     folder = default_folder() if folder is None else folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"The folder {folder} for compiled programs cannot be made: {error.strerror}.") from error
+        raise InputError(f"The folder {folder} for compiled programs cannot be created: {error.strerror}.") from error
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SLOW)

@@ -1,1 +1,1 @@
-"""Readers of recorded trials and the store they are kept in."""
+"""The store of recordings, readers of recorded trials and streams, and exporters."""

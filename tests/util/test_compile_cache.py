@@ -38,7 +38,7 @@ def test_the_second_process_finds_the_programs_of_the_first(tmp_path: Path) -> N
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot be created"):
         compile_cache.use(tmp_path / "file" / "cache")
 
 

@@ -1,7 +1,7 @@
 """Import of the HIRO data sets: folders of trials -> ``Recordings`` and a report of what was not imported.
 
 Layout: DIR is a data set, or holds data sets; a data set holds one folder per trial; a trial holds
-``R_Torques.dat`` (time Fx Fy Fz Mx My Mz) and, where kept, ``R_State.dat``, ``R_Angles.dat`` and
+``R_Torques.dat`` (time Fx Fy Fz Mx My Mz) and, where recorded, ``R_State.dat``, ``R_Angles.dat`` and
 ``R_CartPos.dat``; ``L_`` files are the left arm.
 
 Notes (semicolon-separated in ``Recordings.note``):
