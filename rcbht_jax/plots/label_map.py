@@ -25,7 +25,7 @@ _CAPTIONS = {
     "state": "columns: time, normalised within each state; white: state missing, or no label",
 }
 Rows = Int[np.ndarray, " row"]
-Codes = Int8[np.ndarray, "row 6 column"]
+Codes = Int8[np.ndarray, "row 6 _column"]
 # A white rim separates lines from dark labels.
 _RIM = [Stroke(linewidth=2.2, foreground="white"), Normal()]
 

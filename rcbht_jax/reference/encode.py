@@ -24,7 +24,7 @@ MIN_SAMPLES = 7  # fewer can end in a segment of one sample, which has no slope
 WIDTHS = {"prim_raw": 7, "prim": 7, "mc_raw": 11, "mc": 11, "llb_raw": 17, "llb": 17}
 
 Signal = Float64[np.ndarray, "sample 6"]
-Tables = tuple[Float64[np.ndarray, "row column"], ...]
+Tables = tuple[Float64[np.ndarray, "_row _column"], ...]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from rcbht_jax.reference import primitives as prim
 from rcbht_jax.reference.encode import OfflineLabels, Tables
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-Rows = Float64[np.ndarray, " row"]
-Table = Float64[np.ndarray, "row column"]
+Rows = Float64[np.ndarray, " _row"]
+Table = Float64[np.ndarray, "_row _column"]
 
 
 def _span(labels: OfflineLabels, start: Rows, end: Rows, dt: float) -> tuple[Rows, Rows]:
