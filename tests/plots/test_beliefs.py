@@ -36,7 +36,7 @@ def test_the_numbers_are_those_of_the_stream():
     lines = {float(np.asarray(line.get_xdata())[0]) for line in panels[0].lines}
     assert lines == {start.time}
     assert "push" in [text.get_text() for text in panels[0].texts]
-    with pytest.raises(InputError, match="No belief"):
+    with pytest.raises(InputError, match="no belief among the events"):
         belief_map([start])
 
 
