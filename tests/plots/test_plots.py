@@ -242,13 +242,17 @@ def test_wrong_trials_are_refused(recordings: Recordings, tracks: LabelTracks) -
         trial_figure(recordings, tracks, 3)
     with pytest.raises(InputError, match=r"between 5 s and 6 s; the recording lasts 4\.5 s"):
         trial_figure(recordings, tracks, 0, seconds=(5.0, 6.0))
-    short = LabelTracks(*(LabelTrack(*(x[:2] for x in vars(track).values())) for track in vars(tracks).values()))
+    short = LabelTracks(
+        *(LabelTrack(*(x[:2] for x in vars(track).values())) for track in (tracks.primitive, tracks.mc, tracks.llb))
+    )
     with pytest.raises(InputError, match=r"shape \(2, 6, 12\); expected \[3 recordings"):
         trial_figure(recordings, short, 0)
 
 
 def test_a_recording_without_labels_is_drawn(recordings: Recordings, tracks: LabelTracks, tmp_path: Path) -> None:
-    empty = LabelTracks(*(LabelTrack(*(np.zeros_like(x) for x in vars(t).values())) for t in vars(tracks).values()))
+    empty = LabelTracks(
+        *(LabelTrack(*(np.zeros_like(x) for x in vars(t).values())) for t in (tracks.primitive, tracks.mc, tracks.llb))
+    )
     save(trial_figure(recordings, empty, 0), tmp_path / "trial.png")
     save(label_map(recordings, empty, "llb"), tmp_path / "map.png")
     save(label_map(recordings, empty, "llb", by="state"), tmp_path / "states.png")
