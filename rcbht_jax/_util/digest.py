@@ -28,8 +28,8 @@ def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
     return digest.hexdigest()
 
 
-def data_hash(recordings: Recordings) -> str:
-    """Digest of the wrenches, lengths, state times, names and classes of a data set."""
+def data_hash(recordings: Any) -> str:
+    """Digest of the wrenches, lengths, state times, names and classes of a :class:`rcbht_jax.types.Recordings`."""
     digest = hashlib.sha256()
     names = ("wrench", "length", "onset", "onset_harmonised", "trial", "arm", "session", "outcome", "failure_type")
     for name in names:
