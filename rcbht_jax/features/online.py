@@ -1,10 +1,10 @@
-"""The sentence so far as features, in constant time and memory per step, in JAX.
+"""Features of the interval so far, in constant time and memory per step, in JAX.
 
-A :class:`Tally` holds sums over the words published since the sub-task began; words that are still held by the
-encoder (what ``peek`` would say) are added for one description and forgotten again. What is described at sample n
-is therefore exactly what :func:`rcbht_jax.features.spec` says of the recording cut off after n samples: nothing
-later is used, and a test compares the two. Sums of values are kept in two single-precision numbers each, so that
-they stay exact to 1e-7 over streams of any length; durations are whole samples.
+:class:`RunningStats` holds sums over the labels published since the interval began; labels that the encoder has not
+published yet (see ``peek``) are added for one snapshot and dropped again. The features at sample n are therefore those
+that :func:`rcbht_jax.features.interval_features` makes of the recording cut off after n samples: nothing later is used,
+and a test compares the two. Sums of values are kept in two single-precision numbers each, so that they stay exact to
+1e-7 over streams of any length; durations are whole samples.
 """
 
 from __future__ import annotations
@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import FLUSH_SLOTS
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import FAMILIES, WHOLE, Features, FeatureSpec, Intervals, online_signal
-from rcbht_jax.features import interval_features as grammar_features
+from rcbht_jax.features import (
+    FAMILIES,
+    WHOLE,
+    Features,
+    FeatureSpec,
+    Intervals,
+    interval_features,
+    online_signal,
+)
 from rcbht_jax.features.signal_families import FAMILIES as LINES
 from rcbht_jax.features.word_families import UNIT
 from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
@@ -29,45 +36,43 @@ from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 CODES = max(LAYER_SIZES)  # alphabets are padded to the same size, so that the layers are one array
 _VALUES = 3  # amplitude, slope, level
-_VALUED = {"attributes", "offset", "course", "edges"}  # families that need the values of words
-_SECONDS = {"duration", "elapsed"}  # families that end with the length of the sentence
+_VALUED = {"attributes", "offset", "course", "edges"}  # families that need the attributes of labels
+_SECONDS = {"duration", "elapsed"}  # families that end with the length of the interval
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Values:
-    """What the words of one sentence are like; arrays ``[layer, axis, ...]``."""
+    """Attributes of the labels of one interval; arrays ``[layer, axis, ...]``."""
 
     total: Array  # float32 [layer, axis, group, 3], samples x (amplitude, slope, level)
     lost: Array  # float32 [layer, axis, group, 3], what rounding took from ``total``
-    top: Array  # float32 [layer, axis], highest value of any word; lowest float if none
+    top: Array  # float32 [layer, axis], highest value of any label; lowest float if none
     bottom: Array  # float32 [layer, axis], lowest value
-    first: Array  # float32 [layer, axis], value at which the first word begins; 0 if none
-    final: Array  # float32 [layer, axis], value at which the latest word ends
+    first: Array  # float32 [layer, axis], value at which the first label begins; 0 if none
+    final: Array  # float32 [layer, axis], value at which the latest label ends
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RunningStats:
-    """Sums over the words of one sentence; arrays ``[layer, axis, ...]`` for the layers of the specification."""
+    """Sums over the labels of one interval; arrays ``[layer, axis, ...]`` for the layers of the specification."""
 
-    begin: Array  # int32 [], sample at which the sentence begins
-    count: Array  # int32 [layer, axis, code], words
+    begin: Array  # int32 [], sample at which the interval begins
+    count: Array  # int32 [layer, axis, code], labels
     time: Array  # int32 [layer, axis, code], samples
     longest: Array  # int32 [layer, axis, code], samples
-    last: Array  # int32 [layer, axis, n - 1], codes of the latest words, oldest first; 0 = none
-    runs: Array  # int32 [layer, axis, code^n], runs of n words; [layer, axis, 0] where no family needs them
+    last: Array  # int32 [layer, axis, n - 1], codes of the latest labels, oldest first; 0 = none
+    runs: Array  # int32 [layer, axis, code^n], runs of n labels; [layer, axis, 0] where no family needs them
     values: Values | None  # None where no family needs them
-    readings: (
-        online_signal.DecimatedSignal | None
-    )  # of the primitives; None where no family of rcbht_jax.features.signal_families is wanted
+    readings: online_signal.DecimatedSignal | None  # of the primitives; None where no signal family needs it
 
 
 def check_online(spec: FeatureSpec) -> None:
     """Refuse families that cannot be kept up to date in constant time.
 
     Raises:
-        InputError: one of the families needs the whole sentence at once.
+        InputError: one of the families needs the whole interval at once.
     """
     whole = [family for family in spec.families if family in WHOLE]
     if whole:
@@ -78,7 +83,7 @@ def check_online(spec: FeatureSpec) -> None:
 
 
 def empty(spec: FeatureSpec, begin: Array) -> RunningStats:
-    """No word yet; ``begin`` int32 ``[]`` is the first sample of the sentence."""
+    """No label yet; ``begin`` int32 ``[]`` is the first sample of the interval."""
     lanes = (len(spec.layers), len(AXES))
     ints = jnp.zeros((*lanes, CODES), jnp.int32)
     runs = CODES**spec.ngram if "ngram" in spec.families else 0
@@ -101,10 +106,10 @@ def _no_values(lanes: tuple[int, int]) -> Values:
     return Values(total=sums, lost=sums, top=lowest, bottom=-lowest, first=zero, final=zero)
 
 
-def restart(spec: FeatureSpec, tally: RunningStats, begin: Array) -> RunningStats:
-    """The same tally, or an empty one if the sentence begins at another sample than the tally's."""
+def restart(spec: FeatureSpec, stats: RunningStats, begin: Array) -> RunningStats:
+    """The same sums, or empty ones if the interval begins at another sample than theirs."""
     fresh = empty(spec, begin)
-    return jax.tree.map(lambda new, old: jnp.where(begin == tally.begin, old, new), fresh, tally)
+    return jax.tree.map(lambda new, old: jnp.where(begin == stats.begin, old, new), fresh, stats)
 
 
 def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
@@ -118,50 +123,50 @@ def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
     return jax.tree.map(lambda *leaves: jnp.stack([padded(leaf) for leaf in leaves]), *layers)
 
 
-def grow(dt: float, tally: RunningStats, now: Array, window: int) -> RunningStats:
-    """The same tally, ready for words known at sample ``now``, at most ``window`` samples after those it has."""
-    if tally.readings is None:
-        return tally
-    return replace(tally, readings=online_signal.grow(tally.readings, dt, tally.begin, now, window))
+def grow(dt: float, stats: RunningStats, now: Array, window: int) -> RunningStats:
+    """The same sums, ready for labels known at ``now``, at most ``window`` samples later than those they have."""
+    if stats.readings is None:
+        return stats
+    return replace(stats, readings=online_signal.grow(stats.readings, dt, stats.begin, now, window))
 
 
-def add(spec: FeatureSpec, dt: float, tally: RunningStats, words: LabelTrack) -> RunningStats:
-    """Count words ``[layer, axis, slot]``; what lies before the beginning of the sentence is cut off."""
+def add(spec: FeatureSpec, dt: float, stats: RunningStats, words: LabelTrack) -> RunningStats:
+    """Add labels ``[layer, axis, slot]``; what lies before the beginning of the interval is cut off."""
     label = words.label.astype(jnp.int32)
-    span = jnp.maximum(words.t1 - jnp.maximum(words.t0, tally.begin), 0)
+    span = jnp.maximum(words.t1 - jnp.maximum(words.t0, stats.begin), 0)
     used = (label > 0) & (span > 0)
     code = jnp.where(used, label, 0)
     hot = _hot(code - 1, CODES)
     spans = jnp.where(hot, span[..., None], 0)
-    last, runs = _add_runs(spec, tally, code)
-    readings = tally.readings
+    last, runs = _add_runs(spec, stats, code)
+    readings = stats.readings
     if readings is not None:
         layer = spec.layers.index("primitive")
         primitives = jax.tree.map(lambda leaf: leaf[layer, :, : FLUSH_SLOTS[0]], words)  # the rest is padding
-        readings = online_signal.extend(readings, dt, tally.begin, primitives)
+        readings = online_signal.extend(readings, dt, stats.begin, primitives)
     return RunningStats(
-        begin=tally.begin,
-        count=tally.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
-        time=tally.time + jnp.sum(spans, axis=2, dtype=jnp.int32),
-        longest=jnp.maximum(tally.longest, jnp.max(spans, axis=2)),
+        begin=stats.begin,
+        count=stats.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
+        time=stats.time + jnp.sum(spans, axis=2, dtype=jnp.int32),
+        longest=jnp.maximum(stats.longest, jnp.max(spans, axis=2)),
         last=last,
         runs=runs,
-        values=None if tally.values is None else _add_values(spec, tally, words, used, code, span),
+        values=None if stats.values is None else _add_values(spec, stats, words, used, code, span),
         readings=readings,
     )
 
 
 def _add_values(
-    spec: FeatureSpec, tally: RunningStats, words: LabelTrack, used: Array, code: Array, span: Array
+    spec: FeatureSpec, stats: RunningStats, words: LabelTrack, used: Array, code: Array, span: Array
 ) -> Values:
-    values = tally.values
+    values = stats.values
     assert values is not None
     weighted = _values(words) * jnp.where(used, span, 0).astype(jnp.float32)[..., None]
     group_hot = _hot(_group(spec, code) - 1, CODES)
     sums = jnp.sum(jnp.where(group_hot[..., None], weighted[..., None, :], 0), axis=2)
     total, lost = _two_sum(values.total, values.lost, sums)
     lowest = float(np.finfo(np.float32).min)
-    first, final = _edge_values(values, jnp.any(tally.count > 0, axis=-1), words, used)
+    first, final = _edge_values(values, jnp.any(stats.count > 0, axis=-1), words, used)
     return Values(
         total=total,
         lost=lost,
@@ -183,9 +188,9 @@ def _values(words: LabelTrack) -> Array:
 
 
 def _edge_values(values: Values, before: Array, words: LabelTrack, used: Array) -> tuple[Array, Array]:
-    """Where the first word begins and the latest ends, after words some of which are not ``used``.
+    """Value where the first label begins and where the latest ends, after labels some of which are not ``used``.
 
-    ``before`` ``[layer, axis]`` says where there have been words already.
+    ``before`` ``[layer, axis]`` says where there have been labels already.
     """
     rising, slots = words.grad > 0, used.shape[-1]
     begins = jnp.where(rising, words.vmin, words.vmax)
@@ -218,11 +223,11 @@ def _two_sum(total: Array, lost: Array, value: Array) -> tuple[Array, Array]:
     return new, lost + ((total - (new - part)) + (value - part))
 
 
-def _add_runs(spec: FeatureSpec, tally: RunningStats, code: Array) -> tuple[Array, Array]:
-    """The latest codes, and the counts of runs, after words ``[layer, axis, slot]`` some of which are empty."""
-    last = tally.last
-    if tally.runs.shape[-1] == 0:
-        return last, tally.runs
+def _add_runs(spec: FeatureSpec, stats: RunningStats, code: Array) -> tuple[Array, Array]:
+    """The latest codes, and the counts of runs, after labels ``[layer, axis, slot]`` some of which are empty."""
+    last = stats.last
+    if stats.runs.shape[-1] == 0:
+        return last, stats.runs
     place = jnp.asarray(CODES ** np.arange(spec.ngram - 1, -1, -1), jnp.int32)
     index = []
     for slot in range(code.shape[-1]):
@@ -231,29 +236,29 @@ def _add_runs(spec: FeatureSpec, tally: RunningStats, code: Array) -> tuple[Arra
         whole = jnp.all(window > 0, axis=-1)
         index.append(jnp.where(whole, jnp.sum((window - 1) * place[None, None], axis=-1), -1))
         last = jnp.where(here > 0, window[..., 1:], last)
-    hot = _hot(jnp.stack(index, axis=-1), tally.runs.shape[-1])
-    return last, tally.runs + jnp.sum(hot, axis=2, dtype=jnp.int32)
+    hot = _hot(jnp.stack(index, axis=-1), stats.runs.shape[-1])
+    return last, stats.runs + jnp.sum(hot, axis=2, dtype=jnp.int32)
 
 
-def describe_interval(spec: FeatureSpec, dt: float, tally: RunningStats, now: Array) -> Array:
-    """Features float32 ``[feature]`` of the sentence up to sample ``now``, in the order of :func:`names`."""
+def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Array) -> Array:
+    """Features float32 ``[feature]`` of the interval up to sample ``now``, in the order of :func:`names`."""
     blocks: dict[str, Callable[[], list[Array]]] = {
-        "histogram": lambda: [_share(tally.time), _share(tally.count)],
-        "ngram": lambda: [_share(tally.runs)],
-        "duration": lambda: [_ratio(tally.time, tally.count) * dt, tally.longest.astype(jnp.float32) * dt],
+        "histogram": lambda: [_share(stats.time), _share(stats.count)],
+        "ngram": lambda: [_share(stats.runs)],
+        "duration": lambda: [_ratio(stats.time, stats.count) * dt, stats.longest.astype(jnp.float32) * dt],
     }
-    if (values := tally.values) is not None:
+    if (values := stats.values) is not None:
         blocks |= {
-            "attributes": lambda: _attributes(spec, tally, values),
-            "offset": lambda: _offset(spec, tally, values),
-            "course": lambda: _course(spec, tally, values),
-            "edges": lambda: [_compressed(_edges(tally, values))],
+            "attributes": lambda: _attributes(spec, stats, values),
+            "offset": lambda: _offset(spec, stats, values),
+            "course": lambda: _course(spec, stats, values),
+            "edges": lambda: [_compressed(_edges(stats, values))],
         }
     wide = [block for family in blocks if family in spec.families for block in blocks[family]()]
     flat = [jnp.concatenate(wide, axis=-1).reshape(-1)] if wide else []
-    if tally.readings is not None:
-        flat.append(online_signal.describe(spec.families, tally.readings, now - tally.begin))
-    flat += [((now - tally.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
+    if stats.readings is not None:
+        flat.append(online_signal.describe(spec.families, stats.readings, now - stats.begin))
+    flat += [((now - stats.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
     return jnp.concatenate(flat)[jnp.asarray(_columns(spec))]
 
 
@@ -268,46 +273,46 @@ def _share(counts: Array) -> Array:
 
 
 def _compressed(value: Array) -> Array:
-    """Signed logarithm of ``[layer, axis, column]``, as in the grammar."""
+    """Signed logarithm of ``[layer, axis, column]``, as on the host."""
     unit = jnp.asarray(UNIT, jnp.float32)[None, :, None]
     return jnp.sign(value) * jnp.log1p(jnp.abs(value) / unit)
 
 
-def _means(spec: FeatureSpec, tally: RunningStats, values: Values) -> tuple[Array, Array, Array]:
-    """Duration-weighted means: ``[layer, axis, group, 3]``, where the group occurs, and the level of the sentence."""
+def _means(spec: FeatureSpec, stats: RunningStats, values: Values) -> tuple[Array, Array, Array]:
+    """Duration-weighted means: ``[layer, axis, group, 3]``, where the group occurs, and the level of the interval."""
     groups = jnp.asarray(_groups(spec)[:, 1:, None] == np.arange(1, CODES + 1))  # [layer, code, group]
-    time = jnp.sum(jnp.where(groups[:, None], tally.time[..., None], 0), axis=2)
+    time = jnp.sum(jnp.where(groups[:, None], stats.time[..., None], 0), axis=2)
     exact = values.total + values.lost
     mean = _ratio(exact, jnp.broadcast_to(time[..., None], exact.shape))
     level = _ratio(jnp.sum(exact[..., 2], axis=-1, keepdims=True), jnp.sum(time, axis=-1, keepdims=True))
     return mean, time > 0, level
 
 
-def _attributes(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
-    mean, occurs, level = _means(spec, tally, values)
-    said = jnp.any(tally.count > 0, axis=-1)
-    span = jnp.where(said, values.top - values.bottom, 0)[..., None]
+def _attributes(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Array]:
+    mean, occurs, level = _means(spec, stats, values)
+    labelled = jnp.any(stats.count > 0, axis=-1)
+    span = jnp.where(labelled, values.top - values.bottom, 0)[..., None]
     relative = jnp.where(occurs, mean[..., 2] - level, 0)
     return [_compressed(x) for x in (mean[..., 0], mean[..., 1], relative, span)]
 
 
-def _offset(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
-    mean, _, level = _means(spec, tally, values)
+def _offset(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Array]:
+    mean, _, level = _means(spec, stats, values)
     return [_compressed(mean[..., 2]), _compressed(level)]
 
 
-def _edges(tally: RunningStats, values: Values) -> Array:
-    said = jnp.any(tally.count > 0, axis=-1)[..., None]
-    return jnp.where(said, jnp.stack([values.first, values.final, values.top, values.bottom], axis=-1), 0)
+def _edges(stats: RunningStats, values: Values) -> Array:
+    labelled = jnp.any(stats.count > 0, axis=-1)[..., None]
+    return jnp.where(labelled, jnp.stack([values.first, values.final, values.top, values.bottom], axis=-1), 0)
 
 
-def _course(spec: FeatureSpec, tally: RunningStats, values: Values) -> list[Array]:
-    edges, level = _edges(tally, values), _means(spec, tally, values)[2]
+def _course(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Array]:
+    edges, level = _edges(stats, values), _means(spec, stats, values)[2]
     return [_compressed(edges - level), _compressed(edges[..., 1:2] - edges[..., :1])]
 
 
 def _columns(spec: FeatureSpec) -> NDArray[np.int32]:
-    """Where each feature lies in ``describe``'s columns: ``[layer, axis, wide column]``, the lines', the seconds."""
+    """Where each feature lies in ``describe``'s columns: ``[layer, axis, wide column]``, signal families, seconds."""
     chosen = [family for family in FAMILIES if family in spec.families]
     width = sum(padded for family in chosen for padded, _ in _widths(spec, family, 0))
     behind = len(spec.layers) * len(AXES) * width
@@ -356,13 +361,13 @@ def names(spec: FeatureSpec) -> tuple[str, ...]:
 
 
 def weights(spec: FeatureSpec) -> NDArray[np.float64] | None:
-    """What scaled features are multiplied by ``[feature]``, as in the grammar; None = all weigh the same."""
+    """What scaled features are multiplied by ``[feature]``, as on the host; None = all weigh the same."""
     return _nothing(spec).weights(spec)
 
 
 def _nothing(spec: FeatureSpec) -> Features:
-    """The grammar's features of an empty sentence."""
+    """The features of an empty interval."""
     zero = np.zeros((1, len(AXES), 1))
     track = LabelTrack(*(zero.astype(np.int32),) * 4, *(zero,) * 4)
     one = Intervals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), 1.0)
-    return grammar_features(LabelTracks(track, track, track), one, spec)
+    return interval_features(LabelTracks(track, track, track), one, spec)
