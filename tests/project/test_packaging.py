@@ -186,3 +186,13 @@ def test_the_install_page_lists_the_extras() -> None:
     listed = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/install.md").read_text(), re.M)
     experiments = {"bench", "peers", "search"}
     assert set(listed) == set(PROJECT["optional-dependencies"]) - experiments
+
+
+def test_the_moves_of_the_changelog_lead_to_modules() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text()
+    tables = re.findall(r"^`(\w+)`:\n\n\| module of 0\.1 \| module \|\n\|[-|]+\n((?:\|.*\n)+)", text, re.M)
+    assert [package for package, _ in tables] == ["rcbht_jax", "sim_mjx"]
+    for package, rows in tables:
+        for target in re.findall(r"\| `([\w.]+)` \|$", rows, re.M):
+            module = ROOT / (target if target.startswith("rcbht_jax.") else f"{package}.{target}").replace(".", "/")
+            assert module.is_dir() or module.with_suffix(".py").is_file(), target
