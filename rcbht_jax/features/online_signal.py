@@ -1,9 +1,9 @@
-"""The families of :mod:`rcbht_jax.features.signal_families` while the sentence still grows, in constant time and memory.
+"""The families of :mod:`rcbht_jax.features.signal_families` while the interval grows, in constant time and memory.
 
-A sentence is read at every ``stride``-th sample since it began, at most READINGS times; when it outgrows them every
-other reading is dropped and the stride doubles. Each reading is of the line that covers its sample, whenever that
-line was published, so the readings depend on the samples so far and on nothing else. The grammar's equally spaced
-moments are then taken from the nearest readings, which are at most 1/256 of the sentence away from them.
+The signal is sampled at every ``stride``-th sample since the interval began, at most READINGS times; when the interval
+outgrows them every other reading is dropped and the stride doubles. Each reading is of the line that covers its sample,
+whenever that line was published, so the readings depend on the samples so far and on nothing else. The equally spaced
+moments of the host's families are then taken from the nearest readings, at most 1/256 of the interval away.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rcbht_jax.types import Array, LabelTrack
 
 READINGS = 256
 _DOUBLINGS = 22  # of the stride at most: more than sample numbers can count
-_FINE = 1024  # steps per stride to which the length of a long sentence is rounded, so that products stay in 32 bits
+_FINE = 1024  # steps per stride to which the length of a long interval is rounded, so that products stay in 32 bits
 _RISING, _FALLING = (np.isin(PRIMITIVE_GROUP, pair) for pair in ((Group.P, Group.PIMP), (Group.N, Group.NIMP)))
 _SIGNS = _RISING.astype(np.float32) - _FALLING  # [label code], the first for no label at all
 _FIRST, _SECOND = np.triu_indices(len(AXES), 1)
@@ -31,7 +31,7 @@ _FIRST, _SECOND = np.triu_indices(len(AXES), 1)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DecimatedSignal:
-    """A sentence read at samples ``begin + k stride``, and the latest line, which lasts on."""
+    """The signal at samples ``begin + k stride``, and the latest line, which is continued."""
 
     stride: Array  # int32 [], samples
     value: Array  # float32 [3, axis, reading]: 1 rising, -1 falling, 0 constant; level; slope
@@ -51,7 +51,7 @@ def empty() -> DecimatedSignal:
 
 
 def stride_of(samples: Array) -> Array:
-    """Samples between the readings of a sentence of so many samples, int32 ``[]``."""
+    """Samples between the readings of an interval of so many samples, int32 ``[]``."""
     full = jnp.asarray(READINGS << np.arange(_DOUBLINGS), jnp.int32)
     return jnp.left_shift(jnp.int32(1), jnp.sum(samples > full, dtype=jnp.int32))
 
@@ -59,7 +59,7 @@ def stride_of(samples: Array) -> Array:
 def grow(readings: DecimatedSignal, dt: float, begin: Array, now: Array, window: int) -> DecimatedSignal:
     """Drop every other reading, as often as it takes to reach to sample ``now``; ``window`` = most samples at once.
 
-    What comes into reach lies behind the beginning of the latest line, which lasts on.
+    Readings that come into reach lie after the beginning of the latest line, which is continued.
     """
     stride, value = stride_of(now - begin), readings.value
     for halving in range(max(1, (2 * window - 1) // READINGS)):
@@ -76,7 +76,7 @@ def _samples(readings: DecimatedSignal, begin: Array) -> Array:
 
 
 def extend(readings: DecimatedSignal, dt: float, begin: Array, words: LabelTrack) -> DecimatedSignal:
-    """Read primitives ``[axis, slot]``, in time order, of a sentence that began at ``begin`` and has grown to them."""
+    """Read primitives ``[axis, slot]``, in time order, of an interval that began at ``begin`` and has grown to them."""
     at, value, span, line = _samples(readings, begin), readings.value, readings.span, readings.line
     spans = jnp.stack([words.t0, words.t1])
     signs = jnp.asarray(_SIGNS)[words.label.astype(jnp.int32)]
@@ -90,7 +90,7 @@ def extend(readings: DecimatedSignal, dt: float, begin: Array, words: LabelTrack
 
 
 def _filled(value: Array, dt: float, at: Array, span: Array, line: Array, used: Array, first: Array | bool) -> Array:
-    """Readings with one line per axis in them, from its beginning on; the ``first`` line reaches back to the start."""
+    """Readings with one line per axis added, from its beginning on; the ``first`` line reaches back to the start."""
     sign, vmax, vmin, avg, slope = line[:, :, None]
     # Twice the distance from the middle of the line, which may lie between two samples.
     double = (2 * at[None] - (span[0] + span[1])[:, None]).astype(jnp.float32)
@@ -101,7 +101,7 @@ def _filled(value: Array, dt: float, at: Array, span: Array, line: Array, used: 
 
 
 def moments(samples: Array, stride: Array) -> Array:
-    """The reading nearest to each of the grammar's moments ``[moment]``, none beyond the last sample."""
+    """The reading nearest to each of the host's moments ``[moment]``, none beyond the last sample."""
     unit = jnp.maximum(stride // _FINE, 1)
     length, step = samples // unit, stride // unit
     halves = jnp.asarray(2 * np.arange(MOMENTS) + 1, jnp.int32)
@@ -129,7 +129,7 @@ class _ResampledSignal:
 
 
 def describe(families: tuple[str, ...], readings: DecimatedSignal, samples: Array) -> Array:
-    """Columns float32 ``[column]`` of the families, in the grammar's order, of a sentence of ``samples`` samples."""
+    """Columns float32 ``[column]`` of the families, in the order of the host, of an interval of ``samples`` samples."""
     sign, level, slope = readings.value[..., moments(samples, readings.stride)]
     size = jnp.max(level, axis=-1, keepdims=True) - jnp.min(level, axis=-1, keepdims=True)
     flat = size <= NEAR * jnp.max(jnp.abs(level), axis=-1, keepdims=True)
@@ -151,7 +151,7 @@ def _centred(values: Array) -> Array:
 
 
 def _compressed(value: Array) -> Array:
-    """Signed logarithm of ``[axis, column]``, as in the grammar."""
+    """Signed logarithm of ``[axis, column]``, as on the host."""
     unit = jnp.asarray(UNIT, jnp.float32)[:, None]
     return jnp.sign(value) * jnp.log1p(jnp.abs(value) / unit)
 
