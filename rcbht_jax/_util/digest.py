@@ -9,13 +9,10 @@ import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from rcbht_jax.types import Recordings
 
 
 def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
