@@ -24,7 +24,7 @@ _FACE = {
     "encoding.thresholds": ("GradientThresholds", "preset", "read_thresholds", "write_thresholds"),
     "errors": ("InputError",),
     "features": ("FeatureSpec",),
-    "features.recipes": ("recipe",),
+    "features.recipes": ("recipes",),  # the module itself
     "introspection.fault_monitor": ("FaultMonitor",),
     "introspection.introspector": ("Introspector",),
     "io.label_store": ("read_tracks", "write_tracks"),
@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from rcbht_jax.encoding.stream import Encoder
     from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
     from rcbht_jax.errors import InputError
-    from rcbht_jax.features import FeatureSpec
+    from rcbht_jax.features import FeatureSpec, recipes
+    from rcbht_jax.introspection.fault_monitor import FaultMonitor
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.io.label_store import read_tracks, write_tracks
     from rcbht_jax.io.store import read_recordings, write_recordings
@@ -58,7 +59,8 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    module = importlib.import_module(f"{__name__}.{_HOME[name]}")
+    return module if _HOME[name].endswith(f".{name}") else getattr(module, name)
 
 
 def __dir__() -> list[str]:

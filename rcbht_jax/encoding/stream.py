@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,22 +18,36 @@ _flush = jax.jit(flush, static_argnums=0)
 
 
 class WindowBuffer:
-    """Samples that do not fill a window yet: cuts chunks of any size into windows ``[window, axis]``."""
+    """Samples that do not fill a window yet, ``samples [window, axis]``; the first ``count`` of them are there."""
 
     def __init__(self, window: int, axes: int, dtype: type[np.floating]) -> None:
         self.samples: NDArray[np.floating] = np.zeros((window, axes), dtype)
-        self.count = 0  # how many of them are there; the others are left over from earlier windows
+        self.count = 0
 
-    def push(self, chunk: NDArray[np.floating]) -> Iterator[NDArray[np.floating]]:
-        """Windows that ``chunk [time, axis]`` completes; each is a view that the next one overwrites."""
-        while len(chunk):
-            part = chunk[: len(self.samples) - self.count]
-            self.samples[self.count : self.count + len(part)] = part
-            self.count += len(part)
-            chunk = chunk[len(part) :]
-            if self.count == len(self.samples):
-                self.count = 0
-                yield self.samples
+    @property
+    def room(self) -> int:
+        """Samples that the window still takes."""
+        return len(self.samples) - self.count
+
+    def checked(self, samples: ArrayLike) -> NDArray[np.floating]:
+        """Samples ``[time, axis]`` in the dtype of the buffer.
+
+        Raises:
+            InputError: wrong shape, or a value that is not finite.
+        """
+        chunk, axes = np.asarray(samples, self.samples.dtype), self.samples.shape[1]
+        if chunk.ndim != 2 or chunk.shape[1] != axes:
+            raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
+        if not np.isfinite(chunk).all():
+            raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
+        return chunk
+
+    def fill(self, chunk: NDArray[np.floating], most: int) -> NDArray[np.floating]:
+        """Take the first samples of a chunk, at most ``most`` and as many as there is room for; return the others."""
+        part = chunk[: min(most, self.room)]
+        self.samples[self.count : self.count + len(part)] = part
+        self.count += len(part)
+        return chunk[len(part) :]
 
 
 class Encoder:
@@ -84,15 +96,13 @@ class Encoder:
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
         """
-        chunk = np.asarray(samples, self._buffer.samples.dtype)
-        if chunk.ndim != 2 or chunk.shape[1] != self._axes:
-            raise InputError(f"Samples have shape {chunk.shape}; expected [time, {self._axes}].")
-        if not np.isfinite(chunk).all():
-            raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
-        published = []
-        for window in self._buffer.push(chunk):
-            self._state, packed = _step(self._config, self._limits, self._state, jnp.array(window))
-            published.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed)))
+        chunk, published = self._buffer.checked(samples), []
+        while len(chunk):
+            chunk = self._buffer.fill(chunk, self._config.window)
+            if not self._buffer.room:
+                window, self._buffer.count = jnp.array(self._buffer.samples), 0
+                self._state, packed = _step(self._config, self._limits, self._state, window)
+                published.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed)))
         return published
 
     def peek(self) -> LabelTracks:

@@ -53,7 +53,7 @@ __all__ = [
     "Intervals",
     "balanced_weights",
     "concatenate_arms",
+    "concatenate_features",
     "interval_features",
     "longest",
-    "concatenate_features",
 ]

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
+from rcbht_jax.encoding.stream import WindowBuffer
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
 from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
@@ -145,8 +146,7 @@ class Introspector:
 
     def _restart(self) -> None:
         self._state: StreamState = _begin(self._chain.views)
-        self._rest: NDArray[np.float32] = np.zeros((self._config.window, 6), np.float32)
-        self._count = 0
+        self._buffer = WindowBuffer(self._config.window, 6, np.float32)
         self._complete = 0  # samples in complete windows
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None
@@ -155,7 +155,7 @@ class Introspector:
     @property
     def received(self) -> int:
         """Samples received so far."""
-        return self._complete + self._count
+        return self._complete + self._buffer.count
 
     def warm_up(self) -> None:
         """Compile the chain now, which takes seconds, not in the first :meth:`push`; the stream is unchanged."""
@@ -193,37 +193,30 @@ class Introspector:
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
         """
-        chunk = np.asarray(samples, np.float32)
-        if chunk.ndim != 2 or chunk.shape[1] != 6:
-            raise InputError(f"Samples have shape {chunk.shape}; expected [time, 6].")
-        if not np.isfinite(chunk).all():
-            raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
+        chunk = self._buffer.checked(samples)
         events: list[Event] = []
         end = self.received + len(chunk)
         while len(chunk):
-            taken = chunk[: self._due()]
-            self._rest[self._count : self._count + len(taken)] = taken
-            self._count += len(taken)
-            chunk = chunk[len(taken) :]
+            chunk = self._buffer.fill(chunk, self._due())
             self._time = None if time is None else time - (end - self.received) * self._config.dt
             events += self._advance()
         return events
 
     def _due(self) -> int:
         """Samples until the window is complete or a belief is due, whichever comes first."""
-        left = self._config.window - self._count
-        return left if self._every is None else min(left, self._every - self.received % self._every)
+        room = self._buffer.room
+        return room if self._every is None else min(room, self._every - self.received % self._every)
 
     def _now(self) -> float:
         return self.received * self._config.dt if self._time is None else self._time
 
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.
-        count, begins = np.int32(self._count), self._begins.copy()
-        return _infer(self._chain, self._limits, self._machines, self._state, self._rest.copy(), count, begins)
+        window, count, begins = self._buffer.samples.copy(), np.int32(self._buffer.count), self._begins.copy()
+        return _infer(self._chain, self._limits, self._machines, self._state, window, count, begins)
 
     def _advance(self) -> list[Event]:
-        complete = self._count == self._config.window
+        complete = not self._buffer.room
         asked = complete if self._every is None else self.received % self._every == 0
         if not (complete or asked):
             return []
@@ -231,7 +224,7 @@ class Introspector:
         events = self._answer([np.asarray(p) for p in probabilities]) if asked else []
         if complete:
             self._state = state
-            self._complete, self._count = self._complete + self._config.window, 0
+            self._complete, self._buffer.count = self._complete + self._config.window, 0
             new = np.asarray(published.ints).reshape(3, 3, 6)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
         return events
