@@ -1,6 +1,6 @@
 """The tables and numbers on the README and in the documentation, read from the committed results.
 
-A page holds a table between two lines, ``<!-- table NAME: python -m experiments.pages -->`` and
+A page has a table between two lines, ``<!-- table NAME: python -m experiments.pages -->`` and
 ``<!-- end of table -->``, and a number inside a sentence between two marks:
 
     ``<!-- number FORMAT RESULT > KEY > ... -->0.981<!-- /number -->``
@@ -33,8 +33,8 @@ _FIRST = re.compile(r"^[ \t]*<!--\s+/?number", re.M)
 
 def pages() -> list[Path]:
     """Every page with a table or a number."""
-    found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    texts = {page: page.read_text(encoding="utf-8") for page in found}
+    paths = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    texts = {page: page.read_text(encoding="utf-8") for page in paths}
     return [page for page, text in texts.items() if _TABLE.search(text) or _NUMBER.search(text)]
 
 
@@ -95,8 +95,8 @@ def replaced(page: Path) -> str:
         return f"{match[1]}{TABLES[match[2]](results)}\n{match[3]}"
 
     text = _TABLE.sub(table, page.read_text(encoding="utf-8"))
-    if found := _FIRST.search(text):
-        line = text.count("\n", 0, found.end()) + 1
+    if mark := _FIRST.search(text):
+        line = text.count("\n", 0, mark.end()) + 1
         raise InputError(f"{page}, line {line}: the mark of a number must not begin a line; move a word before it.")
     return _NUMBER.sub(lambda match: f"{match[1]}{number(match[2], match[3])}{match[4]}", text)
 

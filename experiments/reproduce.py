@@ -87,8 +87,8 @@ class Spent:
 def record_of(name: str, folder: Path) -> dict[str, Any]:
     """A result file as it is, or nothing."""
     path = folder / f"{name}.json"
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return found
+    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return record
 
 
 def lacking(experiment: Experiment, peers: Path | None) -> str:
@@ -169,18 +169,18 @@ def note(form: Form, spent: Spent) -> None:
 
 def compare(forms: list[Form]) -> list[str]:
     """How far results in another folder, and those of shorter forms, are from the committed ones: lines."""
-    said = []
+    lines = []
     if RESULTS != COMMITTED:
         for path in sorted(RESULTS.glob("*.json")):
             if committed := record_of(path.stem, COMMITTED):
-                said.append(agreement.whole(path.stem, record_of(path.stem, RESULTS)["result"], committed["result"]))
+                lines.append(agreement.whole(path.stem, record_of(path.stem, RESULTS)["result"], committed["result"]))
     for form in (form for form in forms if form.short):
         for name in form.experiment.names:
             made, committed = record_of(name, form.results), record_of(name, COMMITTED)
             if made and committed:
                 options = " ".join(form.experiment.shorter)
-                said.append(agreement.shorter(name, made["result"], committed["result"], options))
-    return said
+                lines.append(agreement.shorter(name, made["result"], committed["result"], options))
+    return lines
 
 
 def choose(args: argparse.Namespace) -> list[Form]:

@@ -1,4 +1,4 @@
-"""How far a result that was made again is from the committed one."""
+"""Difference between a repeated result and the committed one."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def largest_difference(first: Any, second: Any) -> tuple[float, str]:
     return worst
 
 
-def inside(made: Any, committed: Any) -> tuple[int, list[str]]:
+def inside(repeated: Any, committed: Any) -> tuple[int, list[str]]:
     """How many scores of a result the committed one has an interval for, and a line for each that lies outside."""
-    scores = {place: score for place, score, _, _ in intervals(made)}
+    scores = {place: score for place, score, _, _ in intervals(repeated)}
     known = [one for one in intervals(committed) if one[0] in scores]
     margin = 5e-4  # results are rounded
     out = [
@@ -57,23 +57,23 @@ def inside(made: Any, committed: Any) -> tuple[int, list[str]]:
     return len(known), out
 
 
-def whole(name: str, made: Any, committed: Any) -> str:
+def whole(name: str, repeated: Any, committed: Any) -> str:
     """What there is to say of a result made in the same way."""
-    difference, place = largest_difference(made, committed)
+    difference, place = largest_difference(repeated, committed)
     return f"{name}: largest difference from the committed result {difference:g} {place}".rstrip()
 
 
-def shorter(name: str, made: Any, committed: Any, options: str) -> str:
+def shorter(name: str, repeated: Any, committed: Any, options: str) -> str:
     """What there is to say of a shorter form of a result."""
-    count, out = inside(made, committed)
+    count, out = inside(repeated, committed)
     if count:
-        said = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals"
+        text = f"{count - len(out)} of {count} scores lie in the committed 95 % intervals"
     else:
-        here, there = dict(numbers(made)), dict(numbers(committed))
+        here, there = dict(numbers(repeated)), dict(numbers(committed))
         both = {place: abs(here[place] - there[place]) for place in here if place in there}
         place = max(both, key=lambda one: both[one], default="")
-        said = (
+        text = (
             f"no interval to hold it against; largest difference of {len(both)} numbers {both.get(place, 0):g} {place}"
         )
-    lines = [f"{name}: a shorter form ({options}); {said}", *(f"  outside: {line}" for line in out)]
+    lines = [f"{name}: a shorter form ({options}); {text}", *(f"  outside: {line}" for line in out)]
     return "\n".join(lines).rstrip()

@@ -1,16 +1,15 @@
-"""The classification benchmarks on the recorded trials, and how a learner is scored on them: one place for all."""
+"""Classification benchmarks on the recorded trials, and how an estimator is scored on them."""
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments._lib.catalogue import DATA
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Split
@@ -44,10 +43,10 @@ class Benchmark:
         began = time.perf_counter()
         splits = self.splits(items, repeats, seed)
         if self.train_on:
-            found = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed).summary()
+            scores = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed).summary()
         else:
-            found = validation.cross_validate(learner, items.y, splits, seed).summary()
-        return rounded(found) | {"seconds": round(time.perf_counter() - began, 1)}
+            scores = validation.cross_validate(learner, items.y, splits, seed).summary()
+        return rounded(scores) | {"seconds": round(time.perf_counter() - began, 1)}
 
     def about(self, items: LabelledIntervals) -> dict[str, Any]:
         """What must be known to read a score."""
@@ -81,7 +80,12 @@ BENCHMARKS = {
 
 def recorded() -> Recordings:
     """The authors' trials, from the folder that RCBHT_DATA names."""
-    return read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))[0]
+    return read_hiro(DATA)[0]
+
+
+def of_sources(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
+    """The recordings of some data sets."""
+    return recordings.take(np.isin(recordings.source, sources))
 
 
 def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:

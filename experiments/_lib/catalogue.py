@@ -1,4 +1,4 @@
-"""Every experiment: what makes it, what it takes, and a shorter form of those that take hours."""
+"""All experiments: command, duration, requirements, and a shorter form of those that take hours."""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""Rows of a result kept one by one, so that an interrupted experiment goes on where it stopped."""
+"""Rows of a result, stored one by one, so that an interrupted experiment resumes."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -13,13 +15,24 @@ import rcbht_jax
 from experiments._lib.results_io import RESULTS, write_result
 
 
+def arguments(text: str | None, repeats: int, *positional: str) -> argparse.Namespace:
+    """The options that experiments of rows share."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in positional:
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--repeats", type=int, default=repeats)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", default=[""], help="make the rows whose names contain one of these")
+    return parser.parse_args()
+
+
 class Rows:
-    """The rows of ``experiments/results/<name>.json``, which are kept if they were made in the same way.
+    """The rows of ``experiments/results/<name>.json``; those made in the same way are reused.
 
     Args:
         name: of the result.
         command: that makes it.
-        about: what holds for all rows (JSON values); rows made with another one are made anew.
+        about: facts about all rows (JSON values); if they differ, all rows are made again.
         seed: of the experiment.
     """
 
@@ -35,15 +48,15 @@ class Rows:
         if known == (rcbht_jax.__version__, seed, json.loads(json.dumps(self.about))):
             self.done = rows
 
-    def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Callable[[str], bool] = lambda row: True) -> None:
+    def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Sequence[str] = ("",)) -> None:
         """Make the rows that are missing, in order; each is on disk before the next is begun.
 
         Args:
             wanted: how to make each row (JSON values); all of them together are the complete result.
-            only: which to make now.
+            only: texts; rows whose names contain one of them are made now.
         """
         self.done = {row: self.done[row] for row in wanted if row in self.done}
-        missing = [row for row in wanted if row not in self.done and only(row)]
+        missing = [row for row in wanted if row not in self.done and any(text in row for text in only)]
         with tqdm(missing, desc=self.name, unit="row", file=sys.stderr, disable=None) as bar:
             for row in bar:
                 bar.set_postfix_str(row)

@@ -1,8 +1,8 @@
-"""Learners on the raw wrench: what a practitioner would use instead of words, and what a few samples give away.
+"""Estimators on the raw wrench: common methods for time series, and probes that see only a few samples.
 
-Each takes segments ``[time, channel]`` of any lengths. Those that need one length see them resampled to ``LENGTH``
-samples by straight lines, which hides how long a segment lasted. Whatever is fitted (normalisation, random kernels,
-hyper-parameters) is fitted on the training rows.
+Each takes segments ``[time, channel]`` of any lengths. Those that need equal lengths resample to ``LENGTH`` samples by
+linear interpolation, which removes the duration. Normalisation, random kernels and hyper-parameters are fitted on the
+training rows.
 
 Sources: MiniRocket (Dempster et al. 2021), MultiRocket and Hydra (Tan et al. 2022, Dempster et al. 2023), all of the
 library aeon; SAX (Lin et al. 2007), bag of SAX words (Lin et al. 2012), 1d-SAX (Malinowski et al. 2013) of tslearn.

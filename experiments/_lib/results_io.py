@@ -1,4 +1,4 @@
-"""One way to keep a result: small JSON with what is needed to repeat it."""
+"""Results on disk: small JSON files with what is needed to repeat them."""
 
 from __future__ import annotations
 

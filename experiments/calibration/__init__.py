@@ -1,1 +1,1 @@
-"""What calibrated gradient thresholds are worth, and what they cost."""
+"""Accuracy and cost of calibrated gradient thresholds."""

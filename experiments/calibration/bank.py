@@ -1,11 +1,11 @@
-"""A bank of thresholds instead of one set: grammars of many scales and windows, averaged as kernels.
+"""A bank of encoders with different thresholds and windows, whose kernels are selected or averaged.
 
 Each member of the bank is an encoder: the preset's limits times 1/256 ... 2, forces and moments together or apart,
 windows of 5, 10 and 20 samples. Features are plain words, richer words (both without duration and absolute offset) or
-all families; ranks, a linear kernel per member. One member is chosen inside the training side, or kernels are averaged:
-all of them, those of one window, the best eight, or weighted by how well each agrees with the classes of the training
-side. Compared with the preset alone on the same features and folds: "gain" is the difference fold by fold. "wrong"
-counts, sentence by sentence, the repeats that said another state.
+all families, scaled by ranks, with a linear kernel per member. One member is selected on the training side, or kernels
+are averaged: all, those of one window, the best eight, or weighted by their alignment with the classes of the training
+side. "gain" is the difference, fold by fold, from the preset alone on the same features. "wrong" counts the repeats in
+which a sentence was misclassified.
 
 Run: python -m experiments.calibration.bank STORE.zarr
 """
@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
 from experiments._lib.checkpointed_rows import Rows
-from experiments.calibration.methods import REAL, SIM1, part_of, rounded
 from experiments.calibration.near_preset import Near
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -86,10 +86,10 @@ def labelled(recordings: Recordings) -> list[LabelTracks]:
 
 
 def bank(recordings: Recordings, items: LabelledIntervals, tracks: list[LabelTracks], spec: FeatureSpec) -> Bank:
-    made: list[Features] = [extract_features(track, items, spec) for track in tracks]
+    members: list[Features] = [extract_features(track, items, spec) for track in tracks]
     distance = np.array([abs(np.log2([s, t, w / WINDOWS[0]])).max() for w, s, t in BANK])
-    x = np.stack([one.values.astype(np.float32) for one in made])
-    return Bank(x, items.y, items.trial, distance, weight=made[0].weights(spec))
+    x = np.stack([one.values.astype(np.float32) for one in members])
+    return Bank(x, items.y, items.trial, distance, weight=members[0].weights(spec))
 
 
 def filled_in(recordings: Recordings, items: LabelledIntervals) -> NDArray[np.bool_]:
@@ -110,7 +110,7 @@ def main() -> None:
 
     @cache
     def of(source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
-        recordings = part_of(store, (source,))
+        recordings = of_sources(store, (source,))
         return recordings, labelled_intervals(recordings, TaskSpec()), labelled(recordings)
 
     @cache
@@ -119,28 +119,28 @@ def main() -> None:
 
     @cache
     def folds(spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
-        items, made, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
+        items, members, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
         splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
 
         def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
-            said, chosen = made.learner(method)(train, test, seed)
-            wrong.update(test[said != items.y[test]].tolist())
-            return said, chosen
+            predicted, chosen = members.learner(method)(train, test, seed)
+            wrong.update(test[predicted != items.y[test]].tolist())
+            return predicted, chosen
 
         return validation.cross_validate(learn, items.y, splits, SEED), wrong
 
     def sim1(spec: str, method: str) -> dict[str, Any]:
         recordings, items, _ = of(SIM1)
-        found, wrong = folds(spec, method)
-        halved = (1 + found.accuracy - folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
+        scores, wrong = folds(spec, method)
+        halved = (1 + scores.accuracy - folds(spec, "preset")[0].accuracy) / 2  # a difference may be negative
         gain = (2 * limit - 1 for limit in metrics.corrected_interval(halved, 1 / 4))
         filled = filled_in(recordings, items)
-        chosen = Counter(choice["candidates"][0] for repeat in found.chosen for choice in repeat)
+        chosen = Counter(choice["candidates"][0] for repeat in scores.chosen for choice in repeat)
         return {
-            "accuracy": rounded(found.summary()["accuracy"]),
+            "accuracy": rounded(scores.summary()["accuracy"]),
             "gain": rounded(dict(zip(("mean", "low", "high"), gain, strict=True))),
             "chosen": {about["bank"][member]: times for member, times in chosen.most_common()},
-            "confusion": found.confusion.tolist(),
+            "confusion": scores.confusion.tolist(),
             "wrong": {
                 f"{items.trial[i]} {items.classes[items.y[i]]}{', S3 filled in' if filled[i] else ''}": times
                 for i, times in sorted(wrong.items())
@@ -151,10 +151,10 @@ def main() -> None:
         _, items, _ = of(REAL)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
         learner = learners(REAL, spec).learner(method)
-        found = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
+        scores = validation.holdout_score(learner, items.y, items.trial, (train, test), SEED)
         return {
-            "accuracy": rounded(found.summary()["accuracy"]),
-            "chosen": about["bank"][found.chosen["candidates"][0]],
+            "accuracy": rounded(scores.summary()["accuracy"]),
+            "chosen": about["bank"][scores.chosen["candidates"][0]],
         }
 
     wanted: dict[str, Callable[[], Any]] = {}

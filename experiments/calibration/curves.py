@@ -1,15 +1,15 @@
-"""What each way of calibrating reaches in how much time: random search, halving with CMA-ES, gradients, Optuna's TPE.
+"""Objective over time of four calibration methods: random search, halving with CMA-ES, gradients, Optuna's TPE.
 
-All on the states of the authors' simulated one-arm trials with the same objective: the accuracy of a ridge classifier
-on time shares, each training trial left out in turn, plus half its explained variance, on hard labels. A quarter of the
-trials is held out per seed; a classifier trained on the training trials scores the chosen thresholds there, and
-nothing is chosen by that. Training follows the loss of a classifier that it trains along, or (fit) the smooth part of
-the objective itself. Times are processor seconds of this process, compilation not counted. Optuna (extra
-``search``) asks for one candidate at a time: its clock is its own time plus what the NumPy taxonomy takes for
-the training trials, measured here; the scores come from the same labels as everybody's.
+All methods use the states of the authors' simulated one-arm trials and the same objective: leave-one-trial-out accuracy
+of a ridge classifier on time shares, plus half its explained variance, on hard labels. A quarter of the trials is held
+out per seed; a classifier trained on the training trials scores the chosen thresholds there, and nothing is selected by
+that score. The gradient method minimises the loss of a classifier trained along with the thresholds, or (fit) the
+smooth part of the objective itself. Times are processor seconds of this process without compilation. Optuna (extra
+``search``) proposes one candidate at a time: its time is its own plus that of the NumPy taxonomy on the training
+trials, measured here; its scores come from the same labels as those of the other methods.
 
 Run: python -m experiments.calibration.curves STORE.zarr [--methods random halving ...]
-Every finished row is kept; run it again to go on where it was interrupted.
+Finished rows are stored; the same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 
+from experiments._lib.benchmarks import SIM1, of_sources
 from experiments._lib.checkpointed_rows import Rows
-from experiments.calibration.methods import SIM1, part_of
 from experiments.calibration.speed import numpy_rate
 from rcbht_jax.calibration import gradient
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -61,8 +61,9 @@ class Side:
         """Accuracy and log-loss on the held-out trials of a classifier trained on the others."""
         x, test = (self._shares(data, limits) for data in (self.inside, self.outside))
         model = LogisticRegression(C=10.0, max_iter=2000).fit(x, self.inside.y.ravel())
-        truth, said = self.outside.y.ravel(), model.predict_proba(test)
-        return float((said.argmax(1) == truth).mean()), float(log_loss(truth, said, labels=model.classes_))
+        y_true, probability = self.outside.y.ravel(), model.predict_proba(test)
+        accuracy = float((probability.argmax(1) == y_true).mean())
+        return accuracy, float(log_loss(y_true, probability, labels=model.classes_))
 
     def _shares(self, data: CalibrationData, limits: np.ndarray) -> np.ndarray:
         one = jnp.asarray(limits[None], data.windows.slope.dtype)
@@ -102,7 +103,7 @@ def row(side: Side, seconds: np.ndarray, values: np.ndarray, limits: np.ndarray)
 def random_search(side: Side, seed: int, count: int) -> dict[str, Any]:
     """Sobol points, the preset among them, a chunk at a time."""
     options = SearchOptions(space=SPACE, candidates=count, seed=seed)
-    limits, chunk = SPACE.limits(options.points()), 128
+    limits, chunk = np.asarray(SPACE.thresholds(options.points()).limits), 128
     side.values(limits[:chunk])  # compiles
     seconds, values, start = [], [], time.process_time()
     for first in range(0, count, chunk):
@@ -115,17 +116,17 @@ def random_search(side: Side, seed: int, count: int) -> dict[str, Any]:
 def halving(side: Side, seed: int, count: int) -> dict[str, Any]:
     """Successive halving over the trials, then CMA-ES around the best, replayed from what the search notes."""
     options = SearchOptions(space=SPACE, candidates=count, rungs=(0.25, 1.0), generations=16, seed=seed)
-    side.values(SPACE.limits(options.points()[:128]))
+    side.values(np.asarray(SPACE.thresholds(options.points()[:128]).limits))
     search(side.inside, side.config, SearchOptions(space=SPACE, candidates=128, rungs=(0.25, 1.0), generations=1))
     notes: list[float] = []
     start = time.process_time()
-    found = search(side.inside, side.config, options, progress=lambda _: notes.append(time.process_time() - start))
-    accuracy, loss = side.held_out(np.asarray(found.thresholds.limits))
-    share = notes[-1] / found.history[-1][1]  # processor seconds for a second of the clock
-    points = [[round(s * share, 4), round(value, 4), None, None] for _, s, value in found.history]
+    result = search(side.inside, side.config, options, progress=lambda _: notes.append(time.process_time() - start))
+    accuracy, loss = side.held_out(np.asarray(result.thresholds.limits))
+    share = notes[-1] / result.history[-1][1]  # processor seconds for a second of the clock
+    points = [[round(s * share, 4), round(value, 4), None, None] for _, s, value in result.history]
     points[-1][2:] = [round(accuracy, 4), round(loss, 4)]
     return {
-        "evaluations": found.evaluations,
+        "evaluations": result.evaluations,
         "seconds": round(notes[-1], 2),
         "curve (seconds, objective, held-out accuracy, held-out log-loss)": points,
     }
@@ -168,7 +169,7 @@ def tpe(side: Side, seed: int, count: int) -> dict[str, Any]:
         trial = study.ask()
         point = np.array([trial.suggest_float(f"x{k}", 0, 1) for k in range(SPACE.dimensions)])
         own += time.process_time() - start
-        limits = SPACE.limits(point[None])
+        limits = np.asarray(SPACE.thresholds(point[None]).limits)
         value = float(side.values(limits)[0])
         start = time.process_time()
         study.tell(trial, value)
@@ -189,7 +190,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--asked", type=int, default=200, help="candidates that Optuna asks for")
     given = parser.parse_args()
-    recordings = part_of(read_recordings(given.store), (SIM1,))
+    recordings = of_sources(read_recordings(given.store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
     data = calibration_data(recordings, labelled_intervals(recordings, TaskSpec()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
@@ -209,7 +210,7 @@ def main() -> None:
         "candidates": given.candidates, "steps": given.steps, "asked": given.asked, "trials": len(data),
     }  # fmt: skip
     rows = Rows("calibration_curves", "python -m experiments.calibration.curves STORE.zarr", about, seed=0)
-    rows.fill(wanted, lambda name: not given.methods or name.split(" | ")[0] in given.methods)
+    rows.fill(wanted, [f"{method} | seed" for method in given.methods] or [""])
 
 
 if __name__ == "__main__":

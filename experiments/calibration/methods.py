@@ -1,7 +1,7 @@
-"""What calibrated thresholds are worth: preset, context, search and gradient on hard labels with nested SVMs.
+"""Accuracy with thresholds from each calibration method: preset, context, search and gradient, with nested SVMs.
 
 Run: python -m experiments.calibration.methods STORE.zarr [--tasks sim1 real-transfer sim1-to-real failure-type]
-Thresholds are chosen inside the training side of every split; results are added task by task.
+Thresholds are chosen on the training side of every split; results are added task by task.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
 from experiments._lib.results_io import RESULTS, write_result
-from rcbht_jax.calibration import contextual, gradient
-from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
+from experiments._lib.thresholds import trained_thresholds
+from rcbht_jax.calibration import contextual
+from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.nested import CalibratedSvm, CandidateBank, Choose, fixed
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec, recipes
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -30,8 +32,6 @@ from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-SIM1, REAL = "SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS"
-FAILURES = "SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob"
 WORDS, FULL = FeatureSpec(families=recipes.PLAIN), FeatureSpec(families=recipes.FULL)
 GRID = Grid(kernels=("linear", "rbf"), costs=(0.1, 1.0, 10.0, 100.0), scalings=(True,))
 TOP = 6
@@ -39,65 +39,55 @@ SCALES = 2.0 ** (np.arange(-4, 5) / 2)
 SEED = 0
 
 
-def library_limits(count: int) -> np.ndarray:
-    """The preset, then Sobol points: half with one set for forces and one for moments, half per axis."""
+def candidates(count: int) -> GradientThresholds:
+    """``[count, 6, 4]``: the preset and Sobol points, half with one set each for forces and moments, half per axis."""
     spaces = (SearchSpace(groups=(0, 0, 0, 1, 1, 1)), SearchSpace())
-    parts = [s.limits(SearchOptions(space=s, candidates=count // 2, seed=SEED).points()) for s in spaces]
-    return np.concatenate(parts)
+    parts = [s.thresholds(SearchOptions(space=s, candidates=count // 2, seed=SEED).points()) for s in spaces]
+    return joined(*parts)
 
 
-def part_of(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
-    return recordings.take(np.isin(recordings.source, sources))
+def joined(*parts: GradientThresholds) -> GradientThresholds:
+    """``[n, 6, 4]`` of parts of any number."""
+    return GradientThresholds(np.concatenate([np.asarray(part.limits).reshape(-1, 6, 4) for part in parts]))
 
 
 def methods(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig, count: int) -> dict[str, Choose]:
     data = calibration_data(recordings, items, config)
     start = time.perf_counter()
-    library = CandidateBank.make(data, config, library_limits(count))
+    bank = CandidateBank.make(data, config, candidates(count))
     print(f"{count} candidates on {len(data)} trials: {time.perf_counter() - start:.0f} s", flush=True)
     (spans,) = items.intervals
     rows_of = np.array(list(dict.fromkeys(spans.recording.tolist())))
-    best = library.chooser(Objective(), TOP)
+    best = bank.chooser(Objective(), TOP)
 
-    def by_context(rows: np.ndarray, seed: int) -> np.ndarray:
-        pair = [
-            contextual.calibrate(recordings, rows_of[rows], config, copy=copy)
-            for copy in (contextual.AUTHORS_COPY, contextual.OWN)
-        ]
-        return np.stack([np.asarray(one.thresholds.limits) for one in pair])
+    def by_context(rows: np.ndarray, seed: int) -> GradientThresholds:
+        rules = (contextual.AUTHORS_COPY, contextual.OWN)
+        return joined(
+            *(contextual.calibrate(recordings, rows_of[rows], config, copy=copy).thresholds for copy in rules)
+        )
 
-    def by_gradient(rows: np.ndarray, seed: int) -> np.ndarray:
-        return trained_limits(data.take(rows), config)[None]
-
-    found = {
-        "preset": fixed(preset().limits),
+    chosen: dict[str, Choose] = {
+        "preset": fixed(preset()),
         "context": by_context,
-        "search, best": library.chooser(Objective(), 1),
-        f"search, inner folds choose among {TOP} and the preset": lambda rows, seed: np.concatenate(
-            [np.asarray(preset().limits)[None], best(rows, seed)]
-        ),
+        "search, best": bank.chooser(Objective(), 1),
+        f"search, inner folds choose among {TOP} and the preset": lambda rows, seed: joined(preset(), best(rows, seed)),
         "preset scaled, inner folds choose the scale": fixed(np.asarray(preset().limits) * SCALES[:, None, None]),
-        "gradient": by_gradient,
+        "gradient": lambda rows, seed: joined(trained_thresholds(data.take(rows), config)),
     }
-    return {name: remembered(choose) for name, choose in found.items()}
+    return {name: remembered(choose) for name, choose in chosen.items()}
 
 
 def remembered(choose: Choose) -> Choose:
-    """The same, but a fold that comes again is not calibrated again."""
-    known: dict[bytes, np.ndarray] = {}
+    """The same with a cache: a fold is calibrated once."""
+    known: dict[bytes, GradientThresholds] = {}
 
-    def once(rows: np.ndarray, seed: int) -> np.ndarray:
+    def once(rows: np.ndarray, seed: int) -> GradientThresholds:
         key = rows.tobytes()
         if key not in known:
             known[key] = choose(rows, seed)
         return known[key]
 
     return once
-
-
-def trained_limits(data: CalibrationData, config: EncoderConfig) -> np.ndarray:
-    options = gradient.GradientOptions(steps=60, rate=0.1, temperature=(0.7, 0.1))
-    return np.asarray(gradient.calibrate(data, config, preset(), options).thresholds.limits)
 
 
 def compare(
@@ -120,17 +110,17 @@ def compare(
         for title, features in (("words", WORDS), ("words, duration and offset", FULL)):
             start = time.perf_counter()
             learner = CalibratedSvm(recordings, items, config, choose, GRID, features).learner()
-            made = measure(learner, items)
-            result.setdefault(name, {})[title] = made
-            print(name, "|", title, "|", made, f"{time.perf_counter() - start:.0f} s", flush=True)
+            scores = measure(learner, items)
+            result.setdefault(name, {})[title] = scores
+            print(name, "|", title, "|", scores, f"{time.perf_counter() - start:.0f} s", flush=True)
     return result
 
 
 def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], dict[str, Any]]:
     def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
-        made = validation.cross_validate(learner, items.y, splits, SEED)
-        return {key: rounded(made.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
+        scores = validation.cross_validate(learner, items.y, splits, SEED)
+        return {key: rounded(scores.summary()[key]) for key in ("accuracy", "balanced_accuracy")}
 
     return measure
 
@@ -138,22 +128,18 @@ def folds(repeats: int) -> Callable[[validation.Estimator, LabelledIntervals], d
 def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[..., dict[str, Any]]:
     def measure(learner: validation.Estimator, items: LabelledIntervals) -> dict[str, Any]:
         split = tuple(np.flatnonzero(np.isin(items.session, side)) for side in (train_on, test_on))
-        made = validation.holdout_score(learner, items.y, items.trial, (split[0], split[1]), SEED)
-        return {key: rounded(value) for key, value in made.summary().items()}
+        scores = validation.holdout_score(learner, items.y, items.trial, (split[0], split[1]), SEED)
+        return {key: rounded(value) for key, value in scores.summary().items()}
 
     return measure
 
 
-def rounded(values: dict[str, float]) -> dict[str, float]:
-    return {key: round(value, 4) for key, value in values.items()}
-
-
 def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any]:
     if task == "sim1":
-        return compare(part_of(store, (SIM1,)), TaskSpec(), folds(repeats), count)
+        return compare(of_sources(store, (SIM1,)), TaskSpec(), folds(repeats), count)
     if task == "failure-type":
         spec = TaskSpec("failure-type")
-        return compare(part_of(store, (FAILURES,)), spec, folds(1), count)
+        return compare(of_sources(store, (FAILURES,)), spec, folds(1), count)
     result = {}
     sources, pairs = {
         "real-transfer": ((REAL,), ((("A",), ("B",)), (("B",), ("A",)))),
@@ -164,7 +150,7 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
             name = f"{'+'.join(train_on)} -> {'+'.join(test_on)}, {boundaries}"
             print(name, flush=True)
             spec = TaskSpec(boundaries=boundaries)
-            result[name] = compare(part_of(store, sources), spec, across(train_on, test_on), count)
+            result[name] = compare(of_sources(store, sources), spec, across(train_on, test_on), count)
     return result
 
 
@@ -179,9 +165,9 @@ def main() -> None:
     path = RESULTS / "calibration.json"
     for task in given.tasks:
         known = json.loads(path.read_text())["result"] if path.exists() else {}
-        made = run(task, store, given.candidates, given.repeats)
+        scores = run(task, store, given.candidates, given.repeats)
         command = "python -m experiments.calibration.methods STORE.zarr"
-        write_result("calibration", command, known | {task: made}, seed=SEED)
+        write_result("calibration", command, known | {task: scores}, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Thresholds near the preset: what choosing, shrinking and averaging are worth on held-out trials.
+"""Thresholds near the preset: the value of selecting, shrinking and averaging on held-out trials.
 
 A thousand candidates cannot be ranked with 29 trials. Here three numbers vary, each by a factor of at most eight: the
-small limit of the forces, that of the moments, and all larger limits. Words alone (histogram, n-grams, attributes; no
-duration, no offset), scaled by ranks, a linear kernel per candidate. Everything is chosen inside the training side, by
-repeated grouped folds: the best candidate, the one nearest to the preset within a standard error of it, the best by
-margin; or nothing is chosen and the kernels of all candidates, or of the best eight, are averaged. With --simulated, a
-folder that experiments.classification.sim_to_real_sets makes (--sets mild), candidates are ranked by how well states learnt on one
-simulated session are told on another one; the preset identified from the tested session takes no part in that.
+small limit of the forces, that of the moments, and all larger limits. Features are words alone (histogram, n-grams,
+attributes; no duration, no offset), scaled by ranks, with a linear kernel per candidate. Selection uses repeated
+grouped folds of the training side: the best candidate, the one nearest to the preset within a standard error of it, the
+best by margin; or the kernels of all candidates, or of the best eight, are averaged. With --simulated, a folder made by
+experiments.classification.sim_to_real_sets (--sets mild), candidates are ranked by the accuracy of states between
+simulated sessions; the preset identified from the tested session is left out of that.
 
 Run: python -m experiments.calibration.near_preset STORE.zarr [--simulated FOLDER]
 """
@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
 from experiments._lib.checkpointed_rows import Rows
-from experiments.calibration.methods import REAL, SIM1, WORDS, part_of, rounded
+from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -80,12 +81,12 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
         parts[name] = words(recordings, items, limits), items.y
     out = {}
     for one, other in itertools.permutations(SIMULATED, 2):
-        (x, y), (test, truth) = parts[one], parts[other]
+        (x, y), (test, y_true) = parts[one], parts[other]
         train = np.arange(len(y))
         right = []
         for k in range(len(limits)):
             kernel = rank_kernel(np.concatenate([x[k], test[k]]), train)
-            right.append((predict_kernel(kernel, y, train, len(y) + np.arange(len(truth)), COSTS[1]) == truth).mean())
+            right.append((predict_kernel(kernel, y, train, len(y) + np.arange(len(y_true)), COSTS[1]) == y_true).mean())
         out[one, other] = np.array(right)
     return out
 
@@ -174,39 +175,39 @@ def main() -> None:
     given = parser.parse_args()
     store = read_recordings(given.store)
     limits, distance = candidates(given.candidates)
-    made: dict[str, tuple[Near, LabelledIntervals]] = {}
+    known: dict[str, tuple[Near, LabelledIntervals]] = {}
 
     @cache
-    def told() -> dict[tuple[str, str], Floats]:
+    def transfers() -> dict[tuple[str, str], Floats]:
         return simulated_transfer(given.simulated, limits)
 
     def without(preset_of_test: str) -> Floats:
-        pairs = [value for pair, value in told().items() if preset_of_test not in pair]
+        pairs = [value for pair, value in transfers().items() if preset_of_test not in pair]
         return np.asarray(np.mean(pairs, axis=0), np.float64)
 
     def near(source: str) -> tuple[Near, LabelledIntervals]:
-        if source not in made:
-            recordings = part_of(store, (source,))
+        if source not in known:
+            recordings = of_sources(store, (source,))
             items = labelled_intervals(recordings, TaskSpec())
-            made[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
-        return made[source]
+            known[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
+        return known[source]
 
     def sim1(method: str) -> dict[str, Any]:
         learners, items = near(SIM1)
         if method.startswith("simulated"):
             learners.ranked[method] = without("openhrp")
         splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
-        found = validation.cross_validate(learners.learner(method), items.y, splits, SEED)
-        chosen = [choice["candidates"][0] for repeat in found.chosen for choice in repeat]
-        return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": chosen}
+        scores = validation.cross_validate(learners.learner(method), items.y, splits, SEED)
+        chosen = [choice["candidates"][0] for repeat in scores.chosen for choice in repeat]
+        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": chosen}
 
     def transfer(one: str, other: str, method: str) -> dict[str, Any]:
         learners, items = near(REAL)
         if method.startswith("simulated"):
             learners.ranked[method] = without(other)
         train, test = (np.flatnonzero(items.session == session) for session in (one, other))
-        found = validation.holdout_score(learners.learner(method), items.y, items.trial, (train, test), SEED)
-        return {"accuracy": rounded(found.summary()["accuracy"]), "chosen": found.chosen["candidates"][:1]}
+        scores = validation.holdout_score(learners.learner(method), items.y, items.trial, (train, test), SEED)
+        return {"accuracy": rounded(scores.summary()["accuracy"]), "chosen": scores.chosen["candidates"][:1]}
 
     wanted: dict[str, Callable[[], Any]] = {}
     methods = (*METHODS, *(("simulated, best", "simulated, average") if given.simulated else ()))

@@ -1,11 +1,11 @@
-"""Thresholds from thousands of simulated trials that stay on the device: rollouts, words, search and training.
+"""Thresholds from thousands of simulated trials that stay on the device: rollouts, labels, search and training.
 
-Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). On a CPU, to see it work: --engine mjx
+Run: python -m experiments.calibration.on_device --engine warp (GPU; or mjx). A small run on a CPU: --engine mjx
 --trials 48 --longest 7 --candidates 16 --generations 1 --steps 4 --batch 8 --svm-trials 16 --agreement 8
 --agreement-trials 8
 Tasks: types of simulated failures (default), and the states of simulated successes, which are easy. A fifth of the
-trials is held out of everything that chooses. The result is written after each part, so that an interrupted run
-keeps what it has. Parts: rollouts, agreement, search, gradient, storage, svm.
+trials is held out of all selection. The result is written after each part, so that an interruption loses one part at
+most. Parts: rollouts, agreement, search, gradient, storage, svm.
 """
 
 from __future__ import annotations
@@ -132,10 +132,10 @@ def walks(trials: int) -> CalibrationData:
     wrench = ((np.cumsum(steps, axis=1) + rng.integers(-8, 9, (trials, samples, 6))) * scale).astype(np.float32)
     edges = np.tile(np.arange(0, samples + 1, samples // 4, dtype=np.int32), (trials, 1))
     y = np.tile(np.arange(4, dtype=np.int32), (trials, 1))
-    return _corpus(wrench, edges, y, STATES)
+    return _on_device(wrench, edges, y, STATES)
 
 
-def _corpus(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> CalibrationData:
+def _on_device(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple[str, ...]) -> CalibrationData:
     there = jax.device_put((wrench, edges, y))
     return device_calibration_data(CONFIG, there[0], there[1], there[2], classes)
 
@@ -143,14 +143,14 @@ def _corpus(wrench: np.ndarray, edges: np.ndarray, y: np.ndarray, classes: tuple
 def agreement(run: Run) -> dict[str, Any]:
     """The objective of fixed candidates here and on this machine's CPU, for the same trials."""
     options = SearchOptions(space=SPACE, candidates=run.given.agreement, seed=SEED)
-    limits, weights = options.space.limits(options.points()), Objective().weights()
-    out: dict[str, Any] = {"candidates": len(limits), "device": jax.devices()[0].device_kind}
+    candidates, weights = options.space.thresholds(options.points()), Objective().weights()
+    out: dict[str, Any] = {"candidates": run.given.agreement, "device": jax.devices()[0].device_kind}
     trials = run.given.agreement_trials
     for name, data in (("simulated", _rows(run.parts()[0], slice(trials))), ("walks", walks(trials))):
-        here = score_candidates(data, CONFIG, limits)
+        here = score_candidates(data, CONFIG, candidates)
         with jax.default_device(jax.devices("cpu")[0]):
             wrench, edges, y = jax.device_get((data.wrench, data.edges, data.y))
-            there = score_candidates(_corpus(wrench, edges, y, data.classes), CONFIG, limits, chunk=64, group=8)
+            there = score_candidates(_on_device(wrench, edges, y, data.classes), CONFIG, candidates, chunk=64, group=8)
         off = np.abs((here - there).astype(np.float64))
         out[name] = {
             "trials": len(data),

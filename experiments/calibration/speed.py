@@ -1,6 +1,6 @@
-"""How fast a search evaluates thresholds, beside a loop of the NumPy taxonomy in the same run.
+"""Candidates per second of the search for thresholds, compared with a loop over the NumPy taxonomy in the same run.
 
-Run: python -m experiments.calibration.speed STORE.zarr   (or a corpus saved with --save, where there is no store)
+Run: python -m experiments.calibration.speed STORE.zarr   (or calibration data saved with --save, in place of a store)
 All one-arm simulation successes and real successes, six axes, W=5: 4,096 candidates scored in one call.
 """
 
@@ -66,18 +66,18 @@ def numpy_rate(data: CalibrationData, trials: int = 6, clock: Callable[[], float
 
 def measure(data: CalibrationData, candidates: int, chunk: int | None, group: int | None) -> dict[str, Any]:
     config, options = EncoderConfig(5, DT), SearchOptions(candidates=candidates, space=SearchSpace(), seed=SEED)
-    limits = options.space.limits(options.points())
+    limits = np.asarray(options.space.thresholds(options.points()).limits)
     once = len(limits) if jax.default_backend() != "cpu" else chunk or 128  # compiles what the timed call needs
     warm = time.perf_counter()
     score_candidates(data, config, limits[:once], chunk=chunk, group=group)
     warm = time.perf_counter() - warm
     before = numpy_rate(data)
     start, used = time.perf_counter(), time.process_time()
-    made = score_candidates(data, config, limits, chunk=chunk, group=group)
+    scores = score_candidates(data, config, limits, chunk=chunk, group=group)
     seconds, used = time.perf_counter() - start, time.process_time() - used
     numpy = (before + numpy_rate(data)) / 2
     samples = 6 * int(data.windows.length.sum())
-    value = made.astype(np.float64) @ Objective().weights()
+    value = scores.astype(np.float64) @ Objective().weights()
     best = int(value.round(6).argmax())
     return {
         "trials": len(data),
@@ -90,15 +90,15 @@ def measure(data: CalibrationData, candidates: int, chunk: int | None, group: in
         "NumPy loop, million samples per second (before and after)": round(numpy / 1e6, 3),
         "ratio to the NumPy loop": round(candidates * samples / seconds / numpy, 1),
         "chosen": best,
-        "scores of the chosen": dict(zip(SCORES, np.round(made[best].astype(float), 5).tolist(), strict=True)),
-        "sum of all scores": np.round(made.astype(np.float64).sum(0), 4).tolist(),
+        "scores of the chosen": dict(zip(SCORES, np.round(scores[best].astype(float), 5).tolist(), strict=True)),
+        "sum of all scores": np.round(scores.astype(np.float64).sum(0), 4).tolist(),
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("source", type=Path, help="store, or corpus (.npz)")
-    parser.add_argument("--save", type=Path, help="write the corpus to this file and stop")
+    parser.add_argument("source", type=Path, help="store, or calibration data (.npz)")
+    parser.add_argument("--save", type=Path, help="write the calibration data to this file and stop")
     parser.add_argument("--candidates", type=int, default=4096)
     parser.add_argument("--chunk", type=int)
     parser.add_argument("--group", type=int)

@@ -1,8 +1,8 @@
-"""Thresholds chosen on thousands of simulated failures, tried on the authors' failures, which they never saw.
+"""Thresholds calibrated on thousands of simulated failures, tested on the authors' failures.
 
-The limits are those that experiments.calibration.on_device found by search and by gradients. The folds of the authors'
-trials are the same for all; an SVM on words alone, its cost and kernel chosen inside, features scaled by their
-deviation or by ranks.
+The limits are those that experiments.calibration.on_device found by search and by gradients. All use the same folds of
+the authors' trials and an SVM on words alone, its cost and kernel selected on the training side, with features scaled
+by their deviation or by ranks.
 
 Run: python -m experiments.calibration.transfer STORE.zarr
 """
@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from experiments._lib.benchmarks import FAILURES, of_sources
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.results_io import committed
-from experiments.calibration.methods import FAILURES, WORDS, folds, part_of
+from experiments.calibration.methods import WORDS, folds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
@@ -38,10 +39,10 @@ def main() -> None:
     parser.add_argument("store", type=Path)
     parser.add_argument("--repeats", type=int, default=2, help="of the five folds")
     given = parser.parse_args()
-    found = committed(SOURCE)  # the committed one: it takes a GPU to make it
+    device = committed(SOURCE)  # the committed one: it takes a GPU to make it
     limits = {"preset": np.asarray(preset().limits)}
-    limits |= {f"simulated, {name}": np.array(found[name]["limits"]) for name in ("search", "gradient")}
-    recordings = part_of(read_recordings(given.store), (FAILURES,))
+    limits |= {f"simulated, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
+    recordings = of_sources(read_recordings(given.store), (FAILURES,))
     items = labelled_intervals(recordings, TaskSpec("failure-type"))
     config, measure = EncoderConfig(5, recordings.dt), folds(given.repeats)
 

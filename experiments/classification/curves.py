@@ -1,18 +1,17 @@
-"""The supplement of the paper on our labels: accuracy over the number of training trials, and over kernel and cost.
+"""Accuracy over the number of training trials, and over kernel and cost: the paper's supplement on our labels.
 
 Both for the states of the real and of the authors' simulated one-arm trials, from the paper's features (offline labels,
 label sentences resampled to the longest) and from our words (online labels; histogram, n-grams, attributes; neither
-duration nor offset). Curves: fixed classifiers, since two trials leave nothing to choose with; trials are drawn anew in
-every repeat and all others test. Grids: repeated folds grouped by trial. Nothing is selected here; a table that takes
-the best cell of a grid is too good.
+duration nor offset). Curves use fixed classifiers, since two trials are too few for selection; trials are drawn anew in
+every repeat and all others are test trials. Grids use repeated folds grouped by trial. Nothing is selected here: the
+best cell of a grid is an optimistic score.
 
 Run: python -m experiments.classification.curves --repeats 20 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, arguments
 from experiments.classification.table1_ours import papers_features
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -88,8 +87,8 @@ def curve(data: Data, name: str, features: str, repeats: int, seed: int) -> dict
             order = np.random.default_rng((seed, repeat)).permutation(trials)
             inside = np.isin(items.trial, order[:size])
             test = np.flatnonzero(~inside)
-            said, _ = learn(np.flatnonzero(inside), test, 1000 * seed + repeat)
-            scores[repeat] = metrics.accuracy(items.y[test], said)
+            predicted, _ = learn(np.flatnonzero(inside), test, 1000 * seed + repeat)
+            scores[repeat] = metrics.accuracy(items.y[test], predicted)
         out[str(size)] = [float(scores.mean()), *np.quantile(scores, [0.05, 0.95]).tolist()]
     return out
 
@@ -103,7 +102,7 @@ def grid(data: Data, name: str, features: str, seed: int) -> dict[str, Any]:
     for kernel in KERNELS:
         spec = SvmSpec(kernel=kernel, scaling=SCALINGS[features])
         scores = [
-            [metrics.accuracy(items.y[test], said) for said in predictions(x, items.y, train, test, spec, COSTS)]
+            [metrics.accuracy(items.y[test], one) for one in predictions(x, items.y, train, test, spec, COSTS)]
             for train, test in folds
         ]
         out[kernel] = np.mean(scores, axis=0).tolist()
@@ -111,10 +110,7 @@ def grid(data: Data, name: str, features: str, seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = arguments(__doc__, 20)
     data = Data(recorded())
     about = {
         "what": "accuracy over training trials (mean, 5 % and 95 % of the draws) and over kernel and cost (mean)",
@@ -132,7 +128,7 @@ def main() -> None:
             )
         for features in FEATURES:
             wanted[f"{name} | grid | {features}"] = lambda n=name, f=features: rounded(grid(data, n, f, args.seed))
-    Rows("curves", command, about, args.seed).fill(wanted)
+    Rows("curves", command, about, args.seed).fill(wanted, args.only)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
-"""What words can say: the paper's sentences, plain words, and richer words, on the same grouped folds.
+"""Accuracy of several feature sets of words: the paper's sentences, plain words and richer words, on the same folds.
 
-One set of families and of grammars for all tasks. A grammar is the encoder with one or several choices of window and
-threshold scale, its features side by side; where there is a choice, the inner folds make it, ties to the fewer columns.
-Richer words know neither duration nor a constant added to the wrench; levels do. The "tared" row sees the wrench minus
-the mean of the trial's first second. The batches of the simulated failures differ in how the record begins: at rest, or
-with the arm's weight already on the sensor.
+All tasks use the same families and encoders. A grammar is one encoder, or several with different windows and threshold
+scales whose features are concatenated; where there are several grammars, the inner folds select one, ties go to the
+fewer columns. Richer words are independent of duration and of a constant added to the wrench; levels are not. The
+"tared" row subtracts the mean wrench of the trial's first second. The batches of the simulated failures differ in how
+the record begins: at rest, or with the arm's weight already on the sensor.
 
 Run: python -m experiments.classification.grammar --repeats 5 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, arguments
 from experiments.classification.sim_to_real_sets import TARE_SECONDS
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -102,16 +101,16 @@ class Experiment:
 
     @cache  # noqa: B019
     def items(self, benchmark: str) -> LabelledIntervals:
-        found = items_of(self.recordings, self.benchmarks[benchmark])
-        return of_both(found, BATCHES[benchmark]) if benchmark in BATCHES else found
+        intervals = items_of(self.recordings, self.benchmarks[benchmark])
+        return of_both(intervals, BATCHES[benchmark]) if benchmark in BATCHES else intervals
 
     def candidates(self, benchmark: str, method: Method) -> dict[str, Features]:
         """Features by grammar, the one with the fewest columns first."""
-        made = {}
+        features = {}
         for grammar in method.grammars:
             tracks = {name: self.tracks(name, method.tare) for name in GRAMMARS[grammar]}
-            made[grammar] = extract_features(tracks, self.items(benchmark), method.spec)
-        return dict(sorted(made.items(), key=lambda item: len(item[1].names)))
+            features[grammar] = extract_features(tracks, self.items(benchmark), method.spec)
+        return dict(sorted(features.items(), key=lambda item: len(item[1].names)))
 
     def row(self, benchmark: str, name: str) -> Callable[[], Any]:
         def make() -> Any:
@@ -120,10 +119,10 @@ class Experiment:
                 learner, columns = validation.forest(items.seconds, items.y), {}
             else:
                 method = METHODS[name]
-                made = self.candidates(benchmark, method)
-                columns = {key: len(x.names) for key, x in made.items()}
-                weights = {key: x.weights(method.spec) for key, x in made.items()}
-                matrices = {key: x.values for key, x in made.items()}
+                features = self.candidates(benchmark, method)
+                columns = {key: len(x.names) for key, x in features.items()}
+                weights = {key: x.weights(method.spec) for key, x in features.items()}
+                matrices = {key: x.values for key, x in features.items()}
                 learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
             repeats = self.repeats_of(benchmark)
             score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
@@ -159,9 +158,9 @@ def counted(learner: validation.Estimator, chosen: Counter[str]) -> validation.E
     """The same learner, which also counts what the inner folds chose."""
 
     def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
-        said, choice = learner(train, test, seed)
+        predicted, choice = learner(train, test, seed)
         chosen[f"{choice['features']}: {choice['kernel']} C={choice['cost']:g}"] += 1
-        return said, choice
+        return predicted, choice
 
     return learn
 
@@ -175,13 +174,13 @@ def by_batch(recordings: Recordings) -> Recordings:
 def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledIntervals:
     """Only the classes with at least FEWEST items on each side."""
     counts = [np.bincount(items.y[items.session == side], minlength=len(items.classes)) for side in sessions]
-    kept = np.flatnonzero(np.min(counts, axis=0) >= FEWEST).tolist()
-    rows = np.flatnonzero(np.isin(items.y, kept))
+    frequent = np.flatnonzero(np.min(counts, axis=0) >= FEWEST).tolist()
+    rows = np.flatnonzero(np.isin(items.y, frequent))
     number = np.full(len(items.classes), -1)
-    number[kept] = np.arange(len(kept))
+    number[frequent] = np.arange(len(frequent))
     dropped = {**items.dropped, "class not in both batches": len(items.y) - len(rows)}
     return LabelledIntervals(
-        tuple(items.classes[c] for c in kept),
+        tuple(items.classes[c] for c in frequent),
         number[items.y[rows]],
         items.trial[rows],
         items.session[rows],
@@ -191,11 +190,7 @@ def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledInte
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
-    args = parser.parse_args()
+    args = arguments(__doc__, 5)
     experiment = Experiment(args.repeats, args.seed)
     command = f"python -m experiments.classification.grammar --repeats {args.repeats} --seed {args.seed}"
     wanted = {
@@ -204,7 +199,7 @@ def main() -> None:
         for method in ("duration alone", *METHODS)
     }
     rows = Rows("grammar", command, experiment.about(), args.seed)
-    rows.fill(wanted, lambda row: any(part in row for part in args.only))
+    rows.fill(wanted, args.only)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,15 @@
-"""What today's practitioner would use instead of words, on the same trials and the same grouped folds.
+"""Other methods for time series compared with words, on the same trials and the same grouped folds.
 
-The peers see the raw wrench of the segments, in N and Nm; see experiments._lib.raw_learners for what each makes of it. None
-is told how long a segment lasts. The ridge classifiers choose their penalty by leave-one-out among the training rows.
+The peers use the raw wrench of the segments, in N and Nm; see experiments._lib.raw_learners for the features of each.
+None has the duration of a segment. The ridge classifiers select their penalty by leave-one-out among the training rows.
 Our rows are the words of the online encoder (window 5, preset thresholds) with a nested SVM.
 
 Run: make peers, or python -m experiments.classification.peers --repeats 10 --seed 0 where aeon and torch are installed
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import distributions
@@ -18,7 +17,7 @@ from typing import Any
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, recorded, segments
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, arguments
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -119,11 +118,7 @@ def about(experiment: Experiment) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
-    args = parser.parse_args()
+    args = arguments(__doc__, 10)
     experiment = Experiment(args.repeats, args.seed)
     command = f"python -m experiments.classification.peers --repeats {args.repeats} --seed {args.seed}"
     rows = Rows("peers", command, about(experiment), args.seed)
@@ -132,7 +127,7 @@ def main() -> None:
         for method in (*PROBES, *OURS, *PEERS)
         for benchmark in BENCHMARKS
     }
-    rows.fill(wanted, lambda row: any(part in row for part in args.only))
+    rows.fill(wanted, args.only)
 
 
 if __name__ == "__main__":

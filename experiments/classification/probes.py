@@ -1,17 +1,16 @@
-"""What gives success, failure and session away without any assembly: duration, the first sample, the first second.
+"""Confounds of success, failure and session: accuracy of duration, the first sample and the first second alone.
 
-The real successes were recorded in two sessions (A, B), the real failures in a third (C). If the same probes that tell
-failure from success also tell one session of successes from the other, the score says nothing about failure. The
-counterpart that does: train on one session of successes and half of the failures, test on the other session and the
-other half, both ways round; what then remains above one half is not the session of the successes.
+The real successes were recorded in two sessions (A, B), the real failures in a third (C). If probes that separate
+failure from success also separate the two sessions of successes, their score is no evidence of failure recognition. The
+control: train on one session of successes and half of the failures, test on the other session and the other half, both
+ways round; a score above one half is then not due to the session of the successes.
 
 Run: python -m experiments.classification.probes --repeats 10 --seed 0
-Every finished row is kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, arguments
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -75,9 +74,9 @@ class Experiment:
         session = self.recordings.session
         outcome = np.where(np.isin(session, asked.classes[0]), "failure", "success")
         spec = TaskSpec("outcome", sessions=asked.sessions, outcomes=())
-        found = labelled_intervals(replace(self.recordings, outcome=outcome), spec)
+        result = labelled_intervals(replace(self.recordings, outcome=outcome), spec)
         names = tuple(" ".join(group) for group in asked.classes)
-        return replace(found, classes=names)
+        return replace(result, classes=names)
 
     def learners(self, question: str) -> dict[str, Callable[[], validation.Estimator]]:
         items = self.items(question)
@@ -100,9 +99,9 @@ class Experiment:
         def make() -> Any:
             items = self.items(question)
             splits = self.splits(question)
-            found = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
+            result = validation.cross_validate(self.learners(question)[view](), items.y, splits, self.seed)
             counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
-            return {"trials": counts, **rounded(found.summary())}
+            return {"trials": counts, **rounded(result.summary())}
 
         return make
 
@@ -123,10 +122,7 @@ def held_out(items: LabelledIntervals, sessions: tuple[str, ...], seed: int) -> 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = arguments(__doc__, 10)
     experiment = Experiment(args.repeats, args.seed)
     about = {
         "what": "balanced accuracy of what cannot know whether the assembly failed, beside statistics and words",
@@ -136,7 +132,7 @@ def main() -> None:
     command = f"python -m experiments.classification.probes --repeats {args.repeats} --seed {args.seed}"
     views = experiment.learners(next(iter(QUESTIONS)))
     wanted = {f"{name} | {view}": experiment.row(name, view) for name in QUESTIONS for view in views}
-    Rows("probes", command, about, args.seed).fill(wanted)
+    Rows("probes", command, about, args.seed).fill(wanted, args.only)
 
 
 if __name__ == "__main__":

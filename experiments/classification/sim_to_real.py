@@ -1,16 +1,16 @@
-"""Train on simulated trials only, test on the recorded ones: states, per session, and what moves the score.
+"""Trained on simulated trials only, tested on recorded ones: states, per session, and the effect of each choice.
 
-Nothing of the recorded trials is used but the mean of their first second, in free space, which is subtracted (tare).
-Kernel, cost and families of features are chosen on simulated trials: by holding out one preset at a time, or, where
-only one set is trained on, by grouped folds inside it. Thresholds are the authors' or chosen on simulated trials.
+Of the recorded trials only the mean of their first second, in free space, is used: it is subtracted (tare). Kernel,
+cost and feature families are selected on simulated trials: by holding out one preset at a time or, with a single
+training set, by grouped folds inside it. Thresholds are the authors' or calibrated on simulated trials.
 
-Controllers are those of the recorded sessions; parts and sensor of presets A and B were fitted to the wrenches of those
-sessions, C has B's, and the OpenHRP preset wears A's sensor. What transfers without a session's own fit is said by the
-rows whose training leaves it out: for A those without preset A, for B those without presets B and C.
+Controllers are those of the recorded sessions. Parts and sensor of presets A and B were fitted to the wrenches of those
+sessions, C has B's, and the OpenHRP preset has A's sensor. Transfer without a fit to the session itself is measured by
+the rows that leave it out of training: for A those without preset A, for B those without presets B and C.
 
 Run: python -m experiments.classification.sim_to_real FOLDER [--only TEXT ...]
-FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``, which are made where they are missing. Every finished row is
-kept; run it again to go on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``; missing ones are made.
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners
 from experiments._lib.benchmarks import recorded, rounded, segments
 from experiments._lib.checkpointed_rows import Rows
-from experiments.calibration.methods import trained_limits
+from experiments._lib.thresholds import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
 from experiments.classification.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets
@@ -38,7 +38,6 @@ from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, search
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Grid, SvmSpec, predictions, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
@@ -89,11 +88,11 @@ class Experiment:
         train = pool.rows(spec.train)
         train = train[np.isin(pool.trial[train], some_trials(pool, train, spec.trials, spec.draw))]
         test = pool.rows(spec.test)
-        said, chosen = self.answers(spec, pool, train, test)
+        predicted, chosen = self.answers(spec, pool, train, test)
         out: dict[str, Any] = {"trials": len(np.unique(pool.trial[train])), "chosen": chosen}
         for names in [(name,) for name in spec.test] + [REAL] * (set(spec.test) >= set(REAL)):
             inside = np.isin(pool.place[test], names)
-            out["+".join(names)] = scored(pool, test[inside], said[inside])
+            out["+".join(names)] = scored(pool, test[inside], predicted[inside])
         return rounded(out)
 
     def pool(self, spec: Row, how: Labelling, boundaries: str) -> Pool:
@@ -115,9 +114,9 @@ class Experiment:
     def words(
         self, spec: Row, names: tuple[str, ...], how: Labelling, boundaries: str
     ) -> dict[str, NDArray[np.float64]]:
-        made = [self.sets.features(name, how, boundaries) for name in names]
-        whole = np.concatenate([one.values for one in made]).astype(np.float64)
-        family = np.array(made[0].families)
+        features = [self.sets.features(name, how, boundaries) for name in names]
+        whole = np.concatenate([one.values for one in features]).astype(np.float64)
+        family = np.array(features[0].families)
         return {name: whole[:, np.isin(family, CANDIDATES[name])] for name in spec.candidates}
 
     def statistics(self, name: str, boundaries: str) -> NDArray[np.float64]:
@@ -131,9 +130,9 @@ class Experiment:
         best, score = choose(pool.take(few))
         both = pool.take(np.concatenate([train, test]))
         learn, rest = np.split(np.arange(len(both.y)), [len(train)])
-        said = predictions(both.x[best.features], both.y, learn, rest, best, [best.cost])[0]
+        predicted = predictions(both.x[best.features], both.y, learn, rest, best, [best.cost])[0]
         chosen = {"features": best.features, "kernel": best.kernel, "cost": best.cost, "simulated": score}
-        return said, chosen
+        return predicted, chosen
 
     @cache  # noqa: B019
     def limits(self, spec: Row) -> tuple[tuple[float, ...], ...] | None:
@@ -145,13 +144,13 @@ class Experiment:
         if spec.thresholds.startswith("context"):
             copy = contextual.AUTHORS_COPY if spec.thresholds == "context" else contextual.OWN
             rows = np.unique(items.intervals[0].recording)
-            found = contextual.calibrate(trials, rows, config, copy=copy).thresholds
+            selected = contextual.calibrate(trials, rows, config, copy=copy).thresholds
         elif spec.thresholds == "gradient":
-            found = GradientThresholds(trained_limits(calibration_data(trials, items, config), config))
+            selected = trained_thresholds(calibration_data(trials, items, config), config)
         else:
             options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
-            found = search(calibration_data(trials, items, config), config, options).thresholds
-        return tuple(tuple(row) for row in np.asarray(found.limits).tolist())
+            selected = search(calibration_data(trials, items, config), config, options).thresholds
+        return tuple(tuple(row) for row in np.asarray(selected.limits).tolist())
 
     def training(self, spec: Row) -> tuple[Recordings, LabelledIntervals]:
         """A few trials of each training set as one set, and their states."""
@@ -169,17 +168,17 @@ class Experiment:
 
         Per family the median and the 95th percentile over columns and states, and the columns that are farthest off.
         """
-        made = {name: self.sets.features(name, Labelling(), boundaries) for name in (*ALL.train, *REAL)}
-        y = {name: self.sets.items(name, boundaries).y for name in made}
-        simulated = np.concatenate([made[name].values for name in ALL.train]).astype(np.float64)
+        features = {name: self.sets.features(name, Labelling(), boundaries) for name in (*ALL.train, *REAL)}
+        y = {name: self.sets.items(name, boundaries).y for name in features}
+        simulated = np.concatenate([features[name].values for name in ALL.train]).astype(np.float64)
         width = np.maximum(simulated.std(0), GRID.floor)
         states = np.unique(y["A"]).tolist()
 
         def mean(names: tuple[str, ...]) -> NDArray[np.float64]:
-            return np.stack([np.concatenate([made[n].values[y[n] == s] for n in names]).mean(0) for s in states])
+            return np.stack([np.concatenate([features[n].values[y[n] == s] for n in names]).mean(0) for s in states])
 
         off = {name: np.abs(mean((name,)) - mean(ALL.train)) / width for name in REAL}
-        family, names = np.array(made["A"].families), np.array(made["A"].names)
+        family, names = np.array(features["A"].families), np.array(features["A"].names)
         out: dict[str, Any] = {}
         for name, table in off.items():
             quantiles = {f: np.quantile(table[:, family == f], [0.5, 0.95]).tolist() for f in dict.fromkeys(family)}
@@ -210,20 +209,20 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
     for place in places:
         held, rest = (np.flatnonzero(side) for side in (pool.place == place, pool.place != place))
         for path, spec in zip(scores, paths, strict=True):
-            said = predictions(pool.x[spec.features], pool.y, rest, held, spec, GRID.costs)
-            path += [metrics.accuracy(pool.y[held], one) / len(places) for one in said]
+            predicted = predictions(pool.x[spec.features], pool.y, rest, held, spec, GRID.costs)
+            path += [metrics.accuracy(pool.y[held], one) / len(places) for one in predicted]
     best = int(scores.round(9).argmax())
-    found = replace(paths[best // len(GRID.costs)], cost=GRID.costs[best % len(GRID.costs)])
-    return found, float(scores.max())
+    selected = replace(paths[best // len(GRID.costs)], cost=GRID.costs[best % len(GRID.costs)])
+    return selected, float(scores.max())
 
 
-def scored(pool: Pool, test: Ints, said: Ints) -> dict[str, Any]:
+def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
     """Accuracy with its interval by resampling trials, and who was taken for whom."""
-    right = pool.y[test] == said
+    right = pool.y[test] == predicted
     low, high = validation.bootstrap(right, pool.trial[test], SEED)
     wrong = Counter(
-        f"{pool.classes[truth]} as {pool.classes[answer]}"
-        for truth, answer in zip(pool.y[test][~right].tolist(), said[~right].tolist(), strict=True)
+        f"{pool.classes[true]} as {pool.classes[answer]}"
+        for true, answer in zip(pool.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
     )
     count = len(np.unique(pool.trial[test]))
     return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
@@ -251,7 +250,7 @@ def main() -> None:
     experiment = Experiment(given.folder)
     rows = Rows("sim_to_real", "python -m experiments.classification.sim_to_real FOLDER", about(experiment), SEED)
     wanted = {name: experiment.row(spec) for name, spec in ROWS.items()} | {"shift of features": experiment.shift}
-    rows.fill(wanted, lambda name: any(text in name for text in given.only))
+    rows.fill(wanted, given.only)
 
 
 if __name__ == "__main__":

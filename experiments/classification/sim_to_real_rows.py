@@ -1,4 +1,4 @@
-"""What ``experiments.classification.sim_to_real`` compares: one row per training set, feature family or way of labelling."""
+"""Rows of ``experiments.classification.sim_to_real``: training sets, feature families, labelling."""
 
 from __future__ import annotations
 

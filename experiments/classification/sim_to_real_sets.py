@@ -1,8 +1,8 @@
-"""Sets of trials for ``experiments.classification.sim_to_real``: each preset simulated with nothing, little or much varied.
+"""Simulated sets for ``experiments.classification.sim_to_real``: each preset with no, mild or wide randomisation.
 
 Run: python -m experiments.classification.sim_to_real_sets FOLDER [--sets none mild wide]
-Every simulated set is a store that ``sim_mjx.synthesis.pipeline`` makes: interrupted, it goes on where it stopped; finished ones are
-kept. A set's name is a recorded session, or a level of randomisation and a preset, such as "wide B".
+Every simulated set is a store made by ``sim_mjx.synthesis.pipeline``, which resumes interrupted sets and keeps finished
+ones. The name of a set is a recorded session, or a level of randomisation and a preset, such as "wide B".
 """
 
 from __future__ import annotations

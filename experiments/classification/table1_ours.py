@@ -1,24 +1,23 @@
 """Table I of the paper on our own labels: offline and online, on the authors' trials and on simulated ones.
 
-Three scores per row and kind of labels: the paper's features (label sentences resampled to the longest of the set) by
+Three scores per row and kind of labels: the paper's features (label sentences resampled to the longest of the set) with
 the paper's protocol (rows shuffled freely, polynomial SVM, C = 1, gamma = 1 / features); the same features with trials
-kept together and kernel and cost of the paper's grid chosen inside the training folds; our words (histogram, n-grams,
-attributes; neither duration nor absolute offset) chosen in the same way. Duration alone stands beside on the same
-folds. Success/failure is balanced by drawing as many trials of the larger class as the smaller one has, anew in every
-repeat. Failures of session C and successes of A and B are different sessions: see rcbht_jax.learning.tasks.CONFOUNDS.
+kept together and kernel and cost of the paper's grid selected inside the training folds; our words (histogram, n-grams,
+attributes; neither duration nor absolute offset) selected in the same way; and duration alone on the same folds.
+Success/failure is balanced: every repeat draws as many trials of the larger class as the smaller one has. Failures of
+session C and successes of A and B are different sessions: see rcbht_jax.learning.tasks.CONFOUNDS.
 
-States use the recorded marks, as the paper does, and for the real trials the harmonised ones as well. Offline labels
-are the authors' taxonomy (rcbht_jax.reference), which knows the recorded marks; online labels are those of the streaming
-encoder (window 5), which does not.
+States use the recorded onsets, as the paper does, and for the real trials the harmonised ones as well. Offline labels
+are those of the authors' taxonomy (rcbht_jax.reference), which uses the recorded onsets; online labels are those of the
+streaming encoder (window 5), which does not.
 
 Run: python -m experiments.classification.table1_ours FOLDER --repeats 10 --seed 0
-FOLDER keeps the simulated sets, which are made where they are missing. Every finished row is kept; run it again to go
-on where it was interrupted. Reads the recorded trials (RCBHT_DATA).
+FOLDER holds the simulated sets; missing ones are made.
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -29,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import Rows, arguments
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -159,19 +158,14 @@ def measure(data: Data, row: Row, labels: str, repeats: int, seed: int) -> dict[
         "words, nested, grouped": (svm(words, WORDS), True),
         "duration alone": (lambda rows: validation.forest(items.seconds[rows], items.y[rows]), True),
     }
-    found = {cell: score(items, learn, balanced, grouped, repeats, seed) for cell, (learn, grouped) in cells.items()}
+    scores = {cell: score(items, learn, balanced, grouped, repeats, seed) for cell, (learn, grouped) in cells.items()}
     counts = dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True))
     about = {"items": counts, "left out": items.dropped, "columns of the paper's features": codes.shape[1]}
-    return {"paper": row.paper, **about, **rounded(found)}
+    return {"paper": row.paper, **about, **rounded(scores)}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
-    args = parser.parse_args()
+    args = arguments(__doc__, 10, "folder")
     about = {
         "what": "Table I on our labels; see the module's text for the protocols",
         "repeats": args.repeats,
@@ -186,7 +180,7 @@ def main() -> None:
         return lambda: measure(data, row, labels, args.repeats, args.seed)
 
     wanted = {f"{name} | {labels}": make(row, labels) for name, row in ROWS.items() for labels in LABELS}
-    Rows("table1_ours", command, about, args.seed).fill(wanted, lambda row: any(part in row for part in args.only))
+    Rows("table1_ours", command, about, args.seed).fill(wanted, args.only)
 
 
 if __name__ == "__main__":

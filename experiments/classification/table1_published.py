@@ -1,11 +1,10 @@
-"""Table I of the paper, measured again on the published feature matrices.
+"""Table I of the paper, reproduced on the published feature matrices.
 
-For each of the five rows: repeated 5-fold cross-validation of the polynomial SVM with C = 1 (rows shuffled
-freely, as in the paper), the same with all rows of a trial kept together, and nested selection of kernel and
-cost with trials kept together. Row i of the four state matrices is the same trial (checked against the label
-tables). Success/failure is balanced by drawing as many rows of the larger class as the smaller one has, anew
-in every repeat: 16 of 46 real successes beside all 16 failures, 38 of 250 simulated failures beside all 38
-successes. One row per trial there, so grouping changes nothing.
+For each of the five rows: repeated 5-fold cross-validation of the polynomial SVM with C = 1 (rows shuffled freely, as
+in the paper), the same with all rows of a trial kept together, and nested selection of kernel and cost with trials kept
+together. Row i of the four state matrices is the same trial (checked against the label tables). Success/failure is
+balanced: every repeat draws as many rows of the larger class as the smaller one has, 16 of 46 real successes with all
+16 failures, 38 of 250 simulated failures with all 38 successes. A trial has one row there, so grouping changes nothing.
 
 Run: python -m experiments.classification.table1_published --repeats 20 --seed 0
 Reads the published matrices in the folder of reference results (RCBHT_GOLDEN).
@@ -14,7 +13,6 @@ Reads the published matrices in the folder of reference results (RCBHT_GOLDEN).
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +22,7 @@ import numpy as np
 import sklearn
 from numpy.typing import NDArray
 
+from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from rcbht_jax.labels import STATES
 from rcbht_jax.learning.metrics import corrected_interval
@@ -118,14 +117,14 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    golden = Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden"))
     result = {
         "what": "Table I on the published feature matrices; one-versus-one SVM, gamma = 1 / features",
         "scikit-learn": sklearn.__version__,
         "repeats": args.repeats,
         "folds": FOLDS,
-        "confound": "REAL success and failure are different recording sessions; see rcbht_jax.learning.tasks.CONFOUNDS.",
-        "rows": {row: measure(golden, row, args.repeats, args.seed) for row in TARGETS},
+        "confound": "REAL success and failure are different recording sessions; "
+        "see rcbht_jax.learning.tasks.CONFOUNDS.",
+        "rows": {row: measure(GOLDEN, row, args.repeats, args.seed) for row in TARGETS},
     }
     command = f"python -m experiments.classification.table1_published --repeats {args.repeats} --seed {args.seed}"
     write_result("table1_published", command, result, args.seed)

@@ -1,4 +1,4 @@
-"""The two-arm task: kinematics, signature per arm, the left hand's way under push, seating, convergence.
+"""The two-arm task: kinematics, signature per arm, displacement of the left hand under load, seating, convergence.
 
 Run: python -m experiments.classification.two_arm
 Reads the authors' two-arm trials (RCBHT_DATA); simulates with the native engine; about 10 minutes on 2 cores. Writes
@@ -7,7 +7,6 @@ experiments/results/two_arm.json and the signature pictures docs/images/two-arm-
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import pictures, write_result
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import read_hiro
@@ -110,16 +110,16 @@ def rms(values: np.ndarray) -> float:
 def as_recordings(run: Rollouts, name: str) -> Recordings:
     """Both arms of the simulated trials that reached mating, as the importer stores them."""
     end = (run.length - 1) * CONTROL_PERIOD
-    kept = np.flatnonzero((np.diff(run.onset, axis=1) > 0).all(1) & (run.onset[:, 3] < end) & ~run.diverged)
-    count, arms = len(kept), len(ARMS)
-    wrench = run.wrench[kept].reshape(count, -1, arms, 6).swapaxes(1, 2).reshape(count * arms, -1, 6)
-    rows = np.repeat(kept, arms)
+    complete = np.flatnonzero((np.diff(run.onset, axis=1) > 0).all(1) & (run.onset[:, 3] < end) & ~run.diverged)
+    count, arms = len(complete), len(ARMS)
+    wrench = run.wrench[complete].reshape(count, -1, arms, 6).swapaxes(1, 2).reshape(count * arms, -1, 6)
+    rows = np.repeat(complete, arms)
     onset, length = run.onset[rows], run.length[rows]
-    seated = np.where(run.seated[kept].all(1), "success", "failure")
+    seated = np.where(run.seated[complete].all(1), "success", "failure")
     blank = np.full(count * arms, "")
     return Recordings(
         wrench=wrench, length=length, dt=CONTROL_PERIOD, onset=onset, onset_harmonised=onset,
-        trial=np.repeat([f"{name}-{i}" for i in kept], arms), arm=np.tile(ARMS, count),
+        trial=np.repeat([f"{name}-{i}" for i in complete], arms), arm=np.tile(ARMS, count),
         source=np.full(count * arms, name), session=np.full(count * arms, name), outcome=np.repeat(seated, arms),
         failure_type=blank, deviation=np.zeros((count * arms, 3)), note=blank,
     )  # fmt: skip
@@ -131,10 +131,10 @@ def profiles(recordings: Recordings, arm: str) -> np.ndarray:
 
 
 def signatures(recorded: Recordings, run: Rollouts, picture: bool) -> dict[str, Any]:
-    made = as_recordings(run, "two")
+    synthetic = as_recordings(run, "two")
     out: dict[str, Any] = {}
     for arm, name in NAMES.items():
-        reference, test = profiles(recorded, arm), profiles(made, arm)
+        reference, test = profiles(recorded, arm), profiles(synthetic, arm)
         score = signature.compare(reference, test)
         out[name] = {key: round(getattr(score, key), 3) for key in ("coverage", "w1_over_sd", "dtw_over_sd")}
         halves = [signature.compare(reference[i::2], reference[1 - i :: 2]) for i in (0, 1)]
@@ -199,7 +199,7 @@ def seating(run: Rollouts, faults: list[str], seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    root = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE
+    root = DATA / SOURCE
     recorded, _ = read_hiro(root)
     result: dict[str, Any] = {"recorded trials": len(recorded) // 2, "forward kinematics": forward_kinematics(root)}
     mild = DomainRandomization(nominal_share=1.0)

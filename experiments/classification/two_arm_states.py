@@ -1,4 +1,4 @@
-"""Four states from both arms' grammars: the recorded two-arm set, the simulated ones, and one from the other.
+"""Four states from the words of both arms: the recorded two-arm set, the simulated ones, and transfer between them.
 
 Run: python -m experiments.classification.two_arm_states
 Reads the authors' two-arm trials (RCBHT_DATA); simulates mildly randomised trials with the native engine.
@@ -6,10 +6,9 @@ Reads the authors' two-arm trials (RCBHT_DATA); simulates mildly randomised tria
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
+from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
 from experiments.classification.two_arm import SOURCE, as_recordings, simulated
 from rcbht_jax.encoding.batch import encode_batch
@@ -39,11 +38,11 @@ KINDS = {
 }
 
 
-def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
+def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
     """Accuracy on four states from both arms' grammars; recorded boundaries, SVM, window 5."""
     config = EncoderConfig(window=5, dt=CONTROL_PERIOD)
     out: dict[str, Any] = {}
-    for name, simulated_set in made.items():
+    for name, simulated_set in sets.items():
         both = Recordings.join([recorded, simulated_set])
         tracks = encode_batch(config, thresholds(), both.wrench, both.length)
         forth = {"train_on": (name,), "test_on": ("SIM2",)}
@@ -57,13 +56,13 @@ def states(recorded: Recordings, made: dict[str, Recordings]) -> dict[str, Any]:
         for title, (task, split) in ways.items():
             if title in out:
                 continue
-            found = {
+            evaluations = {
                 kind: evaluate(both, tracks, task, spec, EvaluationProtocol(5, 3, SEED, grid, **split))
                 for kind, (spec, grid) in KINDS.items()
             }
-            row = {kind: interval(one.score) for kind, one in found.items()}
-            row["duration alone"] = interval(found["words"].duration_baseline)
-            out[title] = row | {"trials": found["words"].trials}
+            row = {kind: interval(one.score) for kind, one in evaluations.items()}
+            row["duration alone"] = interval(evaluations["words"].duration_baseline)
+            out[title] = row | {"trials": evaluations["words"].trials}
     return out
 
 
@@ -73,15 +72,15 @@ def interval(score: dict[str, Any]) -> dict[str, float]:
 
 
 def main() -> None:
-    recorded, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")) / SOURCE)
+    recorded, _ = read_hiro(DATA / SOURCE)
     mild = DomainRandomization(nominal_share=1.0)
-    made = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in TWO_ARM}
+    sets = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in TWO_ARM}
     note = (
         "accuracy; W=5, preset thresholds, linear SVM chosen within training folds, recorded boundaries, both arms; "
         "words = sentence, histogram, ngram and attributes; richer words by ranks, levels as heavy as all others; "
         "95 % intervals: corrected over folds, or by resampling the trials that are tested on"
     )
-    result = {"measure": note, **states(recorded, made)}
+    result = {"measure": note, **states(recorded, sets)}
     write_result("two_arm_states", "python -m experiments.classification.two_arm_states", result, seed=SEED)
 
 

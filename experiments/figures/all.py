@@ -1,7 +1,7 @@
 """Figures of the committed results, written to docs/images; nothing is measured here.
 
 Run: python -m experiments.figures.all
-PICTURES says what draws the others there.
+PICTURES names the commands that draw the other pictures there.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def curves() -> Figure:
     figure = new_figure((10.0, 4.0), DPI)
     for number, name in enumerate(names):
         ax = figure.add_subplot(1, len(names), number + 1)
-        found = {key.split(" | ")[2]: row for key, row in rows.items() if key.startswith(f"{name} | curve")}
-        for color, (features, row) in zip(LINES, found.items(), strict=False):
+        result = {key.split(" | ")[2]: row for key, row in rows.items() if key.startswith(f"{name} | curve")}
+        for color, (features, row) in zip(LINES, result.items(), strict=False):
             sizes = [int(size) for size in row]
             mean, low, high = np.array(list(row.values())).T
             ax.plot(sizes, mean, color=color, marker="o", markersize=3.5, label=features)
@@ -91,8 +91,8 @@ def curves() -> Figure:
 
 def grids() -> Figure:
     """Accuracy over kernel and cost, one panel per set and kind of features."""
-    found = committed("curves")
-    rows = {name: row for name, row in found["rows"].items() if " | grid | " in name}
+    result = committed("curves")
+    rows = {name: row for name, row in result["rows"].items() if " | grid | " in name}
     figure = new_figure((11.0, 4.2), DPI)
     for number, (name, row) in enumerate(rows.items()):
         ax = figure.add_subplot(2, 2, number + 1)
@@ -102,7 +102,7 @@ def grids() -> Figure:
             color = "white" if value < 0.7 else "black"
             ax.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=8, color=color)
         ax.set_yticks(range(len(row)), list(row))
-        ax.set_xticks(range(values.shape[1]), [f"{cost:g}" for cost in found["costs"]])
+        ax.set_xticks(range(values.shape[1]), [f"{cost:g}" for cost in result["costs"]])
         ax.set_title(name.replace(" | grid | ", ": "), fontsize=9)
         ax.tick_params(labelsize=8)
     figure.supxlabel("C", fontsize=9)
@@ -130,7 +130,7 @@ def confidence() -> Figure:
             seconds = row["seconds of a sub-task, median"][place]
             ax.set_title(f"{name}, {state} ({seconds:.1f} s)", fontsize=9)
             plain(ax)
-    figure.supxlabel("part of the sub-task that has passed, %", fontsize=9)
+    figure.supxlabel("elapsed part of the sub-task, %", fontsize=9)
     figure.supylabel("probability of the true class", fontsize=9)
     figure.tight_layout()
     return figure
@@ -169,7 +169,7 @@ def table1() -> Figure:
         rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
         if row["paper"] is not None:
             printed[title] = row["paper"][1]
-    return dots.draw(rows, "accuracy, trials kept together, kernel and cost chosen inside", printed)
+    return dots.draw(rows, "accuracy, grouped by trial, kernel and cost selected in nested folds", printed)
 
 
 def probes() -> Figure:
@@ -191,11 +191,11 @@ def faults() -> Figure:
 
 def failure_types() -> Figure:
     """What each kind of the authors' failures is taken for by the best of the streamed heads."""
-    found = committed("failure_types_online")
+    result = committed("failure_types_online")
     at = "at 100%, votes of pairs"
-    name, row = max(found["rows"].items(), key=lambda item: item[1][at]["mean"])
-    title = f"{name}: {row[at]['mean']:.3f} of {found['trials']} failures, streamed, trials not trained on"
-    return faults_figure.failure_types(list(found["classes"]), row[f"true and said {at}"], title)
+    name, row = max(result["rows"].items(), key=lambda item: item[1][at]["mean"])
+    title = f"{name}: {row[at]['mean']:.3f} of {result['trials']} failures, streamed, trials not trained on"
+    return faults_figure.failure_types(list(result["classes"]), row[f"true and said {at}"], title)
 
 
 FIGURES = {

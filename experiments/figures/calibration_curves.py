@@ -1,4 +1,4 @@
-"""Objective and held-out log-loss over time, for each way of calibrating; see calibration_curves."""
+"""Objective and held-out log-loss over time, for each calibration method."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def draw(rows: dict[str, Any]) -> Figure:
             _lines(ax, runs, column, color, title)
     for ax, title in zip(axes, ("best objective, training trials", "log-loss, held-out trials"), strict=True):
         ax.set_xscale("log")
-        ax.set_xlabel("processor seconds, compilation not counted")
+        ax.set_xlabel("processor seconds, without compilation")
         ax.set_title(title, fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].legend(fontsize=8, frameon=False, loc="lower right")

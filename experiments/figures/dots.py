@@ -1,4 +1,4 @@
-"""Scores of several kinds side by side: one line per question, a dot with its 95 % interval per kind."""
+"""Dot plots of scores: one line per question, a dot with its 95 % interval per method."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def draw(rows: Mapping[str, Mapping[str, Score]], what: str, ticks: Mapping[str,
 
 def of_rows(rows: Mapping[str, Any], score: str) -> dict[str, dict[str, Score]]:
     """Rows called "QUESTION | KIND" as question -> kind -> score."""
-    found: dict[str, dict[str, Score]] = {}
+    nested: dict[str, dict[str, Score]] = {}
     for name, row in rows.items():
         question, kind = name.split(" | ")
-        found.setdefault(question, {})[kind] = row[score]
-    return found
+        nested.setdefault(question, {})[kind] = row[score]
+    return nested

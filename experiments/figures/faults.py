@@ -1,4 +1,4 @@
-"""Figures of what is noticed of faults: the simulated ones by severity, and the kinds of the authors' failures."""
+"""Figures of fault detection: simulated faults by severity, and the types of the authors' failures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rcbht_jax.plots.canvas import new_figure
 PARTS = {
     "seats, no alarm": "#cfd8dc",
     "seats, alarm": "#E69F00",
-    "fails, noticed in time": "#0072B2",
+    "fails, detected in time": "#0072B2",
     "fails, missed": "#000000",
 }
 
@@ -25,10 +25,10 @@ def faults(presets: dict[str, Any]) -> Figure:
     kinds = list(next(iter(presets.values()))["kinds"])
     figure = new_figure((11.5, 2.1 * len(presets) + 0.9), DPI)
     panels = figure.subplots(len(presets), 1 + len(kinds), sharey=True, squeeze=False)
-    for row, (session, found) in zip(panels, presets.items(), strict=True):
-        bars(row[0], ["all"], [nominal(found)])
+    for row, (session, preset) in zip(panels, presets.items(), strict=True):
+        bars(row[0], ["all"], [nominal(preset)])
         for ax, kind in zip(row[1:], kinds, strict=True):
-            cells = list(found["kinds"][kind]["by grade"].values()) or [found["kinds"][kind]["with contact"]]
+            cells = list(preset["kinds"][kind]["by grade"].values()) or [preset["kinds"][kind]["with contact"]]
             cells = cells[::-1] if kind == "early-stop" else cells  # the later it stops, the less is missing
             bars(ax, [str(k + 1) for k in range(len(cells))] if len(cells) > 1 else ["any tab"], map(of_cell, cells))
         row[0].set_ylabel(f"session {session}\nshare of streamed trials", fontsize=8)
@@ -41,10 +41,10 @@ def faults(presets: dict[str, Any]) -> Figure:
     return figure
 
 
-def nominal(found: dict[str, Any]) -> tuple[int, int, int, int]:
+def nominal(preset: dict[str, Any]) -> tuple[int, int, int, int]:
     """Counts of trials without a fault."""
-    streamed = sum(found["nominal trials streamed in each repeat"])
-    false = sum(found["false alarms in each repeat"])
+    streamed = sum(preset["nominal trials streamed in each repeat"])
+    false = sum(preset["false alarms in each repeat"])
     return streamed - false, false, 0, 0
 
 
@@ -81,8 +81,8 @@ def failure_types(classes: list[str], counts: list[list[int]], title: str) -> Fi
     ax.set_yticks(
         range(len(classes)), [f"{c} ({n:.0f})" for c, n in zip(classes, table.sum(1), strict=True)], fontsize=8
     )
-    ax.set_xlabel("said at the end of the record", fontsize=9)
-    ax.set_ylabel("true kind of failure (trials)", fontsize=9)
+    ax.set_xlabel("predicted at the end of the record", fontsize=9)
+    ax.set_ylabel("true failure type (trials)", fontsize=9)
     figure.suptitle(title, fontsize=9)
     figure.tight_layout()
     return figure

@@ -1,4 +1,4 @@
-"""Figures of the online results: how often a belief is right, and how soon."""
+"""Figures of the online results: reliability of beliefs, and time to confidence."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def reliability(rows: dict[str, Any]) -> Figure:
     figure = new_figure((3.4 * len(sets), 3.6), DPI)
     for number, (name, row) in enumerate(sets.items()):
         ax = figure.add_subplot(1, len(sets), number + 1)
-        share, said, right = numbers(row["all"]["reliability"]).T
+        share, confidence, right = numbers(row["all"]["reliability"]).T
         ax.plot([0, 1], [0, 1], color="0.7", linestyle=":", linewidth=1)
         ax.bar((np.arange(len(share)) + 0.5) / len(share), share, 0.95 / len(share), color="0.88")
-        ax.plot(said, right, "o-", color=LINES[1], markersize=4)
+        ax.plot(confidence, right, "o-", color=LINES[1], markersize=4)
         ax.set_title(f"{name}: error {row['all']['ECE steps']['mean']:.3f}", fontsize=9)
         ax.set_xlim(0, 1)
         ax.set_ylim(0, 1.02)
         plain(ax)
-    figure.axes[0].set_ylabel("share right (line), share of beliefs (bars)", fontsize=8)
+    figure.axes[0].set_ylabel("accuracy (line), share of beliefs (bars)", fontsize=8)
     figure.supxlabel("probability of the likeliest state, streamed every tenth of a second", fontsize=9)
     figure.tight_layout()
     return figure
@@ -50,9 +50,9 @@ def early(rows: dict[str, Any]) -> Figure:
         ax = figure.add_subplot(1, len(sets), number + 1)
         curves(ax, numbers(row["all"]["accuracy by tenth of the sub-task"]), row["classes"])
         ax.set_title(name, fontsize=9)
-    figure.axes[0].set_ylabel("share right", fontsize=8)
+    figure.axes[0].set_ylabel("accuracy", fontsize=8)
     figure.axes[0].legend(frameon=False, fontsize=8, loc="lower right")
-    figure.supxlabel("share of the sub-task that has passed", fontsize=9)
+    figure.supxlabel("elapsed fraction of the sub-task", fontsize=9)
     figure.tight_layout()
     return figure
 

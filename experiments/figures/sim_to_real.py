@@ -1,4 +1,4 @@
-"""The figure of ``experiments.classification.sim_to_real``: what each choice does to the accuracy on recorded trials."""
+"""The figure of ``experiments.classification.sim_to_real``: accuracy on recorded trials by choice."""
 
 from __future__ import annotations
 
@@ -13,6 +13,13 @@ TITLES = {"merged": "three states (rotation and insertion merged)", "harmonised"
 GOALS = {"merged": 0.92, "harmonised": 0.80}
 SESSIONS = {"A": ("o", "#1f77b4"), "B": ("s", "#d95f02")}
 POOLED = "A+B"
+# Titles of rows whose names in the result are not printed as they are.
+TITLES_OF_ROWS = {
+    "sensor | all presets wear a robot's": "sensor: a robot's in all presets",
+    "sensor | the OpenHRP preset's is free of noise": "sensor: noise-free in the OpenHRP preset",
+    "mating | each preset's own time": "mating: nominal duration of each preset",
+    "mating | own time, without A and B": "mating: nominal duration, without A and B",
+}
 # What moved the score: the main rows, what others would do, and each choice where no preset was fitted to A or B.
 FAR = "without A and B"
 STORY = ("main |", "baseline |", f"randomisation | none, {FAR}", f"randomisation | mild, {FAR}",
@@ -39,11 +46,11 @@ def draw(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> Figure:
     panels = figure.subplots(1, 2, sharey=True)
     for panel, (boundaries, title) in zip(panels, TITLES.items(), strict=True):
         for height, group in enumerate(shown.values()):
-            found = [row[boundaries] for row in group]
-            low, high = np.mean([one[POOLED]["interval"] for one in found], axis=0)
+            scores = [row[boundaries] for row in group]
+            low, high = np.mean([one[POOLED]["interval"] for one in scores], axis=0)
             panel.plot([low, high], [height, height], color="0.6", linewidth=3, solid_capstyle="butt", zorder=1)
             for session, (marker, color) in SESSIONS.items():
-                at = np.mean([one[session]["accuracy"] for one in found])
+                at = np.mean([one[session]["accuracy"] for one in scores])
                 panel.plot(at, height, marker, color=color, markersize=5, zorder=2, alpha=0.85)
         panel.axvline(GOALS[boundaries], color="0.3", linestyle=":", linewidth=1)
         panel.set_title(title, fontsize=10)
@@ -55,14 +62,16 @@ def draw(rows: dict[str, Any], begins: tuple[str, ...] = ("",)) -> Figure:
         if names[height].split(" | ")[0] != names[height - 1].split(" | ")[0]:
             for panel in panels:
                 panel.axhline(height - 0.5, color="0.8", linewidth=0.8)
-    panels[0].set_yticks(range(len(names)), [name.replace(" | ", ": ") for name in names], fontsize=8)
+    panels[0].set_yticks(
+        range(len(names)), [TITLES_OF_ROWS.get(name, name.replace(" | ", ": ")) for name in names], fontsize=8
+    )
     panels[0].set_ylim(len(names) - 0.5, -0.5)
     handles = [
         panels[0].plot([], [], marker, color=color, label=f"session {session}")[0]
         for session, (marker, color) in SESSIONS.items()
     ]
     handles.append(panels[0].plot([], [], color="0.6", linewidth=3, label="both, 95 % interval")[0])
-    handles.append(panels[0].plot([], [], ":", color="0.3", label="aim")[0])
+    handles.append(panels[0].plot([], [], ":", color="0.3", label="target")[0])
     figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9)
     figure.tight_layout(rect=(0, 0.5 / figure.get_figheight(), 1, 1))
     return figure

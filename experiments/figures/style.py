@@ -1,4 +1,4 @@
-"""How all figures of results look."""
+"""Style of all figures of results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speed and memory of the encoders on this machine, peers in the same run (extra "bench").
+"""Speed and memory of the encoders on this machine, compared with other libraries in the same run (extra "bench").
 
 Run on an otherwise idle machine: python -m experiments.simulation.bench
 """

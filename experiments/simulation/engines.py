@@ -1,7 +1,7 @@
-"""Engines against each other on one machine: parity, the solver's convergence, and speed.
+"""Physics engines compared on one machine: parity, convergence of the solver, and speed.
 
 Run: python -m experiments.simulation.engines [--engines mjx] [--parity 200] [--speed 256] [--longest 15]
-Speeds are those of this machine while nothing else runs. Writes results/engines.json beside this file.
+Measure speeds on an idle machine. Writes experiments/results/engines.json.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""The engines on a GPU: parity with C MuJoCo, steps per second, and a whole synthesis with labels and storage.
+"""The engines on a GPU: parity with C MuJoCo, steps per second, and a synthesis with labels and storage.
 
-Run on a machine with a GPU: python -m experiments.simulation.engines_gpu --engine mjx --out result.json
-[--sections ...]. Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten
-after each, so that an interruption keeps what was measured. Times are seconds; compilation is apart.
+Run on a machine with a GPU:
+python -m experiments.simulation.engines_gpu --engine mjx --out result.json [--sections ...]
+Sections: parity, speed, sweep (batch sizes), solver (iterations), synthesis. The file is rewritten after each. Times
+are seconds; compilation is measured apart.
 """
 
 from __future__ import annotations

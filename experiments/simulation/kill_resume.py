@@ -1,7 +1,7 @@
-"""Ten kills at random moments while trials are synthesised: the store must equal the uninterrupted one.
+"""Synthesis killed ten times at random moments and resumed: the store must equal the uninterrupted one.
 
 Run by hand: python -m experiments.simulation.kill_resume [--trials 2000] [--kills 10] [--longest 3.0]
-Trials are cut short, because physics is not what is tested.
+Trials are cut short, because the physics is not under test.
 """
 
 from __future__ import annotations

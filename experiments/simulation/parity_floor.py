@@ -1,8 +1,8 @@
-"""How equal can the words of two engines be? C MuJoCo against itself, with the least that single precision changes.
+"""Upper bound of label agreement between engines: C MuJoCo compared with itself after minimal perturbations.
 
-Contact with friction amplifies any difference. The rows say how much of the time the words stay the same when the
-female part stands a fraction of a micrometre elsewhere, and when the physics' state is rounded to single precision
-once per control period: no engine in single precision can be expected to agree better than that.
+Contact with friction amplifies any difference. The rows give the share of time with equal words when the female part is
+displaced by a fraction of a micrometre, and when the state of the physics is rounded to single precision once per
+control period. No engine in single precision can be expected to agree better than that.
 Run: python -m experiments.simulation.parity_floor [--trials 64] [--longest 15]
 """
 

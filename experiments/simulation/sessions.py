@@ -1,4 +1,4 @@
-"""The simulated sessions beside the recorded ones: onsets, ring, outcomes, signature, seating rate.
+"""Simulated sessions compared with the recorded ones: onsets, ringing, outcomes, signature, seating rate.
 
 Run: python -m experiments.simulation.sessions
 Reads the recorded signatures (RCBHT_GOLDEN). Simulates session B's grid of offsets, session A's repeats, the others
@@ -7,13 +7,12 @@ mildly randomised, and 64 mildly randomised trials of every preset with the nati
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import one_arm
@@ -62,7 +61,7 @@ def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
 
 
 def main() -> None:
-    golden = dict(np.load(Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden")) / "signatures/signatures.npz"))
+    golden = dict(np.load(GOLDEN / "signatures/signatures.npz"))
     result: dict[str, Any] = {
         f"{session}, as recorded": as_recorded(session, golden[key].astype(float))
         for session, key in REFERENCES.items()

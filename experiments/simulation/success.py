@@ -1,14 +1,13 @@
-"""When does the assembly succeed, and does it snap: seating rates, success over offsets, snap events.
+"""Success of the simulated assembly: seating rates, success over offsets, snap events.
 
 Run: python -m experiments.simulation.success [rates] [map] [snaps]     (default: all three)
-Simulates with the native engine. The recorded snaps beside the simulated ones are measured on the authors' data
-sets (RCBHT_DATA, default ../shared/data/hiro), if they are there. Draws docs/images/success-map.png.
+Simulates with the native engine. The recorded snaps are measured on the authors' data sets, if they are there
+(RCBHT_DATA, default ../shared/data/hiro). Draws docs/images/success-map.png.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import RESULTS, pictures, write_result
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.plots import save
@@ -145,9 +145,8 @@ def mapped() -> dict[str, Any]:
 
 def snapped() -> dict[str, Any]:
     out: dict[str, Any] = {"simulated": {session: simulated_snaps(session) for session in ("A", "B")}}
-    folder = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro"))
-    if folder.is_dir():
-        out["recorded"] = recorded_snaps(folder)
+    if DATA.is_dir():
+        out["recorded"] = recorded_snaps(DATA)
     return out
 
 

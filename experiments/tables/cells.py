@@ -41,9 +41,9 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def score(found: dict[str, float] | None, interval: bool = True) -> str:
+def score(values: dict[str, float] | None, interval: bool = True) -> str:
     """A mean with its 95 % interval, or a dash."""
-    if found is None:
+    if values is None:
         return NONE
-    limits = f" ({found['low']:.3f} to {found['high']:.3f})" if interval and "low" in found else ""
-    return f"{found['mean']:.3f}{limits}"
+    limits = f" ({values['low']:.3f} to {values['high']:.3f})" if interval and "low" in values else ""
+    return f"{values['mean']:.3f}{limits}"

@@ -22,12 +22,12 @@ def _runs(gpu: Result, cpu: Result, part: str) -> Result:
 def parity(gpu: Result, cpu: Result) -> str:
     """The device engines against C MuJoCo."""
     lines = []
-    for engine, found in _runs(gpu, cpu, "parity").items():
-        wrench = [found[f"{what}_until_contact"] for what in ("force", "moment")]
-        words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
+    for engine, measured in _runs(gpu, cpu, "parity").items():
+        wrench = [measured[f"{what}_until_contact"] for what in ("force", "moment")]
+        words = " / ".join(f"{100 * share:.1f}" for share in measured["labels"].values())
         contact = f"{wrench[0]:.3f} N, {wrench[1]:.4f} Nm"
-        rest = (f"{found['force_after_contact']:.3f} N", words, f"{100 * found['states']:.2f}")
-        lines.append((engine, str(found["trials"]), contact, *rest, f"{100 * found['same_outcome']:.1f}"))
+        rest = (f"{measured['force_after_contact']:.3f} N", words, f"{100 * measured['states']:.2f}")
+        lines.append((engine, str(measured["trials"]), contact, *rest, f"{100 * measured['same_outcome']:.1f}"))
     head = ("engine", "trials", "largest difference until contact", "median force difference after it", WORDS_SAME)
     return markdown((*head, "same state, % of time", "same outcome, % of trials"), lines)
 
@@ -36,9 +36,9 @@ def parity(gpu: Result, cpu: Result) -> str:
 def parity_floor(result: Result) -> str:
     """C MuJoCo against itself when next to nothing changes."""
     lines = []
-    for change, found in result["rows"].items():
-        words = " / ".join(f"{100 * share:.1f}" for share in found["labels"].values())
-        lines.append((change, f"{found['force_until_contact']:.3f} N", words))
+    for change, measured in result["rows"].items():
+        words = " / ".join(f"{100 * share:.1f}" for share in measured["labels"].values())
+        lines.append((change, f"{measured['force_until_contact']:.3f} N", words))
     return markdown(("change", "largest difference until contact", WORDS_SAME), lines)
 
 
@@ -60,8 +60,8 @@ def speed(gpu: Result, cpu: Result) -> str:
     """Physics steps per second with everything inside, by engine and batch."""
     lines = []
     for kind in ("speed", "sweep"):
-        for engine, found in _runs(gpu, cpu, kind).items():
-            for run in found if isinstance(found, list) else [found]:
+        for engine, measured in _runs(gpu, cpu, kind).items():
+            for run in measured if isinstance(measured, list) else [measured]:
                 millions, memory = run["steps_per_s"] / 1e6, run["memory_peak_GB"]
                 lines.append(
                     (engine, f"{run['batch']:,}", f"{millions:.2f}", f"{run['compile_s']:.0f}", f"{memory:.1f}")

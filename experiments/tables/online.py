@@ -55,10 +55,10 @@ def faults(result: Result) -> str:
     lines = []
     for kind in next(iter(presets.values()))["kinds"]:
         for part, title in zip(WARNED, (kind.replace("-", " "), "those at the boundary of success"), strict=True):
-            cells = [found["kinds"][kind][part] for found in presets.values()]
+            cells = [preset["kinds"][kind][part] for preset in presets.values()]
             if kind != "missing-tab" or part == WARNED[0]:
                 lines.append((title, *(_counted(cell) for cell in cells)))
-    lines.append(("false alarms per nominal trial", *(_false(found) for found in presets.values())))
+    lines.append(("false alarms per nominal trial", *(_false(preset) for preset in presets.values())))
     return markdown(("detected before the failing sub-task ends", *presets), lines)
 
 
@@ -68,14 +68,14 @@ def faults_apart(result: Result) -> str:
     presets = result["presets"]
     lines = []
     for kind in ("wedging", "moved-part", "early-stop"):
-        cells = [found["kinds"][kind]["without contact"] for found in presets.values()]
+        cells = [preset["kinds"][kind]["without contact"] for preset in presets.values()]
         lines.append((f"{kind.replace('-', ' ')} without contact", *(_counted(cell) for cell in cells)))
-    stops = [found["kinds"]["early-stop"]["with contact"] for found in presets.values()]
+    stops = [preset["kinds"]["early-stop"]["with contact"] for preset in presets.values()]
     for title, name in (("by the words", "by the words"), ("before the clock", "by the words, before the clock")):
         counts = (f"{cell[name]} of {cell['failures streamed']}" for cell in stops)
         lines.append((f"early stop with contact, {title}", *counts))
     for kind in ("jamming", "wedging", "moved-part", "early-stop"):
-        cells = [found["kinds"][kind]["with contact"] for found in presets.values()]
+        cells = [preset["kinds"][kind]["with contact"] for preset in presets.values()]
         counts = (f"{cell['of them alarmed']} of {cell['seated all the same']}" for cell in cells)
         lines.append((f"{kind.replace('-', ' ')}, parts seated, alarms", *counts))
     return markdown(("", *presets), lines)
@@ -88,10 +88,10 @@ def faults_across(result: Result) -> str:
     ways = next(iter(presets.values()))
     lines = []
     for kind in ways["own"]["kinds"]:
-        cells = [[found[one]["kinds"][kind]["share detected"] for found in presets.values()] for one in ways]
+        cells = [[preset[one]["kinds"][kind]["share detected"] for preset in presets.values()] for one in ways]
         lines.append((kind.replace("-", " "), *(_means(row) for row in cells)))
     false = [
-        [found[one].get("false alarms per nominal trial") or _worst(found[one]) for found in presets.values()]
+        [preset[one].get("false alarms per nominal trial") or _worst(preset[one]) for preset in presets.values()]
         for one in ways
     ]
     lines.append(("false alarms per nominal trial", *(_means(row) for row in false)))
@@ -105,9 +105,9 @@ TRAINED = {
 }  # fmt: skip
 
 
-def _worst(found: dict[str, Any]) -> dict[str, float]:
+def _worst(preset: dict[str, Any]) -> dict[str, float]:
     """Most false alarms of the monitors that each lack a kind."""
-    shares = [kind["false alarms per nominal trial"] for kind in found["kinds"].values()]
+    shares = [kind["false alarms per nominal trial"] for kind in preset["kinds"].values()]
     return max(shares, key=lambda share: share["mean"])
 
 
@@ -121,6 +121,6 @@ def _counted(cell: dict[str, Any]) -> str:
     return f"{score(cell['share detected'])}; {cell['detected']} of {cell['failures streamed']}"
 
 
-def _false(found: dict[str, Any]) -> str:
-    alarms, trials = (found[name] for name in ("false alarms in each repeat", "nominal trials streamed in each repeat"))
-    return f"{score(found['false alarms per nominal trial'])}; {sum(alarms)} of {sum(trials)}"
+def _false(preset: dict[str, Any]) -> str:
+    alarms, trials = sum(preset["false alarms in each repeat"]), sum(preset["nominal trials streamed in each repeat"])
+    return f"{score(preset['false alarms per nominal trial'])}; {alarms} of {trials}"

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments.figures.sim_to_real import TITLES_OF_ROWS
 from experiments.tables.cells import markdown, table
 
 Result = dict[str, Any]
-# Rows whose name in the result is not what the table prints.
-TITLES = {
-    "sensor | all presets wear a robot's": "sensor: a robot's in all presets",
-    "sensor | the OpenHRP preset's is free of noise": "sensor: noise-free in the OpenHRP preset",
-    "mating | each preset's own time": "mating: nominal duration of each preset",
-    "mating | own time, without A and B": "mating: nominal duration, without A and B",
-}
 
 
 @table("sim-to-real", "sim_to_real")
@@ -44,7 +38,7 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> str:
         for place in (2, 5):
             low, high = scores[place]["interval"]
             cells[place] += f" ({low:.3f} to {high:.3f})"
-        title = TITLES.get(name, name.replace(" | ", ": "))
+        title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
         lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return markdown(head, lines)

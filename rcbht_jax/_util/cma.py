@@ -1,12 +1,13 @@
 """CMA-ES: covariance matrix adaptation with rank-one and rank-mu updates and cumulative step-size control.
 
-Pure functions: the caller draws the points and evaluates them. Source: N. Hansen, The CMA Evolution Strategy: A
-Tutorial, arXiv:1604.00772, Table 1 and Appendix A, whose default strategy parameters are used.
+Pure functions: the caller draws the points and evaluates them, or uses :class:`CubeCma`. Source: N. Hansen, The CMA
+Evolution Strategy: A Tutorial, arXiv:1604.00772, Table 1 and Appendix A, whose default strategy parameters are used.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -66,3 +67,32 @@ def update(
     covariance = decay * state.covariance + c1 * np.outer(path, path) + cmu * (moves.T * weights) @ moves
     step = state.step * math.exp(min(1.0, cs / damping * (length / expected - 1)))
     return State(state.mean + state.step * move, step, covariance, step_path, path)
+
+
+@dataclass(frozen=True)
+class CubeCma:
+    """The strategy in the unit cube of ``n`` dimensions, maximising, with its own draws.
+
+    The next state is a function of the state and of the values of its samples, and these are a function of the state
+    and the seed, so that a run can be replayed from its values alone.
+    """
+
+    state: State
+    generation: int = 0
+
+    @property
+    def mean(self) -> Vector:
+        """``[n]``, the middle of the distribution."""
+        return self.state.mean
+
+    def sample(self, count: int, seed: int) -> Float[np.ndarray, "population n"]:
+        """Points ``[count, n]`` of this generation, clipped to the cube."""
+        normal = np.random.default_rng([seed, self.generation]).standard_normal((count, self.mean.size))
+        values, vectors = np.linalg.eigh(self.state.covariance)
+        root = (vectors * np.sqrt(np.maximum(values, 1e-14))) @ vectors.T
+        return np.clip(self.mean + self.state.step * normal @ root.T, 0.0, 1.0)
+
+    def update(self, points: Float[np.ndarray, "population n"], values: Float[np.ndarray, " population"]) -> CubeCma:
+        """The next generation, from the points and their values ``[count]``: larger is better, ties go to the first."""
+        after = update(self.state, points, -values, self.generation + 1)
+        return CubeCma(after._replace(mean=np.clip(after.mean, 0.0, 1.0)), self.generation + 1)

@@ -1,9 +1,9 @@
-"""Thresholds from context: the authors' rule, which reads limits off the states of an assembly.
+"""Contextual calibration: the authors' rule, which derives the limits from the states of an assembly.
 
-The impulse limit of an axis is a share of its steepest primitive during insertion, when the snaps engage; the
-constant limit a share of the mean slope during rotation, when the hand only leans on its edge. The limits in
-between are equally spaced, and most axes copy theirs from a neighbour (the authors' ``gradClassFolder``; one
-trial there, any number here).
+The impulse limit of an axis is a fraction of its steepest primitive during insertion, when the snaps engage; the
+constant limit is a fraction of the mean slope during rotation, when the part only leans on its edge. The two limits in
+between are equally spaced, and most axes copy theirs from another one (the authors' ``gradClassFolder``). The authors
+use one trial; here limits are medians over any number.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import LabelTrack, Recordings
@@ -29,29 +30,35 @@ OWN = tuple((axis, axis) for axis in AXES)
 
 @dataclass(frozen=True)
 class Context:
-    """What the rule found; ``[axis]`` in N/s or Nm/s, NaN where no trial says anything."""
+    """Thresholds of the rule, and the medians they are made of."""
 
-    impulse: NDArray[np.float64]
-    constant: NDArray[np.float64]
+    impulse: Float[np.ndarray, " axis"]  # N/s or Nm/s, NaN where no trial has an insertion
+    constant: Float[np.ndarray, " axis"]  # N/s or Nm/s, NaN where no trial has a rotation
     thresholds: GradientThresholds  # [6, 4]
-    trials: NDArray[np.int64]  # [2] trials that spoke for the impulse and for the constant limit
+    trials: Int[np.ndarray, " 2"]  # numbers of trials behind the impulse and the constant limits
 
 
-def spectrum(impulse: NDArray[np.floating], constant: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Limits ``[..., 4]``, equally spaced from the impulse limit down to the constant one ``[...]``."""
+def spectrum(
+    impulse: Float[np.ndarray, "*batch"], constant: Float[np.ndarray, "*batch"]
+) -> Float[np.ndarray, "*batch 4"]:
+    """Four limits, equally spaced from the impulse limit down to the constant one.
+
+    >>> spectrum(np.array([30.0]), np.array([3.0])).tolist()
+    [[30.0, 21.0, 12.0, 3.0]]
+    """
     share = np.arange(4) / 3
     return np.asarray(impulse[..., None] * (1 - share) + constant[..., None] * share, np.float64)
 
 
 def trial_limits(
-    primitive: LabelTrack, onset: NDArray[np.floating], end: NDArray[np.floating], dt: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    primitive: LabelTrack, onset: Float[np.ndarray, "trial 4"], end: Float[np.ndarray, " trial"], dt: float
+) -> tuple[Float[np.ndarray, "trial axis"], Float[np.ndarray, "trial axis"]]:
     """Impulse and constant limit of every trial and axis, ``[trial, axis]``; NaN where a state is missing or empty.
 
     Args:
         primitive: filtered primitives ``[trial, axis, slot]``.
-        onset: float ``[trial, 4]``, start of approach, rotation, insertion, mating, s; NaN = missing.
-        end: float ``[trial]``, end of the record, s; insertion ends there where the trial never mates.
+        onset: start of approach, rotation, insertion, mating, s; NaN = missing.
+        end: end of the record, s; the insertion of a trial without mating ends there.
         dt: seconds between samples.
     """
     start, stop = primitive.t0 * dt, primitive.t1 * dt
@@ -59,7 +66,7 @@ def trial_limits(
     s2, s3, s4 = (onset[:, k, None, None] for k in (1, 2, 3))
     s4 = np.where(np.isnan(s4), end[:, None, None], s4)
     slope = np.where(used, primitive.grad, 0).astype(np.float64)
-    # Comparisons with a missing mark are false: such a trial has no primitive inside.
+    # Comparisons with a missing onset are false: such a trial has no primitive inside.
     insertion = used & (start > s3) & (stop < s4)
     # From the first that starts in rotation to the one before the first that ends in insertion.
     rotation = used & (start > s2) & (stop <= s3)
@@ -71,42 +78,44 @@ def trial_limits(
 
 
 def combine(
-    impulse: NDArray[np.floating],
-    constant: NDArray[np.floating],
+    impulse: Float[np.ndarray, "trial axis"],
+    constant: Float[np.ndarray, "trial axis"],
     fallback: GradientThresholds,
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
 ) -> Context:
     """Medians over the trials, copied between axes and spaced.
 
     Args:
-        impulse: float ``[trial, axis]``, NaN = silent.
-        constant: float ``[trial, axis]``, NaN = silent.
-        fallback: where no trial speaks, and the lowest constant limit is a thousandth of its small one.
-        copy: per axis, whose impulse and whose constant limit it takes.
+        impulse: N/s or Nm/s, NaN = missing.
+        constant: N/s or Nm/s, NaN = missing.
+        fallback: limits ``[6, 4]`` used where no trial has a value; a constant limit is at least a thousandth of the
+            small limit.
+        copy: for each axis, the axes that its impulse and its constant limit are copied from.
 
     Raises:
-        InputError: ``copy`` does not name six pairs of axes.
+        InputError: ``copy`` does not name six pairs of axes, or the fallback is not ordered.
     """
     if len(copy) != len(AXES) or not {name for pair in copy for name in pair} <= set(AXES):
-        raise InputError(f"the copying rule {copy} does not name an impulse and a constant axis for each of six axes.")
+        raise InputError(f"The copying rule {copy} does not name an impulse and a constant axis for each of six axes.")
     base = np.asarray(fallback.limits, np.float64)
+    validate(base)
     medians = [_median(values) for values in (impulse, constant)]
     rows = [[AXES.index(pair[which]) for pair in copy] for which in (0, 1)]
     top, bottom = (
-        np.where(np.isnan(found), base[:, column], found)
-        for found, column in ((medians[0][rows[0]], 0), (medians[1][rows[1]], 3))
+        np.where(np.isnan(copied), base[:, column], copied)
+        for copied, column in ((medians[0][rows[0]], 0), (medians[1][rows[1]], 3))
     )
     bottom = np.maximum(bottom, base[:, 3] * 1e-3)
-    # A rotation steeper than the insertion says nothing about constancy.
+    # Where the rotation is steeper than the insertion the limits would be out of order.
     top = np.maximum(top, bottom * (1 + 1e-6))
-    speaking = np.array([int((~np.isnan(values)).any(1).sum()) for values in (impulse, constant)])
-    return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), speaking)
+    trials = np.array([int((~np.isnan(values)).any(1).sum()) for values in (impulse, constant)])
+    return Context(medians[0], medians[1], GradientThresholds(spectrum(top, bottom)), trials)
 
 
 def _median(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Over the trials that speak, per axis."""
-    found = [column[~np.isnan(column)] for column in values.T]
-    return np.array([np.median(column) if column.size else np.nan for column in found])
+    """Per axis, over the trials that have a value."""
+    columns = [column[~np.isnan(column)] for column in values.T]
+    return np.array([np.median(column) if column.size else np.nan for column in columns])
 
 
 def calibrate(
@@ -116,26 +125,26 @@ def calibrate(
     robot: str = "hiro",
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
 ) -> Context:
-    """The rule applied to the online primitives of some recordings, obtained with the robot's preset.
+    """Apply the rule to the primitives that the robot's preset gives.
 
     Args:
         recordings: the data set; its harmonised onsets are used.
-        rows: recordings to learn from.
+        rows: recordings to calibrate on.
         config: static configuration of the encoder.
-        robot: whose preset labels the primitives and stands in for what no trial says.
+        robot: its preset labels the primitives, and replaces limits for which there is no data.
         copy: see :func:`combine`.
 
     Raises:
-        InputError: no recordings, or no trial says anything about any limit.
+        InputError: no recordings, or none with a rotation or an insertion that contains a primitive.
     """
     if not len(rows):
-        raise InputError("there is no trial to calibrate on.")
+        raise InputError("There is no trial to calibrate on.")
     base = preset(robot)
     length = recordings.length[rows]
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
-    found = trial_limits(tracks.primitive, recordings.onset_harmonised[rows], end, recordings.dt)
-    context = combine(*found, base, copy)
+    impulse, constant = trial_limits(tracks.primitive, recordings.onset_harmonised[rows], end, recordings.dt)
+    context = combine(impulse, constant, base, copy)
     if not context.trials.any():
-        raise InputError("no trial has a rotation or an insertion with a primitive in it; the states may be missing.")
+        raise InputError("No trial has a rotation or an insertion with a primitive in it; the states may be missing.")
     return context

@@ -1,4 +1,4 @@
-"""What a calibration learns from: the windows of some trials, their sentences and the classes of these."""
+"""Calibration data: the fitted windows of training trials, their sentences and the classes of these."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import content_hash
@@ -21,15 +22,15 @@ from rcbht_jax.types import Array, Recordings
 
 @dataclass(frozen=True)
 class CalibrationData:
-    """One row per recording; every recording has the same number of sentences, end to end.
+    """One row per recording; every recording has the same number of consecutive sentences.
 
-    Its arrays are all on the host, or all on the device (:func:`rcbht_jax.calibration.dataset.device_calibration_data`).
+    The arrays are all on the host (:func:`calibration_data`) or all on the device (:func:`device_calibration_data`).
     """
 
-    wrench: Array  # float32 [recording, time, 6], N and Nm
+    wrench: Float[Array, "recording time 6"]  # float32, N and Nm
     windows: Windows
-    edges: Array  # int32 [recording, sentence + 1] samples
-    y: Array  # int32 [recording, sentence] index into classes
+    edges: Int[Array, "recording edge"]  # int32, samples
+    y: Int[Array, "recording sentence"]  # int32, index into classes
     classes: tuple[str, ...]
     trial: NDArray[np.str_]  # [recording]
 
@@ -44,13 +45,13 @@ class CalibrationData:
         )
 
     def fingerprint(self) -> str:
-        """SHA-256 of all that the result of a calibration can depend on."""
+        """SHA-256 of everything that the result of a calibration depends on."""
         windows = self.windows
         return content_hash([windows.slope, windows.vmax, windows.vmin, windows.length, self.edges, self.y])
 
 
 def calibration_data(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig) -> CalibrationData:
-    """The sentences of a task with the windows of their recordings.
+    """The sentences of a task with the fitted windows of their recordings.
 
     Args:
         recordings: the data set.
@@ -58,12 +59,12 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: E
         config: window and sampling period.
 
     Raises:
-        InputError: the sentences are of both arms, or the sampling periods differ.
+        InputError: the sentences cover both arms, or the sampling periods differ.
     """
     if len(items.intervals) != 1:
-        raise InputError("thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
+        raise InputError("Thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
     if config.dt != recordings.dt:
-        raise InputError(f"the encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
+        raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
     (spans,) = items.intervals
     rows, first = np.unique(spans.recording, return_index=True)
     rows = rows[np.argsort(first)]
@@ -78,16 +79,20 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: E
 
 
 def device_calibration_data(
-    config: EncoderConfig, wrench: Array, edges: Array, y: Array, classes: tuple[str, ...]
+    config: EncoderConfig,
+    wrench: Float[Array, "trial time 6"],
+    edges: Int[Array, "trial edge"],
+    y: Int[Array, "trial sentence"],
+    classes: tuple[str, ...],
 ) -> CalibrationData:
-    """Windows fitted where the wrenches are; trials are named by their number.
+    """Calibration data of wrenches that are on a device, and stay there; trials are named by their number.
 
     Args:
         config: static configuration.
-        wrench: float ``[trial, time, 6]`` on the device, N and Nm; after the last edge of a trial anything.
-        edges: int32 ``[trial, sentence + 1]`` on the device, samples; the last edge is the length of the trial.
-        y: int32 ``[trial, sentence]`` on the device, index into ``classes``.
-        classes: their names.
+        wrench: N and Nm; values after the last edge of a trial are ignored.
+        edges: samples; the last edge is the length of the trial.
+        y: index into ``classes``.
+        classes: names.
     """
     clean, windows = _fitted(config, wrench, edges)
     return CalibrationData(clean, windows, edges, y, classes, np.arange(len(wrench)).astype(np.str_))
@@ -95,7 +100,7 @@ def device_calibration_data(
 
 @partial(jax.jit, static_argnums=0)
 def _fitted(config: EncoderConfig, wrench: Array, edges: Array) -> tuple[Array, Windows]:
-    """The wrench with zeros after its end, in whole windows, and their lines."""
+    """The wrench with zeros after its end, in whole windows, and their fitted lines."""
     length = edges[:, -1]
     inside = jnp.arange(wrench.shape[1], dtype=jnp.int32)[None] < length[:, None]
     short = -wrench.shape[1] % config.window

@@ -1,4 +1,4 @@
-"""Thresholds by gradients: soft labels and a linear classifier trained together, temperature annealed."""
+"""Gradient calibration: soft labels and a linear classifier are trained together while the temperature falls."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
@@ -18,7 +19,7 @@ from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import ridge_leave_one_out
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares
-from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free
+from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array
@@ -27,86 +28,86 @@ with needs_extra("learn"):
     import optax  # type: ignore[import-untyped]
 
 _FEATURES = 6 * sum(LAYER_SIZES)
-_FLOOR = 1e-4  # of a share under the root, whose slope at 0 is infinite
-_GAIN = 4.0  # shares are small numbers; this gives the classifier's weights a handy scale
+_FLOOR = 1e-4  # added to a share under the root, whose slope at 0 is infinite
+_GAIN = 4.0  # shares are small numbers; this scales them to weights of order one
 
 
 @dataclass(frozen=True)
 class GradientOptions:
-    """How to train."""
+    """Settings of the training."""
 
     steps: int = 150
-    rate: float = 0.05  # of Adam, for the logarithms of the thresholds
-    rate_weights: float = 0.05  # of Adam, for the classifier
+    rate: float = 0.05  # learning rate of Adam, for the logarithms of the thresholds
+    rate_weights: float = 0.05  # learning rate of Adam, for the classifier
     temperature: tuple[float, float] = (1.0, 0.1)  # first and last, geometric in between
-    loss: Literal["logistic", "hinge", "fit"] = "logistic"  # fit: that of the search's objective, without a classifier
-    decay: float = 1e-3  # penalty of the classifier's squared weights
-    batch: int = 0  # trials per step, the next ones of a shuffled order; 0 = all
-    straight_through: bool = False  # hard labels forward, gradients of the soft ones
-    seed: int = 0  # of the classifier's first weights and of the order of the trials
+    loss: Literal["logistic", "hinge", "fit"] = "logistic"  # fit: score of the search, without a classifier
+    decay: float = 1e-3  # penalty on the squared weights of the classifier
+    batch: int = 0  # trials per step, in a shuffled order; 0 = all
+    straight_through: bool = False  # hard labels in the forward pass, gradients of the soft ones
+    seed: int = 0  # of the initial weights and of the order of the trials
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch < 0 or min(self.temperature) <= 0 or min(self.rate, self.rate_weights) <= 0:
-            raise InputError("training needs steps, positive temperatures and positive rates.")
+            raise InputError("Training needs steps, positive temperatures and positive rates.")
         if self.loss not in ("logistic", "hinge", "fit"):
-            raise InputError(f"the loss {self.loss!r} is not known; expected logistic, hinge or fit.")
+            raise InputError(f"The loss {self.loss!r} is not known; expected logistic, hinge or fit.")
 
 
 class Parameters(NamedTuple):
-    """What is trained."""
+    """Trained parameters, float32."""
 
-    free: Array  # float32 [6, 4], see rcbht_jax.encoding.thresholds.from_free
-    weights: Array  # float32 [150, class]
-    bias: Array  # float32 [class]
+    free: Float[Array, "6 4"]  # see rcbht_jax.encoding.thresholds.from_free
+    weights: Float[Array, "150 class"]
+    bias: Float[Array, " class"]
 
 
 class Batch(NamedTuple):
     """Trials on the device."""
 
-    wrench: Array  # float32 [trial, time, 6]
-    length: Array  # int32 [trial]
-    weights: Array  # float32 [trial, sentence, window]
-    y: Array  # int32 [trial, sentence]
+    wrench: Float[Array, "trial time 6"]  # N and Nm
+    length: Int[Array, " trial"]  # int32, samples
+    weights: Float[Array, "trial sentence window"]  # overlap of each sentence with each window, samples
+    y: Int[Array, "trial sentence"]  # int32
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The end of a training."""
+    """Trained thresholds and classifier, and how the training went."""
 
     thresholds: GradientThresholds  # [6, 4]
     parameters: Parameters
     history: list[tuple[float, float, float]]  # per step: seconds, training loss, held-out loss (NaN without)
-    path: NDArray[np.float64]  # [step, 6, 4] thresholds after each step
+    path: Float[np.ndarray, "step 6 4"]  # limits after each step, float64
 
 
-def batch_of(corpus: CalibrationData, config: EncoderConfig) -> Batch:
-    """A corpus as arrays for :func:`loss`."""
-    windows = -(-corpus.wrench.shape[1] // config.window)
-    weights = overlaps(jnp.asarray(corpus.edges), windows, config.window)
-    return Batch(jnp.asarray(corpus.wrench), jnp.asarray(corpus.windows.length), weights, jnp.asarray(corpus.y))
+def batch_of(data: CalibrationData, config: EncoderConfig) -> Batch:
+    """Calibration data as arrays for :func:`loss`."""
+    windows = -(-data.wrench.shape[1] // config.window)
+    weights = overlaps(jnp.asarray(data.edges), windows, config.window)
+    return Batch(jnp.asarray(data.wrench), jnp.asarray(data.windows.length), weights, jnp.asarray(data.y))
 
 
 def _orders(trials: int, options: GradientOptions) -> Iterator[NDArray[np.int64]]:
-    """Rows of the trials of each step; every trial once before any comes again."""
+    """Rows of the trials of each step; every trial is used once before any is used again."""
     size = min(options.batch, trials)
-    rng, left = np.random.default_rng(options.seed), np.zeros(0, np.int64)
+    rng, queue = np.random.default_rng(options.seed), np.zeros(0, np.int64)
     while True:
         if not options.batch:
             yield np.arange(trials)
             continue
-        if len(left) < size:
-            left = np.concatenate([left, rng.permutation(trials)])
-        yield left[:size]
-        left = left[size:]
+        if len(queue) < size:
+            queue = np.concatenate([queue, rng.permutation(trials)])
+        yield queue[:size]
+        queue = queue[size:]
 
 
 def loss(
     config: EncoderConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
-) -> Array:
+) -> Float[Array, ""]:
     """Mean loss of the linear classifier on soft label shares, without its penalty.
 
-    With ``fit`` it is the share of the variance of the classes that a ridge classifier does not explain when each trial
-    is left out in turn (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
+    With ``fit`` it is the leave-one-trial-out unexplained variance of a ridge classifier
+    (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
     limits = from_free(parameters.free).limits
     labels = soft_encode(
@@ -117,17 +118,17 @@ def loss(
         flat = x.reshape(-1, x.shape[-1])
         target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0])
         return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
-    said = _GAIN * x @ parameters.weights + parameters.bias[None, None]
+    logits = _GAIN * x @ parameters.weights + parameters.bias[None, None]
     if options.loss == "logistic":
-        return optax.softmax_cross_entropy_with_integer_labels(said, batch.y).mean()
-    # Crammer and Singer: the margin over the best wrong class.
-    true = jax.nn.one_hot(batch.y, said.shape[-1], dtype=said.dtype)
-    margin = jnp.sum(said * true, -1) - jnp.max(said - 1e9 * true, -1)
+        return optax.softmax_cross_entropy_with_integer_labels(logits, batch.y).mean()
+    # Crammer and Singer (2001): the margin over the best wrong class.
+    target = jax.nn.one_hot(batch.y, logits.shape[-1], dtype=logits.dtype)
+    margin = jnp.sum(logits * target, -1) - jnp.max(logits - 1e9 * target, -1)
     return jnp.maximum(1 - margin, 0).mean()
 
 
 def calibrate(
-    corpus: CalibrationData,
+    data: CalibrationData,
     config: EncoderConfig,
     start: GradientThresholds,
     options: GradientOptions,
@@ -135,41 +136,42 @@ def calibrate(
     held_out: CalibrationData | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> TrainResult:
-    """Train thresholds and classifier on a corpus, from ``start``.
+    """Train thresholds and classifier, from ``start``.
 
     Args:
-        corpus: training trials only.
+        data: training trials only.
         config: static configuration of the encoder.
-        start: first thresholds ``[6, 4]``, strictly ordered.
-        options: how to train.
-        held_out: trials whose loss, at the temperature of the step, is recorded and nothing else.
+        start: initial thresholds ``[6, 4]``, strictly ordered.
+        options: settings of the training.
+        held_out: trials whose loss at the temperature of each step is recorded; they are not used otherwise.
         progress: called with the number of steps done since the last call.
 
     Raises:
-        InputError: limits of the start coincide, or the loss is no longer finite.
+        InputError: the initial thresholds are not strictly ordered, or the training diverges.
     """
+    validate(np.asarray(start.limits))
     free = np.asarray(to_free(start), np.float32)
     if not np.isfinite(free).all():
-        raise InputError("training starts from strictly ordered thresholds; two of the given limits are equal.")
-    parameters = _first(free, len(corpus.classes), options)
-    # what a compiled step depends on: the rest may change without compiling it again
+        raise InputError("Training starts from strictly ordered thresholds; two of the given limits are equal.")
+    parameters = _first(free, len(data.classes), options)
+    # static arguments of a compiled step: the other options may change without compiling it again
     fixed = replace(options, steps=1, temperature=(1.0, 1.0), batch=min(options.batch, 1), seed=0)
     state = _optimizer(fixed).init(parameters)
-    batch = batch_of(corpus, config)
+    batch = batch_of(data, config)
     other = None if held_out is None else batch_of(held_out, config)
     history: list[tuple[float, float, float]] = []
     path, began = [], time.perf_counter()
     temperatures = np.geomspace(*options.temperature, options.steps).astype(np.float32)
-    for temperature, rows in zip(temperatures, _orders(len(corpus), options), strict=False):
-        # copies are explicit: a transfer guard can show that nothing else leaves the device
-        warmth, chosen = jax.device_put((temperature, rows.astype(np.int32)))
-        outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, warmth)))
-        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, warmth)
-        value, found = jax.device_get((inside, _limits(parameters.free)))
+    for temperature, rows in zip(temperatures, _orders(len(data), options), strict=False):
+        # copies are explicit, so that a transfer guard can show that nothing else leaves the device
+        now, chosen = jax.device_put((temperature, rows.astype(np.int32)))
+        outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, now)))
+        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, now)
+        value, limits = jax.device_get((inside, _limits(parameters.free)))
         history.append((time.perf_counter() - began, float(value), outside))
-        path.append(found.astype(np.float64))
+        path.append(limits.astype(np.float64))
         if not np.isfinite(history[-1][1]):
-            raise InputError("the training diverged: its loss is not finite; choose smaller rates.")
+            raise InputError("The training diverged: its loss is not finite; choose smaller rates.")
         if progress is not None:
             progress(1)
     return TrainResult(GradientThresholds(path[-1]), parameters, history, np.stack(path))

@@ -1,8 +1,8 @@
-"""Time per label in every sentence, for many sets of thresholds at once.
+"""Time per label in every sentence, for many candidate thresholds at once.
 
-The encoder's own chain runs over the shared windows with lanes = recordings x axes x candidates. Nothing is
-stored per window: the time of each published label goes straight to the sentences it overlaps. Times are
-whole samples, so the result does not depend on how candidates or recordings are grouped.
+The encoder's own chain runs over the shared windows with lanes = recordings x axes x candidates. Nothing is stored per
+window: the time of each published label is added at once to the sentences it overlaps. Times are whole samples, so the
+result does not depend on how candidates or recordings are grouped.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding import encoder, segments
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array, Segment
@@ -34,20 +36,27 @@ _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
 @partial(jax.jit, static_argnums=0, static_argnames="group")
-def label_durations(config: EncoderConfig, limits: Array, windows: Windows, edges: Array, *, group: int = 1) -> Array:
-    """Samples that each label fills in each sentence.
+def label_durations(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    windows: Windows,
+    edges: Int[Array, "recording edge"],
+    *,
+    group: int = 1,
+) -> Int[Array, "candidate recording sentence 6 25"]:
+    """Samples that each label occupies in each sentence.
 
     Args:
         config: static configuration; its window must be the one of ``windows``.
-        limits: float ``[candidate, 6, 4]``, largest first, N/s and Nm/s.
-        windows: lines of all recordings, from :func:`rcbht_jax.calibration.label_durations.fit_windows`.
-        edges: int32 ``[recording, sentence + 1]``, where the sentences of a recording begin and end, increasing.
-        group: recordings encoded at once; more of them suit a device with many cores.
+        thresholds: candidates ``[candidate, 6, 4]``, N/s and Nm/s.
+        windows: fitted lines of all recordings, from :func:`fit_windows`.
+        edges: samples at which the sentences of a recording begin and end, increasing.
+        group: recordings encoded at once; larger groups suit a device with many cores.
 
     Returns:
-        int32 ``[candidate, recording, sentence, 6, 25]``: primitives, compositions, behaviours in the order of
-        their codes.
+        int32; primitives, compositions, behaviours in the order of their codes.
     """
+    limits = limits_of(thresholds)
     recordings = windows.length.shape[0]
     order = jnp.argsort(windows.length)  # a group is encoded for as long as its longest recording
     padded = jnp.concatenate([order, jnp.full(-recordings % group, order[-1])]).reshape(-1, group)
@@ -138,8 +147,8 @@ def _per_label(label: Array, duration: Array, size: int) -> Array:
     def some(index: Array, total: Array) -> Array:
         for step in range(_UNROLLED):
             row = index * _UNROLLED + step
-            said, time = (jax.lax.dynamic_index_in_dim(x, row, keepdims=True) for x in (label, duration))
-            total += jnp.where(said == code, time, 0)
+            code_of_step, time = (jax.lax.dynamic_index_in_dim(x, row, keepdims=True) for x in (label, duration))
+            total += jnp.where(code_of_step == code, time, 0)
         return total
 
     return jax.lax.fori_loop(0, label.shape[0] // _UNROLLED, some, jnp.zeros((size, label.shape[1]), jnp.int32))
@@ -154,7 +163,7 @@ def _pack(items: list[Segment]) -> _Held:
 
 
 def _unpack(held: _Held) -> list[Segment]:
-    """Items without area and rise, on which no label depends."""
+    """Segments without area and rise, on which no label depends."""
     none = jnp.zeros_like(held[1][0])
     ints, reals = (leaf.reshape(_ITEMS, -1, none.shape[0]) for leaf in held)
     return [
@@ -171,30 +180,30 @@ AXES = 6
 class Windows:
     """Fitted lines; windows beyond a recording have length 0."""
 
-    slope: Array  # float [recording, window, 6], N/s or Nm/s
-    vmax: Array  # float [recording, window, 6], larger end of the line, N or Nm
-    vmin: Array  # float [recording, window, 6], smaller end of the line
-    length: Array  # int32 [recording], samples
+    slope: Float[Array, "recording window 6"]  # N/s or Nm/s
+    vmax: Float[Array, "recording window 6"]  # larger end of the line, N or Nm
+    vmin: Float[Array, "recording window 6"]  # smaller end of the line, N or Nm
+    length: Int[Array, " recording"]  # int32, samples
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Windows:
         """The chosen recordings."""
-        whole: Windows = jax.tree.map(lambda leaf: leaf[rows], self)
-        return whole
+        chosen: Windows = jax.tree.map(lambda leaf: leaf[rows], self)
+        return chosen
 
 
 def fit_windows(config: EncoderConfig, wrench: NDArray[np.floating], length: NDArray[np.integer[Any]]) -> Windows:
-    """Lines through all windows, the last partial one of each recording included.
+    """Fit a line to every window, the last partial one of each recording included.
 
     Args:
         config: window and sampling period.
         wrench: float32 or float64 ``[recording, time, 6]``, N and Nm.
-        length: int ``[recording]``, samples that count.
+        length: int ``[recording]``, valid samples.
 
     Returns:
         host arrays in the precision of the wrench.
 
     Raises:
-        InputError: wrong shapes, or samples that count and are not finite.
+        InputError: wrong shapes, or valid samples that are not finite.
     """
     if wrench.ndim != 3 or wrench.shape[2] != AXES or length.shape != wrench.shape[:1] or not length.size:
         raise InputError(
@@ -215,8 +224,10 @@ def fit_windows(config: EncoderConfig, wrench: NDArray[np.floating], length: NDA
 
 
 @partial(jax.jit, static_argnums=0)
-def device_lines(config: EncoderConfig, wrench: jax.Array, length: jax.Array) -> tuple[jax.Array, ...]:
-    """Slopes, larger and smaller ends ``[recording, window, 6]``; the wrench is made of whole windows."""
+def device_lines(
+    config: EncoderConfig, wrench: Float[jax.Array, "recording time 6"], length: Int[jax.Array, " recording"]
+) -> tuple[Float[jax.Array, "recording window 6"], ...]:
+    """Slopes, larger and smaller ends of the lines; the wrench is made of whole windows."""
     recordings, samples, axes = wrench.shape
     count = samples // config.window
     first = jnp.arange(count, dtype=jnp.int32) * config.window

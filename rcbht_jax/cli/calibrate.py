@@ -183,7 +183,7 @@ class Calibrate(Command):
             seed=self.seed,
         )
         with progress_bar("search", "candidates") as bar:
-            best = search(data, config, options, ledger=self.checkpoint, progress=bar.update)
+            best = search(data, config, options, checkpoint=self.checkpoint, progress=bar.update)
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 

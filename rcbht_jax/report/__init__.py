@@ -1,6 +1,6 @@
-"""One self-contained HTML page about a store: results read from JSON, counts, confounds, a browser of trials.
+"""One self-contained HTML page about a store: results, counts, confounds, a browser of trials.
 
-Nothing is computed here that a result file or the store does not say, and the page fetches nothing.
+It shows what the store and files of result rows contain; it measures nothing and fetches nothing.
 """
 
 from rcbht_jax.report.page import Options, page

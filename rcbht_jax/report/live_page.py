@@ -1,8 +1,8 @@
 """The live page: one self-contained HTML document and a stream of frames, over HTTP from this machine only.
 
 The server answers GET and HEAD of ``/``, ``/frames`` and ``/description`` and nothing else; it takes no input from
-whoever looks. Everything it keeps is bounded: the last frames, the number of viewers, the frames a slow viewer may
-lag behind, and the time a connection may idle.
+viewers. All its memory is bounded: the last frames, the number of viewers, the frames a slow viewer may lag behind, and
+the time a connection may idle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inl
 
 
 def description(session: Session) -> dict[str, Any]:
-    """What a viewer must know to draw the frames."""
+    """Constants that a viewer needs to draw the frames."""
     return {
         "axes": AXES,
         "layers": LAYERS,
@@ -57,7 +57,7 @@ class Broadcast:
         self._viewers: list[queue.Queue[str | None]] = []
 
     def publish(self, frame: dict[str, Any]) -> None:
-        """Hand a frame to everyone."""
+        """Send a frame to all viewers."""
         text = json.dumps(frame, allow_nan=False)
         with self._lock:
             self._history.append(text)
@@ -65,7 +65,7 @@ class Broadcast:
                 self._put(viewer, text)
 
     def close(self) -> None:
-        """Tell everyone that the stream has ended."""
+        """Signal the end of the stream to all viewers."""
         with self._lock:
             for viewer in self._viewers:
                 self._put(viewer, None)
@@ -77,7 +77,7 @@ class Broadcast:
         viewer.put_nowait(text)
 
     def join(self) -> queue.Queue[str | None] | None:
-        """A queue of frames that begins with the latest ones; None if the house is full."""
+        """A queue of frames that begins with the latest ones; None if there are already ``VIEWERS``."""
         with self._lock:
             if len(self._viewers) >= VIEWERS:
                 return None
@@ -88,13 +88,13 @@ class Broadcast:
             return viewer
 
     def leave(self, viewer: queue.Queue[str | None]) -> None:
-        """The viewer has gone."""
+        """Remove a viewer that has disconnected."""
         with self._lock:
             self._viewers = [other for other in self._viewers if other is not viewer]
 
 
 class Frames:
-    """Gathers what happens within ``FRAME`` seconds of a stream into one frame."""
+    """Collects ``FRAME`` seconds of a stream into one frame."""
 
     def __init__(self, session: Session, broadcast: Broadcast) -> None:
         self._session, self._broadcast = session, broadcast
@@ -104,7 +104,7 @@ class Frames:
         self._due = 0
 
     def feed(self, message: Message) -> list[Event]:
-        """Feed the session; the events of the message."""
+        """Feed a message to the session and return its events."""
         events = self._session.feed(message)
         if isinstance(message, Sample) and all(abs(v) < 1e7 for v in message.wrench):
             self._samples.append([round(self._session.time, 6), *(round(v, 5) for v in message.wrench)])
@@ -124,7 +124,7 @@ class Frames:
         return max(1, round(FRAME / self._session.introspector.model.encoder.dt))
 
     def flush(self) -> None:
-        """Publish what there is."""
+        """Publish the frame collected so far."""
         introspector = self._session.introspector
         frame = {
             "sample": introspector.received,
@@ -203,7 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.broadcast.leave(viewer)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: standard error is for the user."""
+        """Suppress the request log: standard error is for the user."""
 
 
 def _host(value: str) -> str:
@@ -249,4 +249,4 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A viewer who breaks off, or sends nonsense, is no news."""
+        """Ignore viewers that disconnect or send malformed requests."""

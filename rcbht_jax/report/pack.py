@@ -22,13 +22,13 @@ from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import AXES, LAYERS
 from rcbht_jax.types import LabelTracks, Recordings
 
-LEVELS = 16_000  # steps between the smallest and the largest value of an axis: finer than sensors resolve
+LEVELS = 16_000  # steps between the smallest and the largest value of an axis: finer than the resolution of sensors
 _FLOATS = ("vmax", "vmin", "avg", "grad")
 
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What one head of a model believed over a trial."""
+    """Class probabilities of one head of a model over a trial."""
 
     head: str
     classes: tuple[str, ...]
@@ -36,29 +36,29 @@ class Beliefs:
     probability: NDArray[np.float32]  # [step, class]
 
 
-def believe(introspector: Introspector, recordings: Recordings, row: int) -> list[Beliefs]:
-    """Stream one recording through a model; sub-tasks begin where the store says (harmonised).
+def infer_beliefs(introspector: Introspector, recordings: Recordings, row: int) -> list[Beliefs]:
+    """Stream one recording through a model.
 
-    The boundaries are given to the model: on a robot the controller knows them.
+    The model is given the harmonised onsets of the store, as a controller would announce its sub-tasks.
     """
     introspector.reset()
     samples = int(recordings.length[row])
     onsets = recordings.onset_harmonised[row]
     starts = np.rint(onsets[np.isfinite(onsets)] / recordings.dt).astype(int)
     inner = np.unique(starts[(starts > 0) & (starts < samples)]).tolist()
-    told: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
+    events: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
     for start, stop in zip([0, *inner], [*inner, samples], strict=True):
         if start:
             introspector.begin()
         for event in introspector.push(recordings.wrench[row, start:stop]):
             if isinstance(event, Belief):
-                told[event.head].append(event)
+                events[event.head].append(event)
     return [
         Beliefs(
             head.name,
             head.classes,
-            np.array([event.sample for event in told[head.name]], np.int32),
-            np.array([event.probabilities for event in told[head.name]], np.float32).reshape(-1, len(head.classes)),
+            np.array([event.sample for event in events[head.name]], np.int32),
+            np.array([event.probabilities for event in events[head.name]], np.float32).reshape(-1, len(head.classes)),
         )
         for head in introspector.model.heads
     ]
@@ -70,7 +70,7 @@ def pack(
     """One recording for the page.
 
     Returns:
-        what the page needs to decode and name it (JSON values), and the blob (base64).
+        its metadata (JSON values), with which the page decodes the blob, and the blob (base64).
     """
     from rcbht_jax.plots.trial import state_marks  # matplotlib, which a live page does without
 

@@ -21,21 +21,21 @@ from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
-from rcbht_jax.report.pack import believe, pack
+from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings
 
 
 @dataclass(frozen=True)
 class Options:
-    """What goes into a report besides the data."""
+    """Content of a report besides the data."""
 
     title: str = "Wrench introspection"
     results: Results | None = None  # None = no table of results
-    model: IntrospectionModel | None = None  # whose beliefs are shown over time
+    model: IntrospectionModel | None = None  # model whose beliefs are shown over time
     rate: float = 10.0  # beliefs per second
-    trials: tuple[str, ...] = ()  # which trials; () = evenly chosen ones
-    most: int = 100  # recordings in the browser, where none are named
+    trials: tuple[str, ...] = ()  # names of the trials to show; () = evenly spaced ones
+    most: int = 100  # largest number of recordings, where none are named
 
 
 def page(data: DataSet, options: Options = Options(), progress: Callable[[int], None] = lambda _: None) -> str:
@@ -43,17 +43,17 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
 
     Args:
         data: recordings with labels, see :func:`rcbht_jax.io.export.load`.
-        options: see there.
+        options: content besides the data.
         progress: called with the number of recordings packed since the last call.
 
     Raises:
-        InputError: a trial that is not there, fewer than one trial, or a model for another sampling period.
+        InputError: an unknown trial, fewer than one trial, or a model for another sampling period.
     """
     rows = chosen(data.recordings, options)
     introspector = _introspector(data.recordings, options)
     abouts, blobs = [], []
     for row in rows.tolist():
-        beliefs = [] if introspector is None else believe(introspector, data.recordings, row)
+        beliefs = [] if introspector is None else infer_beliefs(introspector, data.recordings, row)
         about, blob = pack(data.recordings, data.tracks, row, beliefs)
         abouts.append(about)
         blobs.append(blob)
@@ -84,7 +84,7 @@ def chosen(recordings: Recordings, options: Options) -> NDArray[np.int64]:
     """Rows of the recordings in the browser.
 
     Raises:
-        InputError: a trial that is not there, or fewer than one trial.
+        InputError: an unknown trial, or fewer than one trial.
     """
     unknown = set(options.trials) - set(recordings.trial.tolist())
     if unknown:
@@ -113,7 +113,7 @@ def _asset(file: str) -> str:
 
 
 def _script_json(value: Any) -> str:
-    """JSON that cannot end the script element it stands in, whatever a trial is called."""
+    """JSON that cannot end the script element around it, whatever the name of a trial."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
@@ -134,15 +134,15 @@ def _summary(data: DataSet, shown: int) -> str:
 
 
 def _about_model(recordings: Recordings, model: IntrospectionModel | None) -> str:
-    """What must be known about the beliefs that are shown."""
+    """How to read the beliefs that are shown."""
     if model is None:
         return ""
     trained = (
-        "The model was trained on this very store: its beliefs about trials that it has seen flatter it."
+        "The model was trained on this store: its beliefs about these trials are optimistic."
         if model.data_hash == data_hash(recordings)
         else "The model was trained on other data than this store."
     )
-    return f"<p><strong>Beliefs:</strong> {trained} It is told when a sub-task begins, as the store says.</p>"
+    return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"
 
 
 def _short(data: DataSet) -> str:

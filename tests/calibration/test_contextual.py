@@ -14,7 +14,7 @@ from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchSpace
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.svm import Grid
@@ -128,17 +128,17 @@ def test_poisoned_test_folds_change_no_threshold_and_no_training():
     test = np.setdiff1d(np.arange(len(items.y)), train)
     poison = clean.wrench.copy()
     poison[[3, 5]] = np.random.default_rng(9).normal(size=(2, 400, 6)) * 1e3
-    limits = SearchSpace(groups=(0,) * 6).limits(np.random.default_rng(1).random((8, 4)))
+    candidates = SearchSpace(groups=(0,) * 6).thresholds(np.random.default_rng(1).random((8, 4)))
     answers = []
     for wrench in (clean.wrench, poison):
         data = replace(clean, wrench=wrench)
-        library = CandidateBank.make(calibration_data(data, items, CONFIG), CONFIG, limits, chunk=8)
+        library = CandidateBank.make(calibration_data(data, items, CONFIG), CONFIG, candidates, chunk=8)
         choose = library.chooser(Objective(), top=2)
 
         def by_context(rows, seed, data=data):
-            return np.asarray(contextual.calibrate(data, rows, CONFIG).thresholds.limits)[None]
+            return GradientThresholds(contextual.calibrate(data, rows, CONFIG).thresholds.limits[None])
 
-        for chooser in (choose, by_context, fixed(preset().limits)):
+        for chooser in (choose, by_context, fixed(preset())):
             svm = CalibratedSvm(data, items, CONFIG, chooser, QUICK, FeatureSpec(families=("histogram",)))
             answers.append(svm.learner()(train, test, 0))
     for before, after in zip(answers[:3], answers[3:], strict=True):
@@ -155,7 +155,7 @@ def test_any_features_and_scaling_inside_the_folds():
     test = np.setdiff1d(np.arange(len(items.y)), train)
     spec = FeatureSpec(families=("histogram", "spread", "levels"), balance=True)
     grid = replace(QUICK, scalings=(True,), ranks=True)
-    said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset().limits), grid, spec).learner()(train, test, 0)
+    said, chosen = CalibratedSvm(data, items, CONFIG, fixed(preset()), grid, spec).learner()(train, test, 0)
     tracks = encode_batch(CONFIG, preset(), data.wrench, data.length)
     made = extract_features(tracks, items, spec)
     assert made.weights(spec) is not None

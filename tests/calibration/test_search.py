@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration.cma import Cma
+from rcbht_jax._util import cma
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
 from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
@@ -111,7 +111,7 @@ def test_labels_that_name_the_class_have_the_best_scores():
 
 def test_cma_finds_the_maximum_of_a_tilted_bowl():
     target = np.array([0.3, 0.6, 0.45])
-    state = Cma.start(np.full(3, 0.5), 0.2)
+    state = cma.CubeCma(cma.start(np.full(3, 0.5), 0.2))
     for _ in range(60):
         points = state.sample(12, seed=4)
         off = points - target
@@ -121,11 +121,12 @@ def test_cma_finds_the_maximum_of_a_tilted_bowl():
 
 def test_space_keeps_limits_ordered_and_finds_the_way_back():
     space = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
-    limits = space.limits(np.random.default_rng(0).random((50, space.dimensions)))
+    limits = space.thresholds(np.random.default_rng(0).random((50, space.dimensions))).limits
     assert (np.diff(limits, axis=-1) <= 0).all()
-    assert (limits >= space.base[:, 3:] * space.low * (1 - 1e-9)).all()
-    assert (limits <= space.base[:, :1] * space.high * (1 + 1e-9)).all()
-    np.testing.assert_allclose(space.limits(space.point(space.base)[None])[0], space.base, rtol=1e-9)
+    assert (limits >= space.base_limits[:, 3:] * space.low * (1 - 1e-9)).all()
+    assert (limits <= space.base_limits[:, :1] * space.high * (1 + 1e-9)).all()
+    base = space.thresholds(space.point(space.base)[None]).limits[0]
+    np.testing.assert_allclose(base, space.base_limits, rtol=1e-9)
 
 
 def test_search_does_not_depend_on_the_chunk_and_starts_with_the_base(made):
@@ -141,7 +142,7 @@ def test_search_does_not_depend_on_the_chunk_and_starts_with_the_base(made):
 
 def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
     whole = search(made, CONFIG, SMALL, chunk=4)
-    ledger = tmp_path / "search.json"
+    checkpoint = tmp_path / "search.json"
     for limit in (4, 10):  # in the middle of the Sobol points, then of CMA-ES
         done = 0
 
@@ -152,15 +153,15 @@ def test_interrupted_search_resumes_to_the_same_result(made, tmp_path):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            search(made, CONFIG, SMALL, chunk=4, ledger=ledger, progress=stop)
-    resumed = search(made, CONFIG, SMALL, chunk=4, ledger=ledger)
+            search(made, CONFIG, SMALL, chunk=4, checkpoint=checkpoint, progress=stop)
+    resumed = search(made, CONFIG, SMALL, chunk=4, checkpoint=checkpoint)
     np.testing.assert_array_equal(whole.thresholds.limits, resumed.thresholds.limits)
     assert whole.scores == resumed.scores
     with pytest.raises(InputError, match="other data or options"):
-        search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, ledger=ledger)
-    ledger.write_bytes(ledger.read_bytes()[:100])
+        search(made.take(np.array([0, 1, 2])), CONFIG, SMALL, checkpoint=checkpoint)
+    checkpoint.write_bytes(checkpoint.read_bytes()[:100])
     with pytest.raises(InputError, match="damaged"):
-        search(made, CONFIG, SMALL, ledger=ledger)
+        search(made, CONFIG, SMALL, checkpoint=checkpoint)
 
 
 def test_successive_halving_scores_survivors_on_all_trials(made):

@@ -199,7 +199,7 @@ def test_rows_go_on_and_start_anew_when_made_differently(place: Path, monkeypatc
 
     def fill(wanted: list[str], about: int = 0, only: str = "") -> dict[str, Any]:
         table = checkpointed_rows.Rows("some", "command", {"about": (about,)}, seed=0)
-        table.fill({row: make(row) for row in wanted}, lambda row: only in row)
+        table.fill({row: make(row) for row in wanted}, [only])
         return json.loads((place / "some.json").read_text())["result"]
 
     assert fill(["a", "b"], only="a") == {"about": [0], "complete": False, "rows": {"a": {"score": 1}}}

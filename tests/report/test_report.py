@@ -31,7 +31,7 @@ from rcbht_jax.io.playback import read_store
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.report import Options, page
-from rcbht_jax.report.pack import LEVELS, believe, pack, quantised, rounded
+from rcbht_jax.report.pack import LEVELS, infer_beliefs, pack, quantised, rounded
 from rcbht_jax.report.page import chosen, results_html
 from rcbht_jax.report.results import SCHEMA, cells, read_results
 from rcbht_jax.types import Recordings
@@ -116,7 +116,7 @@ def unpack(about: dict[str, Any], blob: str) -> dict[str, Any]:
 
 def test_blob_holds_words_and_beliefs(data: DataSet, store: Path) -> None:
     introspector = Introspector(model())
-    about, blob = pack(data.recordings, data.tracks, 1, believe(introspector, data.recordings, 1))
+    about, blob = pack(data.recordings, data.tracks, 1, infer_beliefs(introspector, data.recordings, 1))
     found = unpack(about, blob)
     assert (np.abs(found["wrench"].T - data.recordings.wrench[1]) <= np.array(about["step"]) * 0.51).all()
     for layer, counts in zip(LAYERS, about["words"], strict=True):
@@ -128,9 +128,9 @@ def test_blob_holds_words_and_beliefs(data: DataSet, store: Path) -> None:
         for field in ("vmax", "vmin", "avg", "grad"):
             np.testing.assert_allclose(found[layer][field], getattr(track, field)[1][used], rtol=3e-4)
     session = Session(Introspector(model()))
-    told = [event for event in session.run(read_store(store, ("two",))) if isinstance(event, Belief)]
+    events = [event for event in session.run(read_store(store, ("two",))) if isinstance(event, Belief)]
     for known, (step, probability) in zip(model().heads, found["beliefs"], strict=True):
-        expected = [event for event in told if event.head == known.name]
+        expected = [event for event in events if event.head == known.name]
         assert step.tolist() == [event.sample for event in expected]
         np.testing.assert_allclose(probability, [event.probabilities for event in expected], atol=0.6 / 255)
 
@@ -189,7 +189,7 @@ def test_choice_of_trials(data: DataSet) -> None:
 def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report: Path) -> None:
     assert "trained on other data" in report.read_text()
     seen = dataclasses.replace(model(), data_hash=data_hash(data.recordings))
-    assert "flatter it" in page(data, Options(model=seen, trials=("one",)))
+    assert "are optimistic" in page(data, Options(model=seen, trials=("one",)))
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
 
