@@ -1,33 +1,48 @@
-"""Grammar: label tracks and time intervals -> one row of fixed-length features per sentence.
+"""Features of label tracks: one row of fixed length per time interval of a recording.
 
-A *sentence* is what the labels say about one recording between two samples (a sub-task, or a whole
-record). A span that crosses a boundary is clipped there: it keeps its attributes and loses duration.
+A label that crosses the boundary of an interval is clipped: it keeps its attributes and loses duration.
 Families of features, each usable alone:
 
-* ``sentence``: the labels resampled to L slots by duration majority (offline specification, section 13,
-  in clean form: the slots divide the interval itself rather than first start to last end, a gap belongs
-  to nobody rather than to the label after it, arithmetic is exact, and ties go to the smallest code
-  rather than to a hash order; ``rcbht_jax.reference.published_features`` keeps the authors' form);
+* ``sentence``: the labels resampled to a fixed number of slots; each slot holds the label with most time in it. The
+  slots divide the interval itself, a gap has no label, and ties go to the smallest code
+  (``rcbht_jax.reference.published_features`` has the authors' variant);
 * ``histogram``: share of time and share of count per label;
 * ``ngram``: share of each run of n successive labels;
-* ``attributes``: mean amplitude, slope and level relative to the sentence's mean level, per label group;
-* ``duration``: seconds, the family that gives away how long a state lasted;
-* ``elapsed``: seconds since the sentence began and nothing else, one column;
-* ``course``: first, last, highest and lowest value relative to the sentence's mean level;
-* ``offset``: absolute mean level per label group, a family that gives away sensor bias;
-* ``edges``: first, last, highest and lowest value, absolute, which give it away as well.
+* ``attributes``: mean amplitude, slope and level relative to the interval's mean level, per label group;
+* ``duration``: seconds of the interval and of its labels;
+* ``elapsed``: seconds since the start of the interval, one column;
+* ``course``: first, last, highest and lowest value relative to the interval's mean level;
+* ``offset``: absolute mean level per label group; a constant sensor bias changes it;
+* ``edges``: first, last, highest and lowest value, absolute; a constant sensor bias changes them.
 
-Families that read the sentence back from its primitives at equally spaced moments:
+Families of the piecewise linear signal that the primitives describe, at equally spaced moments:
 
-* ``parts``: level, slope, steepness, range and signs in three and in eight equal parts of the sentence;
+* ``parts``: level, slope, steepness, range and signs in three and in eight equal parts of the interval;
 * ``spread``: quantiles of level and slope;
-* ``together``: what two axes say at the same time, and how their levels and slopes are correlated; scale-free;
-* ``order``: when the highest, steepest, first and last things happen; scale-free;
-* ``levels``: absolute level of each third, which gives away sensor bias.
+* ``together``: joint signs of two axes, and correlations of their levels and slopes; free of scale;
+* ``order``: when the signal is highest, steepest, first and last rising or falling; free of scale;
+* ``levels``: absolute level of each third; a constant sensor bias changes it.
 
-Labels of several encoders (other windows, other thresholds) may stand side by side, see ``concatenate_features``.
+Labels of several encoders (other windows, other thresholds) go side by side with ``concatenate_features``.
+Host code, NumPy only; nothing here is trained.
 
-Host code, NumPy only; nothing here trains.
+Example:
+    Shares of time in the behaviours of one recording, a push that lasts a second:
+
+    >>> import numpy as np
+    >>> from rcbht_jax.encoding.batch import encode_batch
+    >>> from rcbht_jax.encoding.encoder import EncoderConfig
+    >>> from rcbht_jax.encoding.thresholds import preset
+    >>> wrench = np.zeros((1, 400, 6), np.float32)
+    >>> wrench[0, :, 2] = np.clip(np.arange(400) - 100, 0, 200) * 0.1  # Fz, N
+    >>> tracks = encode_batch(EncoderConfig(), preset("hiro"), wrench, np.array([400], np.int32))
+    >>> whole = Intervals(np.array([0]), start=np.array([0]), end=np.array([400]), dt=0.005)
+    >>> features = interval_features(tracks, whole, FeatureSpec(("histogram",), layers=("llb",)))
+    >>> push = features.names.index("histogram.llb.Fz.time.PS")
+    >>> features.meanings[push]
+    'Fz llb: share of the labelled time spent in PS'
+    >>> float(features.values[0, push].round(2))
+    0.5
 """
 
 from rcbht_jax.features.spans import Intervals

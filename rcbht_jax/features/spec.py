@@ -1,4 +1,4 @@
-"""The specification of a feature matrix, the matrix with the meaning of its columns, and how it is made."""
+"""Specification of a feature matrix, and the matrix with the name, family and meaning of each column."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float32
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
@@ -18,30 +18,38 @@ from rcbht_jax.types import LabelTrack, LabelTracks
 
 _OF_WORDS = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
 FAMILIES = (*_OF_WORDS, *signal_families.FAMILIES, "elapsed")
-WHOLE = ("sentence",)  # families that need the whole sentence at once
+WHOLE = ("sentence",)  # families that need the whole interval at once
 
 ABSOLUTE = ("offset", "edges", "levels")  # families that a constant added to the wrench changes
-_KINDS = (ABSOLUTE, ("elapsed",))  # kinds of families that say something of their own in few columns
+_BALANCED = (ABSOLUTE, ("elapsed",))  # sets of families with few columns that count as much as all others
 
-_CHUNK = 64  # sentences handled at once, which bounds memory
+_CHUNK = 64  # intervals handled at once, which bounds memory
 
 
 @dataclass(frozen=True)
 class FeatureSpec:
-    """Which features to make; the same object rebuilds the same columns in the same order."""
+    """Which features to compute; equal specifications give the same columns in the same order.
+
+    Raises:
+        InputError: unknown or no families or layers, or slots or ngram out of range.
+
+    Example:
+        >>> FeatureSpec(families=("histogram", "elapsed"), layers=("llb",)).families
+        ('histogram', 'elapsed')
+    """
 
     families: tuple[str, ...] = ("histogram", "ngram", "attributes")
     layers: tuple[str, ...] = LAYERS
-    slots: tuple[int, int, int] = (64, 32, 16)  # L of the resampled sentence: primitive, mc, llb
-    one_hot: bool = False  # resampled sentence as one column per slot and label, not one code per slot
-    ngram: int = 2  # labels in a run
-    balance: bool = False  # absolute families, elapsed time and all other families weigh the same
+    slots: tuple[int, int, int] = (64, 32, 16)  # resampled labels per interval: primitive, mc, llb
+    one_hot: bool = False  # resampled labels as one column per slot and label instead of one code per slot
+    ngram: int = 2  # labels in a run, 1 to 3
+    balance: bool = False  # absolute families, elapsed time and all other families together weigh the same
 
     def __post_init__(self) -> None:
         known = set(self.families) <= set(FAMILIES) and set(self.layers) <= set(LAYERS)
         if not known or not self.families or not self.layers:
             raise InputError(
-                f"feature families {self.families} of layers {self.layers} cannot be made; choose at least "
+                f"feature families {self.families} of layers {self.layers} are not known; choose at least "
                 f"one family of {', '.join(FAMILIES)} and one layer of {', '.join(LAYERS)}."
             )
         if set(self.families) & set(signal_families.FAMILIES) and "primitive" not in self.layers:
@@ -60,63 +68,69 @@ class FeatureSpec:
 
 @dataclass(frozen=True)
 class Features:
-    """A feature matrix that can explain every one of its columns."""
+    """A feature matrix with a description of every column."""
 
-    values: NDArray[np.float32]  # [sentence, feature]
+    values: Float32[np.ndarray, "interval feature"]
     names: tuple[str, ...]  # [feature] family.layer.axis.what
     families: tuple[str, ...]  # [feature] one of FAMILIES
     meanings: tuple[str, ...]  # [feature] one line each
 
     def meaning(self, i: int) -> str:
-        """What column ``i`` says, in one line."""
+        """Description of column ``i`` in one line."""
         return self.meanings[i]
 
-    def weights(self, spec: FeatureSpec) -> NDArray[np.float64] | None:
-        """What scaled columns are multiplied by, ``[feature]``, mean square 1; None = all weigh the same.
+    def weights(self, spec: FeatureSpec) -> Float[np.ndarray, " feature"] | None:
+        """Factors of the scaled columns, mean square 1; None = all weigh the same.
 
-        With ``spec.balance`` where the force is (few columns), the time that has passed (one) and how the force moves
-        (many) count the same, those of them that are told.
+        With ``spec.balance``, absolute families (few columns), elapsed time (one) and all other families (many) get
+        the same total weight, as far as they are present.
         """
         return balanced_weights(self.families) if spec.balance else None
 
     def select(self, families: Sequence[str]) -> Features:
         """Only the columns of these families."""
-        keep = [i for i, family in enumerate(self.families) if family in families]
-        pick = {f: tuple(getattr(self, f)[i] for i in keep) for f in ("names", "families", "meanings")}
-        return Features(values=self.values[:, keep], **pick)
+        columns = [i for i, family in enumerate(self.families) if family in families]
+        described = {f: tuple(getattr(self, f)[i] for i in columns) for f in ("names", "families", "meanings")}
+        return Features(values=self.values[:, columns], **described)
 
 
-def balanced_weights(families: Sequence[str]) -> NDArray[np.float64] | None:
-    """Weights of columns ``[feature]`` by their families, see :meth:`Features.weights`; None = all weigh the same."""
-    kind = sum((k + 1) * np.isin(families, members) for k, members in enumerate(_KINDS))
-    told, inverse, count = np.unique(kind, return_inverse=True, return_counts=True)
-    if len(told) < 2:
+def balanced_weights(families: Sequence[str]) -> Float[np.ndarray, " feature"] | None:
+    """Weights of columns with these families, see :meth:`Features.weights`; None = all weigh the same.
+
+    >>> balanced_weights(("histogram", "histogram", "histogram", "elapsed")).round(3).tolist()
+    [0.816, 0.816, 0.816, 1.414]
+    """
+    group = sum((k + 1) * np.isin(families, members) for k, members in enumerate(_BALANCED))
+    present, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+    if len(present) < 2:
         return None
-    return np.asarray(np.sqrt(len(families) / len(told) / count)[inverse], np.float64)
+    return np.asarray(np.sqrt(len(families) / len(present) / count)[inverse], np.float64)
 
 
-def concatenate_features(grammars: Mapping[str, Features]) -> Features:
-    """Several grammars of the same sentences in one row each; where there are several, names get theirs as prefix.
+def concatenate_features(parts: Mapping[str, Features]) -> Features:
+    """Features of the same intervals from several encoders, side by side; the name of each becomes a prefix.
+
+    A single part is returned without a prefix.
 
     Raises:
-        InputError: they do not have the same number of sentences.
+        InputError: no parts, or different numbers of intervals.
     """
-    rows = {name: made.values.shape[0] for name, made in grammars.items()}
+    rows = {name: part.values.shape[0] for name, part in parts.items()}
     if len(set(rows.values())) != 1:
-        said = ", ".join(f"{name} {count}" for name, count in rows.items())
-        raise InputError(f"grammars of different sentences cannot stand side by side: {said or 'none'} sentences.")
-    if len(grammars) == 1:
-        return next(iter(grammars.values()))
-    return _side_by_side([_prefixed(made, name, name) for name, made in grammars.items()])
+        counts = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise InputError(f"features of different intervals cannot be put side by side: {counts or 'none'} intervals.")
+    if len(parts) == 1:
+        return next(iter(parts.values()))
+    return _side_by_side([_prefixed(part, name, name) for name, part in parts.items()])
 
 
 def interval_features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Features:
-    """Describe each sentence by the families of ``spec``.
+    """Features of each interval.
 
     Args:
-        tracks: labels, every array ``[recording, axis, slot]``, spans in samples.
-        intervals: the sentences.
-        spec: families, layers, L, one-hot and n.
+        tracks: labels, every array ``[recording, axis, slot]``, spans in samples; any number of axes.
+        intervals: samples of the recordings.
+        spec: which features.
 
     Raises:
         InputError: an interval is empty or points outside the recordings.
@@ -126,26 +140,30 @@ def interval_features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSp
     blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec)]
     seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
     if "duration" in spec.families:
-        blocks.append(Features(seconds, ("duration.total",), ("duration",), ("length of the sentence, s",)))
+        blocks.append(Features(seconds, ("duration.total",), ("duration",), ("length of the interval, s",)))
     if "elapsed" in spec.families:
-        blocks.append(Features(seconds, ("elapsed",), ("elapsed",), ("time since the sentence began, s",)))
+        blocks.append(Features(seconds, ("elapsed",), ("elapsed",), ("time since the start of the interval, s",)))
     return _side_by_side(blocks)
 
 
 def concatenate_arms(right: Features, left: Features) -> Features:
-    """Put the sentences of two arms into one row per trial; names get the prefix ``R`` or ``L``."""
+    """Features of two arms in one row per trial; names get the prefix ``R`` or ``L``.
+
+    Raises:
+        InputError: different numbers of intervals.
+    """
     if right.values.shape[0] != left.values.shape[0]:
         raise InputError(
-            f"the right arm has {right.values.shape[0]} sentences and the left arm "
+            f"the right arm has {right.values.shape[0]} intervals and the left arm "
             f"{left.values.shape[0]}; both need one per trial, in the same order."
         )
     return _side_by_side([_prefixed(right, "R", "right arm"), _prefixed(left, "L", "left arm")])
 
 
 def longest(tracks: LabelTracks, intervals: Intervals) -> tuple[int, int, int]:
-    """The authors' L: per layer, the largest number of labels of any sentence and axis.
+    """The authors' number of slots: per layer, the largest number of labels of any interval and axis.
 
-    It looks at every sentence given, so give it training sentences only.
+    Pass training intervals only, because the result depends on all of them.
     """
     _check(intervals, int(np.asarray(tracks.primitive.label).shape[0]))
     counts = []
@@ -160,11 +178,11 @@ def _check(intervals: Intervals, recordings: int) -> None:
     if bad.size:
         i = int(bad[0])
         raise InputError(
-            f"sentence {i} covers the samples {intervals.start[i]} to {intervals.end[i]}; "
+            f"interval {i} covers the samples {intervals.start[i]} to {intervals.end[i]}; "
             "it needs a start of at least 0 and an end after it."
         )
     if len(intervals) and not (intervals.recording.min() >= 0 and intervals.recording.max() < recordings):
-        raise InputError(f"a sentence names a recording outside the {recordings} labelled ones.")
+        raise InputError(f"an interval names a recording outside the {recordings} labelled ones.")
 
 
 def _chunks(intervals: Intervals) -> list[Intervals]:
@@ -182,26 +200,32 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
         "course": families.course,
         "edges": families.edges,
     }
+    axes = axis_names(int(np.asarray(track.label).shape[1]))
     chunks = [clip(track, part, layer) for part in _chunks(intervals)]
-    parts = []
-    for family in _OF_WORDS:
-        if family in spec.families:
-            made = [makers[family](words) for words in chunks]
-            parts.append(_flat(made, family, layer))
-    wanted = [family for family in signal_families.FAMILIES if family in spec.families and layer == "primitive"]
-    drawn = [signal_families.read_back(words, intervals.dt) for words in chunks if wanted]
-    for family in wanted:
-        over = signal_families.PAIRS if family == "together" else AXES
-        parts.append(_flat([signal_families.FAMILIES[family](drawing) for drawing in drawn], family, layer, over))
+    parts = [
+        _flat([makers[family](words) for words in chunks], family, layer, axes)
+        for family in _OF_WORDS
+        if family in spec.families
+    ]
+    of_signal = [family for family in signal_families.FAMILIES if family in spec.families and layer == "primitive"]
+    signals = [signal_families.read_back(words, intervals.dt) for words in chunks if of_signal]
+    for family in of_signal:
+        lanes = signal_families.axis_pairs(axes) if family == "together" else axes
+        parts.append(_flat([signal_families.FAMILIES[family](signal) for signal in signals], family, layer, lanes))
     return parts
 
 
-def _flat(made: list[families.Block], family: str, layer: str, over: Sequence[str] = AXES) -> Features:
-    """Chunks of one family side by side: columns of each axis, or pair of axes, in turn."""
-    values, columns = np.concatenate([m[0] for m in made]), made[0][1]
-    named = [(f"{family}.{layer}.{axis}.{what}", f"{axis} {layer}: {text}") for axis in over for what, text in columns]
-    flat = values.reshape(values.shape[0], -1).astype(np.float32)
+def _flat(blocks: list[families.Block], family: str, layer: str, lanes: Sequence[str]) -> Features:
+    """Chunks of one family under each other: columns of each lane (an axis, or a pair of axes) in turn."""
+    values, columns = np.concatenate([block[0] for block in blocks]), blocks[0][1]
+    named = [(f"{family}.{layer}.{lane}.{what}", f"{lane} {layer}: {text}") for lane in lanes for what, text in columns]
+    flat = values.reshape(len(values), values.shape[1] * values.shape[2]).astype(np.float32)
     return Features(flat, tuple(n for n, _ in named), (family,) * len(named), tuple(t for _, t in named))
+
+
+def axis_names(count: int) -> tuple[str, ...]:
+    """Names of ``count`` axes: those of a wrench if there are six, else axis0, axis1, ..."""
+    return AXES if count == len(AXES) else tuple(f"axis{number}" for number in range(count))
 
 
 def _side_by_side(parts: Sequence[Features]) -> Features:

@@ -1,30 +1,30 @@
-"""The families of features: words of one layer -> columns per axis, each with a name and a meaning."""
+"""Features of the labels of one layer: columns per axis, each with a name and a meaning."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Int, Num
 
 from rcbht_jax.features.spans import ClippedSpans, ratio, share, weighted_counts
 from rcbht_jax.labels import ALPHABETS, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group, name
 
-# Values are compressed as sign(v) log(1 + |v| / unit): the unit is about five times the sensor noise.
-UNIT = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])  # N or Nm (slopes: per second)
+# Values are compressed as sign(v) log(1 + |v| / unit); the unit is about five times the noise of the sensor.
+UNIT = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])  # N or Nm of a wrench (slopes: per second)
 
-# One family's columns for one layer: values [sentence, axis, column] and (suffix, meaning) per column.
-Block = tuple[NDArray[np.float64], list[tuple[str, str]]]
+Columns = Float[np.ndarray, "interval axis column"]
+# One family of one layer: values per interval and lane (axis or pair of axes), and (suffix, meaning) of each column.
+Block = tuple[Float[np.ndarray, "_ lane column"], list[tuple[str, str]]]
 
 
 def _names(layer: str) -> list[str]:
     return [name(layer, code) for code in range(1, LAYER_SIZES[LAYERS.index(layer)] + 1)]
 
 
-def majority(words: ClippedSpans, slots: int) -> NDArray[np.int64]:
-    """Code per slot ``[sentence, axis, slot]``: the label with most time in it; 0 = no label at all."""
+def majority(words: ClippedSpans, slots: int) -> Int[np.ndarray, "interval axis slot"]:
+    """Code of the label with most time in each of ``slots`` equal parts of an interval; 0 = no label."""
     # Times are multiplied by the number of slots, so that slot edges are whole multiples of the length.
     width = words.length[:, None, None]
     first, last = words.start * slots, words.end * slots
@@ -34,7 +34,7 @@ def majority(words: ClippedSpans, slots: int) -> NDArray[np.int64]:
     shape = (*words.code.shape[:2], slots + 1, words.size)
     lane = np.arange(shape[0] * shape[1]).reshape(*shape[:2], 1)
 
-    def spread(slot: NDArray[np.int64], weight: NDArray[Any]) -> NDArray[np.float64]:
+    def spread(slot: Int[np.ndarray, "*_"], weight: Num[np.ndarray, "*_"]) -> Float[np.ndarray, "*_"]:
         index = ((lane * (slots + 1) + slot) * words.size + np.maximum(words.code - 1, 0)).ravel()
         sums = np.bincount(index, np.where(used, weight, 0).ravel(), int(np.prod(shape)))
         return sums.astype(np.float64).reshape(shape)
@@ -48,7 +48,7 @@ def majority(words: ClippedSpans, slots: int) -> NDArray[np.int64]:
 
 
 def resampled(slots: int, one_hot: bool) -> Callable[[ClippedSpans], Block]:
-    """Labels at ``slots`` equal parts of the sentence, as codes or one-hot."""
+    """Labels of ``slots`` equal parts of the interval, as codes or one-hot."""
 
     def make(words: ClippedSpans) -> Block:
         codes = majority(words, slots)
@@ -112,60 +112,63 @@ def duration(dt: float) -> Callable[[ClippedSpans], Block]:
     return make
 
 
-def _groups(words: ClippedSpans) -> tuple[NDArray[np.int64], list[str]]:
-    """Group code per word (0 = empty) and group names: the signs of primitives, the labels elsewhere."""
+def _groups(words: ClippedSpans) -> tuple[Int[np.ndarray, "interval axis word"], list[str]]:
+    """Group code per word (0 = empty) and group names: the signs of primitives, the labels of other layers."""
     if words.layer == "primitive":
         return (PRIMITIVE_GROUP[words.code] + 1).astype(np.int64), [g.name.lower() for g in Group]
     return words.code, [label.name for label in ALPHABETS[LAYERS.index(words.layer)]]
 
 
-def compressed(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signed logarithm of ``[sentence, axis, column]`` in units of UNIT, so that peaks do not dominate."""
-    scaled = x / UNIT[:, None]
+def compressed(x: Columns) -> Columns:
+    """Signed logarithm of N or Nm (per second) in units of UNIT, so that peaks do not dominate.
+
+    Unless there are six axes, the unit of forces is used for all of them.
+    """
+    scaled = x / (UNIT if x.shape[1] == UNIT.size else UNIT[:1])[:, None]
     return np.asarray(np.sign(scaled) * np.log1p(np.abs(scaled)), np.float64)
 
 
-def _mean_per_group(words: ClippedSpans, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_per_group(words: ClippedSpans, value: Float[np.ndarray, "interval axis word"]) -> Columns:
     code, labels = _groups(words)
     return ratio(
         weighted_counts(code, words.duration * value, len(labels)), weighted_counts(code, words.duration, len(labels))
     )
 
 
-def _mean_level(words: ClippedSpans) -> NDArray[np.float64]:
-    """Duration-weighted mean level ``[sentence, axis, 1]``, N or Nm."""
+def _mean_level(words: ClippedSpans) -> Float[np.ndarray, "interval axis 1"]:
+    """Duration-weighted mean level, N or Nm."""
     time = words.duration.sum(-1, keepdims=True).astype(np.float64)
     return ratio((words.duration * words.value["avg"]).sum(-1, keepdims=True), time)
 
 
 def attributes(words: ClippedSpans) -> Block:
-    """Amplitude, slope and level relative to the sentence, per group; the range of the sentence."""
+    """Amplitude, slope and level relative to the interval's mean, per group; the range of the interval."""
     labels = _groups(words)[1]
     level = np.where(words.code > 0, words.value["avg"] - _mean_level(words), 0)
     top = np.where(words.code > 0, words.value["vmax"], -np.inf).max(-1, keepdims=True)
     bottom = np.where(words.code > 0, words.value["vmin"], np.inf).min(-1, keepdims=True)
-    said = np.isfinite(top)
-    span = np.where(said, np.where(said, top, 0) - np.where(said, bottom, 0), 0)
+    labelled = np.isfinite(top)
+    span = np.where(labelled, np.where(labelled, top, 0) - np.where(labelled, bottom, 0), 0)
     amplitude = _mean_per_group(words, words.value["vmax"] - words.value["vmin"])
     slope = _mean_per_group(words, words.value["grad"])
     values = np.concatenate([amplitude, slope, _mean_per_group(words, level), span], -1)
     columns = [(f"amp.{x}", f"mean amplitude of {x} labels, signed log") for x in labels]
     columns += [(f"grad.{x}", f"mean slope of {x} labels, signed log") for x in labels]
-    columns += [(f"level.{x}", f"mean level of {x} labels minus the sentence's, signed log") for x in labels]
-    columns += [("range", "highest minus lowest value in the sentence, signed log")]
+    columns += [(f"level.{x}", f"mean level of {x} labels minus the interval's, signed log") for x in labels]
+    columns += [("range", "highest minus lowest value in the interval, signed log")]
     return compressed(values), columns
 
 
 def offset(words: ClippedSpans) -> Block:
-    """Absolute mean level, per group and of the sentence."""
+    """Absolute mean level, per group and of the interval."""
     columns = [(f"avg.{x}", f"absolute mean level of {x} labels, signed log") for x in _groups(words)[1]]
-    columns += [("avg", "absolute mean level of the sentence, signed log")]
+    columns += [("avg", "absolute mean level of the interval, signed log")]
     values = np.concatenate([_mean_per_group(words, words.value["avg"]), _mean_level(words)], -1)
     return compressed(values), columns
 
 
-def _edges(words: ClippedSpans) -> NDArray[np.float64]:
-    """First, last, highest and lowest value of the sentence's lines, N or Nm: ``[sentence, axis, 4]``; 0 if no word."""
+def _edges(words: ClippedSpans) -> Float[np.ndarray, "interval axis 4"]:
+    """First, last, highest and lowest value of the fitted lines, N or Nm; 0 without any label."""
     used = words.code > 0
     rising = words.value["grad"] > 0
     begins = np.where(rising, words.value["vmin"], words.value["vmax"])[..., :1]
@@ -178,15 +181,15 @@ def _edges(words: ClippedSpans) -> NDArray[np.float64]:
 
 
 def course(words: ClippedSpans) -> Block:
-    """Where the sentence came from and went, relative to its own mean level."""
+    """First, last, highest and lowest value relative to the mean level of the interval, and the change."""
     edges, level = _edges(words), _mean_level(words)
     values = np.concatenate([edges - level, edges[..., 1:2] - edges[..., :1]], -1)
     named = ("first", "last", "highest", "lowest")
-    columns = [(x, f"{x} value minus the sentence's mean level, signed log") for x in named]
+    columns = [(x, f"{x} value minus the interval's mean level, signed log") for x in named]
     return compressed(values), [*columns, ("change", "last minus first value, signed log")]
 
 
 def edges(words: ClippedSpans) -> Block:
     """First, last, highest and lowest value, absolute."""
     named = ("first", "last", "highest", "lowest")
-    return compressed(_edges(words)), [(x, f"{x} value of the sentence, signed log") for x in named]
+    return compressed(_edges(words)), [(x, f"{x} value of the interval, signed log") for x in named]

@@ -21,7 +21,18 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.scaling import SPREAD
-from rcbht_jax.learning.svm import DEGREE, Ints, Matrix, SvmModel, SvmSpec, Weight, fit, grouped_folds, pairs
+from rcbht_jax.learning.svm import (
+    DEGREE,
+    Ints,
+    Matrix,
+    SvmModel,
+    SvmSpec,
+    Weight,
+    fewest_groups,
+    fit,
+    grouped_folds,
+    pairs,
+)
 from rcbht_jax.types import Array
 
 CERTAIN = 1e-7  # pair probabilities are kept this far from 0 and 1, as in libsvm
@@ -52,7 +63,7 @@ def fit_probabilistic(
     classes: Sequence[str],
     spec: SvmSpec,
     seed: int = 0,
-    folds: int = FOLDS,
+    folds: int | Any = FOLDS,
     weight: Weight = None,
 ) -> ProbabilisticSvm:
     """Train the SVM on all items and its sigmoids on held-out decision values.
@@ -64,7 +75,7 @@ def fit_probabilistic(
         classes: names.
         spec: hyper-parameters.
         seed: of the folds.
-        folds: fewer are used where a class has fewer trials.
+        folds: how many, fewer where a class has fewer trials; or a scikit-learn splitter that tests every item once.
         weight: positive ``[feature]`` by which scaled features are multiplied; None = ones.
 
     Raises:
@@ -81,13 +92,30 @@ def held_out_decisions(
     classes: Sequence[str],
     spec: SvmSpec,
     seed: int,
-    folds: int = FOLDS,
+    folds: int | Any = FOLDS,
     weight: Weight = None,
 ) -> NDArray[np.float64]:
-    """Decision values ``[item, pair]``, each by an SVM that saw no item of the same trial."""
-    fewest = min(len(np.unique(groups[y == c])) for c in range(len(classes)))
+    """Decision values ``[item, pair]``, each by an SVM that was trained without the item's trial.
+
+    Args:
+        x: features ``[item, feature]``.
+        y: class index ``[item]``.
+        groups: trial ``[item]``.
+        classes: names.
+        spec: hyper-parameters.
+        seed: of the folds.
+        folds: how many, fewer where a class has fewer trials; or a scikit-learn splitter.
+        weight: of the features ``[feature]``; None = ones.
+
+    Raises:
+        InputError: a class has fewer than two trials, or the splitter does not test every item once.
+    """
+    number = min(folds, fewest_groups(y, groups)) if isinstance(folds, int) else folds
+    splits = grouped_folds(y, groups, number, seed)
+    if not np.array_equal(np.sort(np.concatenate([test for _, test in splits])), np.arange(len(y))):
+        raise InputError(f"{folds} does not test every item exactly once, which held-out decision values need.")
     out = np.empty((len(y), len(classes) * (len(classes) - 1) // 2))
-    for train, test in grouped_folds(y, groups, min(folds, fewest), seed):
+    for train, test in splits:
         out[test] = fit(x[train], y[train], classes, spec, weight).decision(x[test])
     return out
 

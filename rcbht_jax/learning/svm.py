@@ -231,16 +231,27 @@ def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:
         )
 
 
-def grouped_folds(y: Ints, groups: NDArray[Any], folds: int, seed: int) -> list[Split]:
-    """Stratified folds that keep groups together, in a seeded order.
+def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) -> list[Split]:
+    """Stratified folds that keep groups together, in a seeded order: scikit-learn's StratifiedGroupKFold.
+
+    Args:
+        y: class index ``[item]``.
+        groups: trial ``[item]``.
+        folds: how many, or a scikit-learn splitter to use instead.
+        seed: of the shuffle; a splitter has its own.
 
     Raises:
-        InputError: a class has fewer groups than there are folds.
+        InputError: a class has fewer groups than there are folds, or the splitter divides a group.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
 
-    fewest = _fewest_groups(y, groups)
+    if not isinstance(folds, int):
+        splits = [(np.asarray(a, np.int64), np.asarray(b, np.int64)) for a, b in folds.split(y, y, groups)]
+        if any(np.intersect1d(groups[train], groups[test]).size for train, test in splits):
+            raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")
+        return splits
+    fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         raise InputError(
             f"{folds} folds need at least 2 and at most {fewest}, the number of trials of the rarest class."
@@ -249,7 +260,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int, seed: int) -> list[
     return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
 
 
-def _fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
+def fewest_groups(y: Ints, groups: NDArray[Any]) -> int:
+    """Number of groups of the class that has the fewest."""
     return min(len(np.unique(groups[y == c])) for c in np.unique(y))
 
 
@@ -276,7 +288,7 @@ def select(
     paths = grid.paths(list(candidates))
     if grid.single and len(paths) == 1:
         return paths[0]
-    splits = grouped_folds(y, groups, min(grid.inner, _fewest_groups(y, groups)), seed)
+    splits = grouped_folds(y, groups, min(grid.inner, fewest_groups(y, groups)), seed)
     scores = np.zeros((len(paths), len(grid.costs)))
     for train, test in splits:
         scaled, made_for = np.zeros((0, 0)), None

@@ -268,7 +268,7 @@ def test_a_specification_survives_json():
 
 @pytest.mark.parametrize("row", [(0, 5, 5), (0, 6, 5), (0, -1, 5), (2, 0, 5), (-1, 0, 5)])
 def test_bad_intervals_are_refused(row):
-    with pytest.raises(InputError, match="sentence"):
+    with pytest.raises(InputError, match="interval"):
         interval_features(make_tracks(1), intervals(row), ALL)
 
 

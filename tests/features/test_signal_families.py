@@ -163,7 +163,7 @@ def test_silence_is_described_by_finite_numbers():
 def test_names_are_unique_and_cover_axes_or_pairs():
     made = interval_features(make_tracks(0), intervals((0, 0, 40)), SPEC)
     assert len(set(made.names)) == len(made.names) == made.values.shape[1]
-    assert {name.split(".")[2] for name in made.select(["together"]).names} == set(signal_families.PAIRS)
+    assert {name.split(".")[2] for name in made.select(["together"]).names} == set(signal_families.axis_pairs(AXES))
     assert {name.split(".")[2] for name in made.select(FAMILIES[:2]).names} == set(AXES)
     assert all(name.startswith(f"{family}.primitive.") for name, family in zip(made.names, made.families, strict=True))
     assert not set(FAMILIES) & set(WHOLE)

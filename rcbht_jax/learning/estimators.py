@@ -1,0 +1,391 @@
+"""scikit-learn estimators: label features of wrenches, support vector machines, and both in one.
+
+``WrenchFeatures`` turns recordings into a feature matrix, ``SvmClassifier`` classifies feature matrices, and
+``StateClassifier`` chains them. They follow scikit-learn's conventions: ``clone``, ``Pipeline``, ``GridSearchCV`` over
+any parameter, ``set_output``, and sample groups by ``fit(X, y, groups=...)`` or metadata routing.
+Parameters are checked in ``fit``, as scikit-learn expects, hence ``Any`` in the signatures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
+from sklearn.utils import check_consistent_length
+from sklearn.utils.metaestimators import available_if
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
+from rcbht_jax.labels import AXES
+from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.learning.svm import SvmSpec, fit, pairs
+from rcbht_jax.types import LabelTrack, LabelTracks
+
+LAYOUTS = ("time-axis", "axis-time")
+
+
+class WrenchFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
+    """Label features of whole recordings.
+
+    Each recording is encoded into labels and described by one row of features. Nothing is learnt from the values.
+
+    Args:
+        rate: samples per second.
+        window: samples per straight-line fit, at least 2.
+        thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
+            limits ``[4]`` of every axis, N/s or Nm/s. Unless there are six axes, a robot's name stands for its limits
+            of forces.
+        features: which features; None = ``FeatureSpec()``.
+        config: other options of the encoder, whose ``window`` and ``dt`` are replaced; None = ``EncoderConfig()``.
+        layout: ``"time-axis"`` for arrays ``[n, time, axis]`` or lists of ``[time, axis]``; ``"axis-time"`` for aeon's
+            ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length.
+
+    Attributes:
+        n_features_in_: axes of a recording.
+        thresholds_: limits ``[axis, 4]`` that are used.
+        feature_weight_: weights of the columns where ``features.balance`` is set, else None; StateClassifier uses them.
+
+    Example:
+        >>> import numpy as np
+        >>> push = np.zeros((400, 6))  # 2 s at 200 Hz
+        >>> push[:, 2] = np.clip(np.arange(400) / 200 - 1, 0, 0.5) * 20  # Fz, N
+        >>> encoder = WrenchFeatures(features=FeatureSpec(("histogram",), layers=("llb",)))
+        >>> table = encoder.set_output(transform="pandas").fit_transform([push, push[:300]])
+        >>> table["histogram.llb.Fz.time.PS"].astype(float).round(2).tolist()
+        [0.25, 0.33]
+    """
+
+    def __init__(
+        self,
+        *,
+        rate: Any = 200.0,
+        window: Any = 5,
+        thresholds: Any = "hiro",
+        features: Any = None,
+        config: Any = None,
+        layout: Any = "time-axis",
+    ) -> None:
+        self.rate = rate
+        self.window = window
+        self.thresholds = thresholds
+        self.features = features
+        self.config = config
+        self.layout = layout
+
+    def fit(self, X: Any, y: Any = None) -> WrenchFeatures:
+        """Learn the number of axes and check the parameters.
+
+        Raises:
+            InputError: wrong shapes, an unknown layout or robot, or thresholds that do not fit the axes.
+        """
+        axes = _padded(X, self.layout)[0].shape[2]
+        self._encoder_config()
+        self.thresholds_ = _limits(self.thresholds, axes)
+        described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features)
+        self.n_features_in_ = axes
+        self._names = np.array(described.names, object)
+        self.feature_weight_ = described.weights(self.features or FeatureSpec())
+        return self
+
+    def transform(self, X: Any) -> Float32[np.ndarray, "recording feature"]:
+        """One row of features per recording.
+
+        Raises:
+            InputError: wrong shapes, another number of axes than in ``fit``, or values that are not finite.
+        """
+        check_is_fitted(self)
+        wrench, length = _padded(X, self.layout)
+        if wrench.shape[2] != self.n_features_in_:
+            raise InputError(f"recordings have {wrench.shape[2]} axes; fit had {self.n_features_in_}.")
+        config = self._encoder_config()
+        tracks = encode_batch(config, GradientThresholds(self.thresholds_), wrench, length)
+        return _describe(tracks, length, config.dt, self.features).values
+
+    def get_feature_names_out(self, input_features: Any = None) -> NDArray[Any]:
+        """Names of the columns, ``family.layer.axis.what``."""
+        check_is_fitted(self)
+        return self._names
+
+    def _encoder_config(self) -> EncoderConfig:
+        if not self.rate > 0:
+            raise InputError(f"The rate is {self.rate} Hz; expected a positive number.")
+        return replace(self.config or EncoderConfig(), window=self.window, dt=1 / self.rate)
+
+    def __sklearn_is_fitted__(self) -> bool:
+        return hasattr(self, "thresholds_")
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array, tags.input_tags.three_d_array = False, True
+        tags.requires_fit = True
+        return tags
+
+
+def _padded(
+    recordings: Any, layout: str
+) -> tuple[Float32[np.ndarray, "recording time axis"], Int[np.ndarray, " recording"]]:
+    """Recordings under each other, padded with zeros at the end, and their lengths in samples."""
+    if layout not in LAYOUTS:
+        raise InputError(f"layout is {layout!r}; expected one of {', '.join(LAYOUTS)}.")
+    parts = [np.asarray(recording, np.float32) for recording in recordings]
+    parts = [part.T if layout == "axis-time" and part.ndim == 2 else part for part in parts]
+    shapes = [part.shape for part in parts]
+    if not parts or any(len(shape) != 2 for shape in shapes):
+        raise InputError(
+            f"Recordings have the shapes {sorted(set(shapes))}; expected an array [n, time, axis] or a list of "
+            "[time, axis]; pass a single recording as [recording]."
+        )
+    if len({axes for _, axes in shapes}) > 1 or min(min(shape) for shape in shapes) == 0:
+        raise InputError(
+            f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
+        )
+    length = np.array([samples for samples, _ in shapes], np.int32)
+    wrench = np.zeros((len(parts), length.max(), shapes[0][1]), np.float32)
+    for row, part in zip(wrench, parts, strict=True):
+        row[: len(part)] = part
+    return wrench, length
+
+
+def _limits(thresholds: Any, axes: int) -> Float[np.ndarray, "axis 4"]:
+    if isinstance(thresholds, str):
+        limits = np.asarray(preset(thresholds).limits)
+        limits = limits if axes == len(AXES) else limits[0]
+    else:
+        limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
+    limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
+    validate(limits)
+    if limits.shape != (axes, 4):
+        raise InputError(f"Thresholds have shape {limits.shape}; expected [{axes}, 4] for recordings of {axes} axes.")
+    return limits
+
+
+def _describe(tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None) -> Features:
+    rows = np.arange(len(length))
+    return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec())
+
+
+def _no_labels(axes: int) -> LabelTracks:
+    """One recording without labels: names and families of features do not depend on labels."""
+    code, value = np.zeros((1, axes, 1), np.int32), np.zeros((1, axes, 1))
+    track = LabelTrack(code, code, code, code, value, value, value, value)
+    return LabelTracks(track, track, track)
+
+
+class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
+    """One-versus-one support vector machine, with probabilities by pairwise coupling.
+
+    Args:
+        kernel: ``"linear"``, ``"poly"`` (degree 3) or ``"rbf"``.
+        cost: C, positive.
+        scaling: standardise the features by mean and deviation of the training data.
+        ranks: scale by ranks among the training data instead; needs ``scaling``.
+        gamma: of the kernel: ``"auto"`` = 1 / features, ``"scale"`` = 1 / (features x variance).
+        balanced: weigh classes by the inverse of their frequency.
+        floor: least deviation to divide by when scaling.
+        feature_weight: positive factors ``[feature]`` of the scaled features; None = ones.
+        probability: fit Platt sigmoids on held-out groups as well, so that ``predict_proba`` is available.
+        cv: number of folds for the sigmoids, or a scikit-learn splitter that tests every sample once.
+        random_state: seed of these folds.
+
+    Attributes:
+        classes_: sorted classes.
+        n_features_in_: number of features.
+        model_: the fitted :class:`SvmModel`; plain arrays that need NumPy only.
+
+    Example:
+        >>> from sklearn.datasets import load_iris
+        >>> x, y = load_iris(return_X_y=True)
+        >>> machine = SvmClassifier(probability=True).fit(x, y, groups=np.arange(150) // 2)
+        >>> machine.score(x, y) > 0.95
+        True
+        >>> machine.predict_proba(x[:2]).sum(axis=1).round(6).tolist()
+        [1.0, 1.0]
+    """
+
+    def __init__(
+        self,
+        *,
+        kernel: Any = "rbf",
+        cost: Any = 1.0,
+        scaling: Any = True,
+        ranks: Any = False,
+        gamma: Any = "auto",
+        balanced: Any = False,
+        floor: Any = 0.0,
+        feature_weight: Any = None,
+        probability: Any = False,
+        cv: Any = FOLDS,
+        random_state: Any = 0,
+    ) -> None:
+        self.kernel = kernel
+        self.cost = cost
+        self.scaling = scaling
+        self.ranks = ranks
+        self.gamma = gamma
+        self.balanced = balanced
+        self.floor = floor
+        self.feature_weight = feature_weight
+        self.probability = probability
+        self.cv = cv
+        self.random_state = random_state
+
+    def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> SvmClassifier:
+        """Train on ``[sample, feature]`` with one class per sample.
+
+        Args:
+            X: features, finite.
+            y: classes.
+            groups: trial of each sample; samples of one trial stay together when probabilities are fitted. None = each
+                sample is a trial of its own.
+
+        Raises:
+            InputError: fewer than two classes, bad parameters, or too few groups for probabilities.
+        """
+        X, y = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
+        check_classification_targets(y)
+        groups = np.arange(len(y)) if groups is None else np.asarray(groups)
+        check_consistent_length(X, groups)
+        self.classes_, code = np.unique(y, return_inverse=True)
+        spec = SvmSpec(
+            self.kernel, self.cost, self.scaling, self.gamma, self.balanced, floor=self.floor, ranks=self.ranks
+        )
+        names = [str(name) for name in self.classes_]
+        weight = None if self.feature_weight is None else np.asarray(self.feature_weight, np.float64)
+        if self.probability:
+            machine = fit_probabilistic(X, code, groups, names, spec, self.random_state, self.cv, weight)
+            self.model_, self.sigmoid_ = machine.svm, machine.sigmoid
+        else:
+            self.model_ = fit(X, code, names, spec, weight)
+        return self
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Class of each sample, by majority of the pairwise votes; ties go to the earlier class."""
+        x = self._features(X)
+        return self.classes_[self.model_.predict_index(x)]
+
+    def decision_function(self, X: Any) -> Float[np.ndarray, " sample"] | Float[np.ndarray, "sample class"]:
+        """Two classes: positive for the second. More: votes plus a share of the decision values, as in ``SVC``."""
+        x = self._features(X)
+        decision = self.model_.decision(x)
+        if len(self.classes_) == 2:
+            return -decision[:, 0]
+        first, second = (np.eye(len(self.classes_))[side] for side in pairs(len(self.classes_)))
+        votes = np.where(decision > 0, 1.0, 0.0) @ first + np.where(decision > 0, 0.0, 1.0) @ second
+        confidence = decision @ (first - second)
+        return votes + confidence / (3 * (np.abs(confidence) + 1))
+
+    @available_if(lambda self: self.probability)  # type: ignore[untyped-decorator]
+    def predict_proba(self, X: Any) -> Float[np.ndarray, "sample class"]:
+        """Class probabilities; only with ``probability=True``."""
+        x = self._features(X)
+        return ProbabilisticSvm(self.model_, self.sigmoid_).probability(x)
+
+    def _features(self, X: Any) -> Float[np.ndarray, "sample feature"]:
+        check_is_fitted(self)
+        return validate_data(self, X, dtype=np.float64, reset=False)
+
+
+def _has(chain: StateClassifier, method: str) -> bool:
+    return hasattr(getattr(chain, "classifier_", chain.classifier or SvmClassifier()), method)
+
+
+class StateClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
+    """Classifier of recordings: wrench -> labels -> features -> support vector machine.
+
+    Args:
+        rate: see :class:`WrenchFeatures`, as are the next five.
+        window: samples per straight-line fit.
+        thresholds: gradient thresholds.
+        features: which features.
+        config: other options of the encoder.
+        layout: order of the dimensions.
+        classifier: of feature matrices; None = ``SvmClassifier()``.
+
+    Attributes:
+        classes_: sorted classes.
+        n_features_in_: axes of a recording.
+        features_: the fitted :class:`WrenchFeatures`.
+        classifier_: the fitted classifier.
+
+    Example:
+        Choose the window by cross-validation that keeps trials together:
+
+        >>> import numpy as np
+        >>> from sklearn.model_selection import GridSearchCV, GroupKFold
+        >>> rng = np.random.default_rng(0)
+        >>> noise = rng.normal(size=(12, 300, 6)) * 0.02
+        >>> push = np.clip(np.arange(300) / 200 - 0.5, 0, 0.5)[:, None] * 20  # N and Nm
+        >>> y = np.repeat(["push", "rest"], 6)
+        >>> wrench = noise + np.where(y == "push", 1, 0)[:, None, None] * push
+        >>> search = GridSearchCV(StateClassifier(), {"window": [5, 10]}, cv=GroupKFold(3))
+        >>> search = search.fit(wrench, y, groups=np.arange(12) // 2)
+        >>> float(search.best_score_), search.predict(wrench[[0, -1]]).tolist()
+        (1.0, ['push', 'rest'])
+    """
+
+    def __init__(
+        self,
+        *,
+        rate: Any = 200.0,
+        window: Any = 5,
+        thresholds: Any = "hiro",
+        features: Any = None,
+        config: Any = None,
+        layout: Any = "time-axis",
+        classifier: Any = None,
+    ) -> None:
+        self.rate = rate
+        self.window = window
+        self.thresholds = thresholds
+        self.features = features
+        self.config = config
+        self.layout = layout
+        self.classifier = classifier
+
+    def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> StateClassifier:
+        """Train on recordings with one class each; see :class:`WrenchFeatures` for their shapes.
+
+        Raises:
+            InputError: as the two parts do.
+        """
+        parameters = ("rate", "window", "thresholds", "features", "config", "layout")
+        self.features_ = WrenchFeatures(**{name: getattr(self, name) for name in parameters}).fit(X)
+        self.n_features_in_ = self.features_.n_features_in_
+        self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
+        if self.features_.feature_weight_ is not None:
+            self.classifier_.set_params(feature_weight=self.features_.feature_weight_)
+        grouped = {} if groups is None else {"groups": groups}
+        self.classifier_.fit(self.features_.transform(X), y, **grouped)
+        self.classes_ = self.classifier_.classes_
+        return self
+
+    def predict(self, X: Any) -> NDArray[Any]:
+        """Class of each recording."""
+        check_is_fitted(self)
+        return self.classifier_.predict(self.features_.transform(X))
+
+    @available_if(lambda self: _has(self, "decision_function"))  # type: ignore[untyped-decorator]
+    def decision_function(self, X: Any) -> NDArray[Any]:
+        """Decision values of the classifier."""
+        check_is_fitted(self)
+        return self.classifier_.decision_function(self.features_.transform(X))
+
+    @available_if(lambda self: _has(self, "predict_proba"))  # type: ignore[untyped-decorator]
+    def predict_proba(self, X: Any) -> NDArray[Any]:
+        """Class probabilities, if the classifier has them: for example ``SvmClassifier(probability=True)``."""
+        check_is_fitted(self)
+        return self.classifier_.predict_proba(self.features_.transform(X))
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.two_d_array, tags.input_tags.three_d_array = False, True
+        return tags

@@ -1,0 +1,184 @@
+"""The scikit-learn estimators: their conventions, and that they equal the functions below them."""
+
+from __future__ import annotations
+
+import doctest
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import FeatureSpec, Intervals, interval_features
+from rcbht_jax.learning import estimators
+from rcbht_jax.learning.estimators import StateClassifier, SvmClassifier, WrenchFeatures
+from rcbht_jax.learning.probability import fit_probabilistic
+from rcbht_jax.learning.svm import SvmSpec, fit
+
+
+@parametrize_with_checks([SvmClassifier(), SvmClassifier(probability=True)])
+def test_scikit_learn_conventions(estimator, check):
+    check(estimator)
+
+
+SPEC = FeatureSpec(("histogram", "attributes"), layers=("primitive", "llb"))
+TRIAL = np.arange(24) // 2
+STATE = np.repeat(["push", "rest"], 12)
+
+
+def wrenches(seed: int = 0, samples: int = 300) -> np.ndarray:
+    """Half of the recordings are pushed along every axis for half a second."""
+    push = np.clip(np.arange(samples) / 200 - 0.5, 0, 0.5)[:, None] * 20
+    noise = np.random.default_rng(seed).normal(size=(24, samples, 6)) * 0.02
+    return noise + np.where(STATE == "push", 1, 0)[:, None, None] * push
+
+
+@pytest.mark.parametrize("window", [5, 8])
+def test_features_equal_those_of_the_encoder(window):
+    wrench = wrenches().astype(np.float32)
+    made = WrenchFeatures(window=window, thresholds="pa10", features=SPEC).fit_transform(wrench)
+    length, rows = np.full(24, 300, np.int32), np.arange(24)
+    tracks = encode_batch(EncoderConfig(window), preset("pa10"), wrench, length)
+    expected = interval_features(tracks, Intervals(rows, 0 * rows, length, 0.005), SPEC)
+    np.testing.assert_array_equal(made, expected.values)
+
+
+def test_layouts_and_unequal_lengths_agree():
+    parts = [wrench[: 200 + 3 * k] for k, wrench in enumerate(wrenches())]
+    encoder = WrenchFeatures(features=SPEC)
+    made = encoder.fit_transform(parts)
+    one_by_one = np.concatenate([encoder.transform(part[None]) for part in parts[:3]])
+    np.testing.assert_array_equal(made[:3], one_by_one)
+    turned = clone(encoder).set_params(layout="axis-time")
+    np.testing.assert_array_equal(made, turned.fit_transform([part.T for part in parts]))
+    assert turned.n_features_in_ == 6
+    equal = wrenches()
+    np.testing.assert_array_equal(turned.transform(equal.swapaxes(1, 2)), encoder.transform(equal))
+
+
+def test_options_of_the_encoder_are_used():
+    config = EncoderConfig(window=99, dt=9.0, gate=False, adj_exempt=False)
+    wrench = np.cumsum(np.random.default_rng(1).normal(size=(3, 400, 6)), axis=1)
+    plain, other = (WrenchFeatures(config=c).fit_transform(wrench) for c in (None, config))
+    assert not np.array_equal(plain, other)
+    same = WrenchFeatures(config=EncoderConfig()).fit_transform(wrench)
+    np.testing.assert_array_equal(plain, same)
+    seconds = [WrenchFeatures(rate=r, features=FeatureSpec(("elapsed",))).fit_transform(wrench) for r in (100, 400)]
+    np.testing.assert_allclose([s[:, 0] for s in seconds], [[4] * 3, [1] * 3])
+
+
+@pytest.mark.parametrize("form", ["name", "object", "array", "one axis"])
+def test_thresholds_of_any_form(form):
+    limits = np.tile([70.0, 46, 23, 1], (6, 1))
+    forms = {"name": "hiro", "object": preset("hiro"), "array": limits.tolist(), "one axis": (70.0, 46, 23, 1)}
+    encoder = WrenchFeatures(thresholds=forms[form]).fit(wrenches())
+    expected = preset("hiro").limits if form in ("name", "object") else limits
+    np.testing.assert_array_equal(encoder.thresholds_, expected)
+    assert clone(encoder).get_params().keys() == encoder.get_params().keys()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "wrench", "why"),
+    [
+        ({}, np.zeros((5, 6)), "pass a single recording"),
+        ({}, [np.zeros((5, 6)), np.zeros((5, 3))], "same axes"),
+        ({}, [np.zeros((0, 6))], "need samples"),
+        ({}, [], "pass a single recording"),
+        ({"layout": "aeon"}, np.zeros((1, 9, 6)), "layout is 'aeon'"),
+        ({"thresholds": "c3po"}, np.zeros((1, 9, 6)), "no thresholds"),
+        ({"thresholds": np.ones((3, 4))}, np.zeros((1, 9, 6)), r"expected \[6, 4\]"),
+        ({"thresholds": (1, 2, 3, 4)}, np.zeros((1, 9, 6)), "ordered"),
+        ({"rate": 0}, np.zeros((1, 9, 6)), "rate"),
+        ({"window": 1}, np.zeros((1, 9, 6)), "window"),
+    ],
+)
+def test_what_does_not_fit_is_refused(parameters, wrench, why):
+    with pytest.raises(InputError, match=why):
+        WrenchFeatures(**parameters).fit(wrench)
+
+
+def test_transform_refuses_other_axes_and_missing_values():
+    encoder = WrenchFeatures().fit(wrenches())
+    with pytest.raises(InputError, match="fit had 6"):
+        encoder.transform(np.zeros((1, 9, 2)))
+    with pytest.raises(InputError, match="not finite"):
+        encoder.transform(np.full((1, 9, 6), np.nan))
+
+
+def test_pandas_output_names_every_column():
+    table = WrenchFeatures(features=SPEC).set_output(transform="pandas").fit_transform(wrenches())
+    assert table.shape == (24, len(set(table.columns)))
+    assert {name.split(".")[0] for name in table.columns} == {"histogram", "attributes"}
+
+
+def test_window_and_thresholds_are_found_by_a_grid_search_over_groups():
+    huge = np.tile([7e6, 6e6, 5e6, 4e6], (6, 1))  # N/s: every segment is constant, so nothing can be told apart
+    grid = {"thresholds": [huge, preset("hiro"), "pa10"], "window": [5, 10]}
+    chain = StateClassifier(features=FeatureSpec(("histogram",)), classifier=SvmClassifier(kernel="linear"))
+    search = GridSearchCV(chain, grid, cv=GroupKFold(3)).fit(wrenches(), STATE, groups=TRIAL)
+    assert search.best_score_ == 1
+    scores = search.cv_results_["mean_test_score"]
+    assert max(scores[:2]) < 0.8
+    assert search.best_params_["thresholds"] is not huge
+    assert search.predict(wrenches(5)[[0, -1]]).tolist() == ["push", "rest"]
+
+
+def test_the_chain_equals_a_pipeline_and_its_parts():
+    wrench = wrenches()
+    chain = StateClassifier(features=SPEC).fit(wrench, STATE)
+    pipeline = make_pipeline(WrenchFeatures(features=SPEC), SvmClassifier()).fit(wrench, STATE)
+    new = wrenches(1)
+    np.testing.assert_array_equal(chain.decision_function(new), pipeline.decision_function(new))
+    assert chain.predict(new).tolist() == pipeline.predict(new).tolist() == STATE.tolist()
+    assert chain.classes_.tolist() == ["push", "rest"]
+    assert cross_val_score(pipeline, wrench, STATE, groups=TRIAL, cv=GroupKFold(3)).tolist() == [1, 1, 1]
+    assert not hasattr(chain, "predict_proba")
+    grouped = clone(chain).set_params(classifier=SvmClassifier(probability=True)).fit(wrench, STATE, groups=TRIAL)
+    assert (grouped.predict_proba(new).argmax(1) == (STATE == "rest")).all()
+
+
+def test_balanced_columns_reach_the_machine():
+    spec = FeatureSpec(("histogram", "elapsed"), balance=True)
+    chain = StateClassifier(features=spec).fit(wrenches(), STATE)
+    plain = StateClassifier(features=FeatureSpec(("histogram", "elapsed"))).fit(wrenches(), STATE)
+    weight = chain.features_.feature_weight_
+    assert weight[-1] > weight[0]
+    np.testing.assert_allclose(chain.classifier_.model_.width * weight, plain.classifier_.model_.width)
+
+
+def blobs(classes: int = 3, items: int = 120) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    code = np.arange(items) % classes
+    x = rng.normal(size=(classes, 5))[code] * 1.5 + rng.normal(size=(items, 5))
+    return x, np.array(list("zmaq"))[code], np.arange(items) // 4
+
+
+@pytest.mark.parametrize("classes", [2, 3])
+def test_the_classifier_equals_the_projects_machine(classes):
+    x, y, groups = blobs(classes)
+    names, code = np.unique(y, return_inverse=True)
+    spec = SvmSpec("rbf", 2.0, True, ranks=True)
+    machine = SvmClassifier(cost=2.0, ranks=True, probability=True, random_state=3).fit(x, y, groups=groups)
+    expected = fit_probabilistic(x, code, groups, names.tolist(), spec, 3)
+    np.testing.assert_array_equal(machine.predict_proba(x), expected.probability(x))
+    np.testing.assert_array_equal(machine.predict(x), fit(x, code, names.tolist(), spec).predict(x))
+    decision = machine.decision_function(x)
+    assert decision.shape == ((120,) if classes == 2 else (120, 3))
+
+
+def test_groups_and_splitters_decide_which_samples_fit_the_sigmoids():
+    x, y, groups = blobs(2)
+    alone = SvmClassifier(probability=True).fit(x, y).sigmoid_
+    grouped = SvmClassifier(probability=True).fit(x, y, groups=groups).sigmoid_
+    left_out = SvmClassifier(probability=True, cv=LeaveOneGroupOut()).fit(x, y, groups=groups).sigmoid_
+    assert len({float(s[0, 0]) for s in (alone, grouped, left_out)}) == 3
+
+
+def test_the_examples_run():
+    assert doctest.testmod(estimators).failed == 0
