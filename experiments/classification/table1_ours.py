@@ -5,7 +5,7 @@ the paper's protocol (rows shuffled freely, polynomial SVM, C = 1, gamma = 1 / f
 kept together and kernel and cost of the paper's grid selected inside the training folds; our words (histogram, n-grams,
 attributes; neither duration nor absolute offset) selected in the same way; and duration alone on the same folds.
 Success/failure is balanced: every repeat draws as many trials of the larger class as the smaller one has. Failures of
-session C and successes of A and B are different sessions: see rcbht_jax.learning.tasks.CONFOUNDS.
+session C and successes of A and B are different sessions: see benchmarks.CONFOUNDS.
 
 States use the recorded onsets, as the paper does, and for the real trials the harmonised ones as well. Offline labels
 are those of the authors' taxonomy (rcbht_jax.reference), which uses the recorded onsets; online labels are those of the

@@ -123,7 +123,7 @@ def main() -> None:
         "repeats": args.repeats,
         "folds": FOLDS,
         "confound": "REAL success and failure are different recording sessions; "
-        "see rcbht_jax.learning.tasks.CONFOUNDS.",
+        "see benchmarks.CONFOUNDS.",
         "rows": {row: measure(GOLDEN, row, args.repeats, args.seed) for row in TARGETS},
     }
     command = f"python -m experiments.classification.table1_published --repeats {args.repeats} --seed {args.seed}"

@@ -146,7 +146,7 @@ class Evaluate(_Learning):
         chosen, count = next(iter(result["chosen"].items()))
         lines.append(f"chosen most often: {chosen} ({count} of {sum(result['chosen'].values())} folds)")
         lines += ["confusion matrix, rows = true class:", *_table(result["classes"], result["confusion"])]
-        return "\n".join([*lines, f"Confounds: {result['confounds']}"])
+        return "\n".join([*lines, *[f"Confounds: {result['confounds']}"] * bool(result["confounds"])])
 
 
 @dataclass(frozen=True)

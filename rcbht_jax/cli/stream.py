@@ -77,7 +77,8 @@ class TrainOnline(Command):
         from rcbht_jax.introspection.model import save
         from rcbht_jax.introspection.training import HeadSpec, train_model
         from rcbht_jax.io.store import read_recordings
-        from rcbht_jax.learning.tasks import CONFOUNDS, TaskSpec
+        from rcbht_jax.learning.confounds import confounds
+        from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
         recordings = read_recordings(self.store)
         tasks = [(task, False) for task in self.task] + [("states", True)] * self.detect
@@ -106,7 +107,7 @@ class TrainOnline(Command):
                 "kernel": head.machine.svm.spec.kernel,
                 "cost": head.machine.svm.spec.cost,
                 "features": int(head.machine.svm.center.size),
-                "confounds": CONFOUNDS[spec.task.task],
+                "confounds": " ".join(confounds(labelled_intervals(recordings, spec.task), recordings)),
             }
             for spec, head in zip(specs, model.heads, strict=True)
         }
@@ -118,7 +119,7 @@ class TrainOnline(Command):
             classes = ", ".join(head["classes"])
             svm = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"
             lines.append(f"{name}: {classes}; {svm}")
-            lines.append(f"  confounds: {head['confounds']}")
+            lines += [f"  confounds: {head['confounds']}"] * bool(head["confounds"])
         return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Evaluation of label features on a task: nested, grouped, repeated, beside baselines on the same folds."""
+"""Evaluation of label features on a task: nested, grouped, repeated, with baselines on the same folds."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
+from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
-from rcbht_jax.learning.svm import Grid, Split, Weight, fit, select
-from rcbht_jax.learning.tasks import CONFOUNDS, LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 
 @dataclass(frozen=True)
 class EvaluationProtocol:
-    """How to measure: repeated grouped k-fold, or training and testing on different sessions."""
+    """How to measure: repeated grouped k-fold, or training and testing on different sessions.
+
+    Raises:
+        InputError: sessions for one side only, a session on both sides, or no repeats.
+    """
 
     folds: int = 5
     repeats: int = 10
@@ -44,7 +49,7 @@ class EvaluationProtocol:
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """Everything needed to read a score, compare it and repeat it; ``to_json`` gives plain JSON values."""
+    """A score with its baselines, protocol and provenance; ``to_json`` gives plain JSON values."""
 
     task: dict[str, Any]
     protocol: dict[str, Any]
@@ -53,12 +58,12 @@ class EvaluationResult:
     trials: int
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
-    duration_baseline: dict[str, Any]  # random forest on the length of the sentence alone
+    duration_baseline: dict[str, Any]  # random forest on the length of the interval alone
     majority_baseline: dict[str, Any]
     fold_accuracy: list[list[float]]  # [repeat][fold]
-    confusion: list[list[int]]  # [true][said], summed over repeats
+    confusion: list[list[int]]  # [true][predicted], summed over repeats
     chosen: dict[str, int]  # hyper-parameters as one line -> outer folds that chose them
-    confounds: str
+    confounds: str  # sentences about this data; "" = none was found
     provenance: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
@@ -66,22 +71,22 @@ class EvaluationResult:
         return asdict(self)
 
 
-# Choices of grammars by name, each the labels of one or several encoders (by name) that are put side by side.
+# Candidates by name, each the labels of one or several encoders (by name) whose features go side by side.
 Grammars = Mapping[str, Mapping[str, LabelTracks]]
 
 
 def candidates(
     tracks: LabelTracks | Grammars, items: LabelledIntervals, features: FeatureSpec | Mapping[str, FeatureSpec]
 ) -> dict[str, tuple[Features, Weight]]:
-    """Every grammar described by every specification, in the order given: features and their weights by name."""
+    """Features of all labels by all specifications, in the order given, with the weights of their columns, by name."""
     grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
     specs = {"": features} if isinstance(features, FeatureSpec) else features
-    made: dict[str, tuple[Features, Weight]] = {}
+    described: dict[str, tuple[Features, Weight]] = {}
     for grammar, labels in grammars.items():
         for name, spec in specs.items():
-            found = extract_features(labels, items, spec)
-            made[" ".join(filter(None, (grammar, name)))] = found, found.weights(spec)
-    return made
+            part = extract_features(labels, items, spec)
+            described[" ".join(filter(None, (grammar, name)))] = part, part.weights(spec)
+    return described
 
 
 def evaluate(
@@ -92,33 +97,36 @@ def evaluate(
     protocol: EvaluationProtocol,
     label_attrs: Mapping[str, Any] | None = None,
     progress: Callable[[int], Any] | None = None,
+    splitter: Any = None,
 ) -> EvaluationResult:
-    """Score the labels on a task.
+    """Score a nested SVM on the features of labels.
 
     Args:
         recordings: the data set.
-        tracks: its labels, arrays ``[recording, axis, slot]``, or several grammars of which the inner folds choose one.
+        tracks: its labels, arrays ``[recording, axis, slot]``, or candidates by name of which the inner folds choose one.
         task: what to classify.
         features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.
         label_attrs: how the labels were made; goes into the result.
+        splitter: scikit-learn splitter to use in place of the protocol's folds; its groups are the trials.
         progress: called with 1 after each fold of the SVM.
 
     Raises:
-        InputError: unknown sessions, too few trials for the folds, or fewer than two classes.
+        InputError: unknown sessions, too few trials for the folds, fewer than two classes, or a splitter that divides
+            a trial.
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = labelled_intervals(recordings, task)
-    made = candidates(tracks, items, features)
+    described = candidates(tracks, items, features)
     provenance = {
         "version": rcbht_jax.__version__,
         "labels": dict(label_attrs or {}),
         "features": {name: asdict(spec) for name, spec in specs.items()},
         "data_hash": data_hash(recordings),
     }
-    matrices = {name: found.values for name, (found, _) in made.items()}
-    weights = {name: weight for name, (_, weight) in made.items()}
-    return score(items, matrices, protocol, asdict(task), provenance, weights, progress)
+    matrices = {name: part.values for name, (part, _) in described.items()}
+    weights = {name: weight for name, (_, weight) in described.items()}
+    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, recordings, splitter)
 
 
 def score(
@@ -129,27 +137,38 @@ def score(
     provenance: dict[str, Any],
     weights: Mapping[str, Weight] | None = None,
     progress: Callable[[int], Any] | None = None,
+    recordings: Recordings | None = None,
+    splitter: Any = None,
 ) -> EvaluationResult:
-    """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits."""
-    learners = {
+    """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits.
+
+    ``recordings`` serve to find copies; everything else is as in :func:`evaluate`.
+    """
+    estimators = {
         "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights, progress),
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
     if protocol.train_on:
         split = _split(items, protocol)
-        made = {k: validation.holdout_score(x, items.y, items.trial, split, protocol.seed) for k, x in learners.items()}
-        fold_accuracy, chosen = [[made["svm"].accuracy]], [made["svm"].chosen]
-        tables = {k: (x.summary(), x.confusion) for k, x in made.items()}
+        scores = {
+            k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
+        }
+        fold_accuracy, chosen = [[scores["svm"].accuracy]], [scores["svm"].chosen]
+        tables = {k: (x.summary(), x.confusion) for k, x in scores.items()}
     else:
-        folds = validation.repeated_folds(items.y, items.trial, protocol.folds, protocol.repeats, protocol.seed)
-        runs = {k: validation.cross_validate(x, items.y, folds, protocol.seed) for k, x in learners.items()}
+        folds = (
+            validation.repeated_folds(items.y, items.trial, protocol.folds, protocol.repeats, protocol.seed)
+            if splitter is None
+            else [grouped_folds(items.y, items.trial, splitter, protocol.seed)]
+        )
+        runs = {k: validation.cross_validate(e, items.y, folds, protocol.seed) for k, e in estimators.items()}
         fold_accuracy = runs["svm"].accuracy.tolist()
         chosen = [choice for repeat in runs["svm"].chosen for choice in repeat]
         tables = {k: (x.summary(), x.confusion) for k, x in runs.items()}
     return EvaluationResult(
         task=task,
-        protocol=asdict(protocol),
+        protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
         items=dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
         trials=len(np.unique(items.trial)),
@@ -160,7 +179,7 @@ def score(
         fold_accuracy=fold_accuracy,
         confusion=tables["svm"][1].tolist(),
         chosen=dict(Counter(_line(c) for c in chosen).most_common()),
-        confounds=CONFOUNDS[task["task"]],
+        confounds=" ".join(confounds(items, recordings)),
         provenance=provenance,
     )
 
@@ -170,7 +189,7 @@ def _split(items: LabelledIntervals, protocol: EvaluationProtocol) -> Split:
     missing = (set(protocol.train_on) | set(protocol.test_on)) - known
     if missing:
         raise InputError(
-            f"session {', '.join(sorted(missing))} has no sentence in this task; there are {', '.join(sorted(known))}."
+            f"session {', '.join(sorted(missing))} has no interval in this task; there are {', '.join(sorted(known))}."
         )
     train, test = (np.flatnonzero(np.isin(items.session, s)) for s in (protocol.train_on, protocol.test_on))
     if len(np.unique(items.y[train])) < 2:
@@ -197,16 +216,16 @@ def train(
     seed: int = 0,
     progress: Callable[[int], Any] | None = None,
 ) -> TrainedModel:
-    """Fit on all sentences of a task, with hyper-parameters chosen by grouped cross-validation among them.
+    """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation among them.
 
     Args:
         recordings: the data set.
-        tracks: its labels, or several grammars of which one is chosen as well.
+        tracks: its labels, or candidates by name of which one is selected as well.
         task: what to classify.
-        features: what to make of the labels.
-        grid: what to choose from; None = everything.
+        features: which features.
+        grid: what to select from; None = everything.
         encoder: how the labels were made, thresholds included (JSON values), by the names of the labels where
-            grammars are given; stored in the model, by name only where the chosen grammar has several encoders.
+            candidates are given; stored in the model, by name only where the selected candidate has several encoders.
         seed: of the folds.
         progress: called with 1 after each inner fold of the choice of hyper-parameters.
 
@@ -214,11 +233,11 @@ def train(
         InputError: fewer than two classes, or a class with a single trial.
     """
     items = labelled_intervals(recordings, task)
-    made = candidates(tracks, items, features)
-    matrices = {name: found.values for name, (found, _) in made.items()}
-    weights = {name: weight for name, (_, weight) in made.items()}
+    described = candidates(tracks, items, features)
+    matrices = {name: part.values for name, (part, _) in described.items()}
+    weights = {name: weight for name, (_, weight) in described.items()}
     chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights, progress)
-    best, weight = made[chosen.features]
+    best, weight = described[chosen.features]
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})
     if not isinstance(tracks, LabelTracks):

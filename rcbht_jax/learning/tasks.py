@@ -38,22 +38,6 @@ FAILURE_TYPES = (
     "+x", "+y", "-y", "+r", "-r", "+x+y", "+x-y", "+x+r", "+x-r", "+y+r", "-y+r", "+x+y+r", "+x-y+r",
 )  # fmt: skip
 
-CONFOUNDS = {
-    "states": (
-        "The states differ in length, and in sessions B and C the recorded rotation is one 5 ms sample: read the score "
-        "beside the duration-only one, and say which boundaries were used."
-    ),
-    "outcome": (
-        "Success and failure were recorded in different sessions, with other sensor bias and other lengths, and are "
-        "separable before contact: duration alone tells nearly all real trials, and two success sessions are told "
-        "apart just as well. A mixed-session score does not show that failure was recognised."
-    ),
-    "failure-type": (
-        "The failures of one batch share starting pose and length: types are told far worse in a batch that was held "
-        "out than in mixed ones."
-    ),
-}
-
 
 @dataclass(frozen=True)
 class TaskSpec:

@@ -1,7 +1,9 @@
-"""Cross-validation of any learner on the same grouped folds, so that scores can be compared fold by fold.
+"""Cross-validation of any estimator on the same grouped folds, so that scores can be compared fold by fold.
 
-A learner is a function (training rows, test rows, seed) -> (class index per test row, what it chose). It must
-choose everything on the training rows.
+Protocol: an estimator here is a function ``(train, test, seed) -> (class index per test row, hyper-parameters)`` over
+row numbers of a data set that it holds. It selects everything on the training rows. ``nested_svm``, ``forest`` and
+``majority`` are factories of estimators; own ones need nothing but that signature. Objects with ``fit`` and ``predict``
+are in :mod:`rcbht_jax.learning.estimators`.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
@@ -38,10 +41,10 @@ def nested_svm(
     weights: Mapping[str, Weight] | None = None,
     progress: Callable[[int], Any] | None = None,
 ) -> Estimator:
-    """SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
+    """Estimator: an SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
-        candidates: feature matrices ``[item, feature]`` by name, all of the same items.
+        candidates: feature matrices ``[item, feature]`` of the same items, by name.
         y: class index ``[item]``.
         groups: trial ``[item]``.
         grid: what to choose from.
@@ -59,52 +62,57 @@ def nested_svm(
                 "finite values."
             )
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
-        inside = {name: x[train] for name, x in doubles.items()}
-        spec = select(inside, y[train], groups[train], grid, seed, weights)
+    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+        training = {name: x[train] for name, x in doubles.items()}
+        spec = select(training, y[train], groups[train], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
+<<<<<<< HEAD
         said = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         if progress:
             progress(1)
         return said, asdict(spec)
+=======
+        predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
+        return predicted, asdict(spec)
+>>>>>>> 996c777 (Confounds are found in the data given: sessions of one class, durations, one-sample intervals, copies)
 
-    return learn
+    return predict
 
 
 def forest(x: Matrix, y: Ints) -> Estimator:
-    """Random forest on ``[item, feature]``: the baseline that shows what a few plain numbers give away."""
+    """Estimator: a random forest on ``[item, feature]``, the baseline for a few numbers such as durations."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         trees = RandomForestClassifier(_TREES, random_state=seed).fit(x[train], y[train])
         return trees.predict(x[test]).astype(np.int64), {}
 
-    return learn
+    return predict
 
 
 def majority(y: Ints) -> Estimator:
-    """Always the most frequent class of the training rows."""
+    """Estimator: always the most frequent class of the training rows."""
 
-    def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
+    def predict(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> Prediction:
         return np.full(len(test), np.bincount(y[train]).argmax(), np.int64), {}
 
-    return learn
+    return predict
 
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Scores ``[repeat, fold]`` of one learner."""
+    """Scores of one estimator."""
 
-    accuracy: NDArray[np.float64]
-    balanced_accuracy: NDArray[np.float64]
-    chosen: list[list[dict[str, Any]]]  # [repeat][fold]
-    confusion: NDArray[np.int64]  # [true, said], summed over folds and repeats
+    accuracy: Float[np.ndarray, "repeat fold"]
+    balanced_accuracy: Float[np.ndarray, "repeat fold"]
+    chosen: list[list[dict[str, Any]]]  # [repeat][fold] hyper-parameters
+    confusion: Int[np.ndarray, "true predicted"]  # summed over folds and repeats
+    test_to_train: float  # ratio of their sizes
 
     def summary(self) -> dict[str, Any]:
         """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals."""
-        ratio = 1 / (self.accuracy.shape[1] - 1)
         return {
-            "accuracy": _interval(self.accuracy, ratio),
-            "balanced_accuracy": _interval(self.balanced_accuracy, ratio),
+            "accuracy": _interval(self.accuracy, self.test_to_train),
+            "balanced_accuracy": _interval(self.balanced_accuracy, self.test_to_train),
             "fold_min_mean_max": [float(f(self.accuracy, axis=1).mean()) for f in (np.min, np.mean, np.max)],
         }
 
@@ -119,14 +127,20 @@ def repeated_folds(y: Ints, groups: NDArray[Any], folds: int, repeats: int, seed
     return [grouped_folds(y, groups, folds, seed + repeat) for repeat in range(repeats)]
 
 
-def cross_validate(learner: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:
-    """Score a learner on ``splits`` (``[repeat][fold]``, the same number of folds in each repeat).
+def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:
+    """Score an estimator on ``splits`` (``[repeat][fold]``, the same number of folds in each repeat).
 
     Args:
-        learner: see the module.
+        estimator: see the module.
         y: class index ``[item]``.
         splits: training and test rows.
-        seed: the learner gets ``1000 * (seed + repeat) + fold``.
+        seed: the estimator gets ``1000 * (seed + repeat) + fold``.
+
+    Example:
+        >>> y = np.array([0, 0, 0, 1])
+        >>> halves = [[(np.array([0, 1]), np.array([2, 3])), (np.array([2, 3]), np.array([0, 1]))]]
+        >>> cross_validate(majority(y), y, halves).accuracy.tolist()
+        [[0.5, 1.0]]
     """
     classes = int(y.max()) + 1
     plain, balanced = (np.zeros((len(splits), len(splits[0]))) for _ in range(2))
@@ -134,24 +148,27 @@ def cross_validate(learner: Estimator, y: Ints, splits: Sequence[Sequence[Split]
     table = np.zeros((classes, classes), np.int64)
     for repeat, folds in enumerate(splits):
         for number, (train, test) in enumerate(folds):
-            said, choice = learner(train, test, 1000 * (seed + repeat) + number)
-            plain[repeat, number] = metrics.accuracy(y[test], said)
-            balanced[repeat, number] = metrics.balanced_accuracy(y[test], said)
-            table += metrics.confusion(y[test], said, classes)
+            predicted, choice = estimator(train, test, 1000 * (seed + repeat) + number)
+            plain[repeat, number] = metrics.accuracy(y[test], predicted)
+            balanced[repeat, number] = metrics.balanced_accuracy(y[test], predicted)
+            table += metrics.confusion(y[test], predicted, classes)
             chosen[repeat].append(choice)
-    return CrossValidation(plain, balanced, chosen, table)
+    sizes = np.array([(len(train), len(test)) for train, test in splits[0]])
+    partition = len(sizes) > 1 and sizes[:, 1].sum() == len(y)
+    ratio = 1 / (len(sizes) - 1) if partition else float(np.mean(sizes[:, 1] / sizes[:, 0]))
+    return CrossValidation(plain, balanced, chosen, table, ratio)
 
 
 @dataclass(frozen=True)
 class HoldoutScore:
-    """Scores of one learner trained on some items and tested on others."""
+    """Scores of one estimator trained on some items and tested on others."""
 
     accuracy: float
     balanced_accuracy: float
     low: float  # 95% interval of the accuracy, by resampling the test trials
     high: float
     chosen: dict[str, Any]
-    confusion: NDArray[np.int64]  # [true, said]
+    confusion: Int[np.ndarray, "true predicted"]
 
     def summary(self) -> dict[str, Any]:
         """The accuracy with its interval, and the balanced accuracy."""
@@ -161,32 +178,32 @@ class HoldoutScore:
         }
 
 
-def holdout_score(learner: Estimator, y: Ints, groups: NDArray[Any], split: Split, seed: int = 0) -> HoldoutScore:
+def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Split, seed: int = 0) -> HoldoutScore:
     """Train on one side of ``split`` and test on the other.
 
     Args:
-        learner: see the module.
+        estimator: see the module.
         y: class index ``[item]``.
         groups: trial ``[item]``.
         split: training and test rows.
-        seed: of the learner and of the resampling.
+        seed: of the estimator and of the resampling.
     """
     train, test = split
-    said, choice = learner(train, test, 1000 * seed)
-    low, high = bootstrap(y[test] == said, groups[test], seed)
-    truth, classes = y[test], int(y.max()) + 1
+    predicted, choice = estimator(train, test, 1000 * seed)
+    y_true, classes = y[test], int(y.max()) + 1
+    low, high = bootstrap(y_true == predicted, groups[test], seed)
     return HoldoutScore(
-        accuracy=metrics.accuracy(truth, said),
-        balanced_accuracy=metrics.balanced_accuracy(truth, said),
+        accuracy=metrics.accuracy(y_true, predicted),
+        balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),
         low=low,
         high=high,
         chosen=choice,
-        confusion=metrics.confusion(truth, said, classes),
+        confusion=metrics.confusion(y_true, predicted, classes),
     )
 
 
-def bootstrap(correct: NDArray[np.bool_], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """95% percentile bootstrap over groups of the share of ``correct`` [item]: items of a trial are not independent."""
+def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
+    """95% percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent."""
     number = np.unique(groups, return_inverse=True)[1]
     right, total = np.bincount(number, correct), np.bincount(number)
     draws = np.random.default_rng(seed).integers(0, len(total), (_RESAMPLES, len(total)))

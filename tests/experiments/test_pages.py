@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from experiments import pages
+from experiments._lib.benchmarks import CONFOUNDS
 from experiments._lib import results_io
 from experiments._lib.report_rows import NAME, report_rows
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.tasks import CONFOUNDS
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "experiments" / "results"
@@ -163,7 +163,7 @@ def test_no_score_is_typed_in_by_hand(page: str) -> None:
     assert not SCORE.findall(pages.by_hand(ROOT / page))
 
 
-def test_no_score_is_typed_into_the_warnings_of_reports_and_data_cards() -> None:
+def test_no_score_is_typed_into_the_confounds_of_the_recorded_data() -> None:
     assert not SCORE.findall(" ".join(CONFOUNDS.values()))
 
 

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.model_selection import GroupShuffleSplit, KFold, LeaveOneGroupOut
 
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
-from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
-from rcbht_jax.learning.validation import cross_validate, forest, nested_svm, repeated_folds
+from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 QUICK = Grid(kernels=("linear",), costs=(0.1, 1.0), scalings=(False,), inner=2)
@@ -170,6 +171,8 @@ def test_evaluation_finds_what_the_labels_say(recordings):
     assert np.array(made.confusion).tolist() == (np.eye(4, dtype=int) * 38).tolist()
     assert sum(made.chosen.values()) == 6
     assert made.provenance["labels"] == {"window": 5}
+    assert made.confounds.startswith("The classes differ in length")
+    assert made.confounds.endswith("Exact copies of another recording: 18; keep copies on one side of every split.")
     back = json.loads(json.dumps(made.to_json(), allow_nan=False))
     assert back["score"] == made.score
     assert back["protocol"]["seed"] == 0
@@ -199,6 +202,20 @@ def test_the_best_feature_specification_is_chosen_inside_the_folds(recordings):
     specs = {"levels": FeatureSpec(("offset",)), "words": FeatureSpec(("histogram",))}
     made = evaluate(recordings, tracks, TaskSpec(), specs, EvaluationProtocol(folds=3, repeats=1, grid=QUICK))
     assert all(line.startswith("words linear") for line in made.chosen)
+
+
+@pytest.mark.filterwarnings("ignore:The groups parameter is ignored")
+def test_a_splitter_replaces_the_folds_and_must_keep_trials_together(recordings):
+    tracks, task, spec = make_tracks(recordings), TaskSpec(), FeatureSpec(("histogram",))
+    made = evaluate(recordings, tracks, task, spec, EvaluationProtocol(grid=QUICK), splitter=LeaveOneGroupOut())
+    assert np.shape(made.fold_accuracy) == (1, 19)
+    assert made.protocol["splitter"] == "LeaveOneGroupOut()"
+    with pytest.raises(InputError, match="both sides"):
+        evaluate(recordings, tracks, task, spec, EvaluationProtocol(grid=QUICK), splitter=KFold(3, shuffle=True))
+    shuffle = GroupShuffleSplit(4, test_size=0.5, random_state=0)
+    y, groups = np.arange(40) % 2, np.arange(40)
+    score = cross_validate(majority(y), y, [grouped_folds(y, groups, shuffle, 0)])
+    assert score.test_to_train == 1
 
 
 def test_sessions_can_be_held_out(recordings):

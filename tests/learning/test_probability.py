@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.special import expit
+from sklearn.model_selection import GroupKFold, KFold, ShuffleSplit
 from sklearn.svm import SVC
 
 from rcbht_jax.errors import InputError
@@ -164,6 +165,26 @@ def test_held_out_decisions_never_saw_their_trial():
     unseen = probability.held_out_decisions(x, y, trial, ["a", "b"], spec, 0)[:, 0]
     assert ((seen > 0) == (y == 0)).all()
     assert ((unseen > 0) == (y == 0)).mean() < 0.8
+
+
+@pytest.mark.parametrize("cv", [5, GroupKFold(5)])
+def test_sigmoids_are_fitted_on_held_out_trials(cv):
+    """Classes are almost random but can be memorised: sigmoids of the training items would be certain of them."""
+    rng, trial = np.random.default_rng(0), np.arange(80) // 2
+    y = np.repeat(rng.permutation(np.arange(40) % 2), 2)
+    x = rng.normal(size=(80, 100)) + np.eye(100)[0] * y[:, None] / 2
+    model = probability.fit_probabilistic(x, y, trial, ["a", "b"], SvmSpec("linear"), folds=cv)
+    assert (model.svm.predict_index(x) == y).all()
+    assert model.probability(x).max(1).mean() < 0.7
+
+
+@pytest.mark.filterwarnings("ignore:The groups parameter is ignored")
+def test_splitters_that_divide_trials_or_skip_items_are_refused():
+    x, y = blobs(2, 40)
+    with pytest.raises(InputError, match="both sides"):
+        probability.held_out_decisions(x, y, np.arange(40) // 2, ["a", "b"], SvmSpec(), 0, KFold(5, shuffle=True))
+    with pytest.raises(InputError, match="exactly once"):
+        probability.held_out_decisions(x, y, np.arange(40), ["a", "b"], SvmSpec(), 0, ShuffleSplit(5))
 
 
 def test_probabilities_are_calibrated_on_new_items():

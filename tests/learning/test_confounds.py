@@ -1,0 +1,48 @@
+"""Sentences about confounds: present where the data has them, absent where it has not."""
+
+from __future__ import annotations
+
+import doctest
+
+import numpy as np
+import pytest
+
+from rcbht_jax.features import Intervals
+from rcbht_jax.learning import confounds as module
+from rcbht_jax.learning.confounds import confounds
+from rcbht_jax.learning.tasks import LabelledIntervals
+from tests.support.store_cases import simple
+
+
+def labelled(session: str, length: list[int], y: list[int]) -> LabelledIntervals:
+    """One interval per recording."""
+    count = len(y)
+    intervals = Intervals(np.arange(count), np.zeros(count, np.int64), np.array(length), 0.1)
+    trial = np.array([f"t{k}" for k in range(count)])
+    return LabelledIntervals(("failure", "success"), np.array(y), trial, np.array(list(session)), (intervals,), {})
+
+
+def test_balanced_data_is_told_nothing():
+    recordings = simple(8)
+    assert confounds(labelled("ABABABAB", [20, 20, 30, 30] * 2, [0, 0, 1, 1, 1, 1, 0, 0]), recordings) == ()
+
+
+@pytest.mark.parametrize(
+    ("items", "sentence"),
+    [
+        (labelled("CCAB", [20, 30, 30, 20], [0, 0, 1, 1]), "No session holds more than one class: A (success), B (suc"),
+        (labelled("CAAA", [20, 30, 30, 20], [0, 0, 1, 1]), "a single class have 25% of the intervals: C (failure);"),
+        (labelled("AAAA", [20, 21, 40, 41], [0, 0, 1, 1]), "balanced accuracy of 100% (chance 50%)"),
+        (labelled("AAAA", [1, 30, 30, 1], [0, 0, 1, 1]), "1 of 2 intervals of failure are one sample long."),
+    ],
+)
+def test_each_confound_has_its_sentence(items, sentence):
+    assert sentence in " ".join(confounds(items))
+
+
+def test_one_session_is_no_confound_and_copies_are_counted():
+    recordings = simple(4)
+    recordings.wrench[3] = recordings.wrench[1]
+    found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), recordings)
+    assert found == ("Exact copies of another recording: 1; keep copies on one side of every split.",)
+    assert doctest.testmod(module).failed == 0
