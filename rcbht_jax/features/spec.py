@@ -13,8 +13,8 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
 from rcbht_jax.features import word_families as families
 from rcbht_jax.features.spans import Intervals, clip
-from rcbht_jax.labels import AXES, LAYERS
-from rcbht_jax.types import LabelTrack, LabelTracks
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
 _OF_WORDS = ("sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges")
 FAMILIES = (*_OF_WORDS, *signal_families.FAMILIES, "elapsed")
@@ -221,11 +221,6 @@ def _flat(blocks: list[families.Block], family: str, layer: str, lanes: Sequence
     named = [(f"{family}.{layer}.{lane}.{what}", f"{lane} {layer}: {text}") for lane in lanes for what, text in columns]
     flat = values.reshape(len(values), values.shape[1] * values.shape[2]).astype(np.float32)
     return Features(flat, tuple(n for n, _ in named), (family,) * len(named), tuple(t for _, t in named))
-
-
-def axis_names(count: int) -> tuple[str, ...]:
-    """Names of ``count`` axes: those of a wrench if there are six, else axis0, axis1, ..."""
-    return AXES if count == len(AXES) else tuple(f"axis{number}" for number in range(count))
 
 
 def _side_by_side(parts: Sequence[Features]) -> Features:

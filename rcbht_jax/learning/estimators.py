@@ -25,10 +25,9 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
-from rcbht_jax.labels import AXES
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec, fit, pairs
-from rcbht_jax.types import LabelTrack, LabelTracks
+from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
 LAYOUTS = ("time-axis", "axis-time")
 
@@ -157,10 +156,8 @@ def _padded(
 
 def _limits(thresholds: Any, axes: int) -> Float[np.ndarray, "axis 4"]:
     if isinstance(thresholds, str):
-        limits = np.asarray(preset(thresholds).limits)
-        limits = limits if axes == len(AXES) else limits[0]
-    else:
-        limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
+        thresholds = preset(thresholds, axis_names(axes))
+    limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
     if limits.shape != (axes, 4):

@@ -103,7 +103,7 @@ def evaluate(
 
     Args:
         recordings: the data set.
-        tracks: its labels, arrays ``[recording, axis, slot]``, or candidates by name of which the inner folds choose one.
+        tracks: its labels, arrays ``[recording, axis, slot]``, or candidates by name; inner folds choose one.
         task: what to classify.
         features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.

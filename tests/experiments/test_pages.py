@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from experiments import pages
-from experiments._lib.benchmarks import CONFOUNDS
 from experiments._lib import results_io
+from experiments._lib.benchmarks import CONFOUNDS
 from experiments._lib.report_rows import NAME, report_rows
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
