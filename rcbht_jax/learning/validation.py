@@ -66,15 +66,10 @@ def nested_svm(
         training = {name: x[train] for name, x in doubles.items()}
         spec = select(training, y[train], groups[train], grid, seed, weights)
         weight = (weights or {}).get(spec.features)
-<<<<<<< HEAD
-        said = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
+        predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         if progress:
             progress(1)
-        return said, asdict(spec)
-=======
-        predicted = predictions(doubles[spec.features], y, train, test, spec, [spec.cost], weight)[0]
         return predicted, asdict(spec)
->>>>>>> 996c777 (Confounds are found in the data given: sessions of one class, durations, one-sample intervals, copies)
 
     return predict
 
