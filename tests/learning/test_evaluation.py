@@ -242,7 +242,7 @@ def test_bad_protocols_and_filters_are_refused(recordings):
         EvaluationProtocol(train_on=("A", "B"), test_on=("B",))
     with pytest.raises(InputError, match="repeats"):
         EvaluationProtocol(repeats=0)
-    with pytest.raises(InputError, match="session Z has no sentence"):
+    with pytest.raises(InputError, match="session Z has no interval"):
         evaluate(recordings, tracks, TaskSpec(), spec, EvaluationProtocol(train_on=("A",), test_on=("Z",)))
     with pytest.raises(InputError, match="at most 1"):
         evaluate(recordings, tracks, TaskSpec("failure-type"), spec, EvaluationProtocol())
