@@ -122,8 +122,7 @@ def main() -> None:
         "scikit-learn": sklearn.__version__,
         "repeats": args.repeats,
         "folds": FOLDS,
-        "confound": "REAL success and failure are different recording sessions; "
-        "see benchmarks.CONFOUNDS.",
+        "confound": "REAL success and failure are different recording sessions; see benchmarks.CONFOUNDS.",
         "rows": {row: measure(GOLDEN, row, args.repeats, args.seed) for row in TARGETS},
     }
     command = f"python -m experiments.classification.table1_published --repeats {args.repeats} --seed {args.seed}"
