@@ -92,7 +92,7 @@ COLORS = {
 # Index = primitive code; entry 0 is the empty slot.
 PRIMITIVE_GROUP: NDArray[np.int32] = np.array([-1, 0, 0, 0, 1, 1, 1, 2, 3, 4], np.int32)
 
-# Rows: first group, columns: second group (online paper mode, section 4.4 of the specification).
+# Rows: first group, columns: second group (paper, section III-B).
 MC_PAIR: NDArray[np.int32] = np.array(
     [
         [MC.I, MC.A, MC.I, MC.PC, MC.C],
