@@ -55,7 +55,7 @@ class Method:
 
     @property
     def spec(self) -> FeatureSpec:
-        """Where the force is and how it moves weigh the same in all rows that are told both."""
+        """Where the force is and how it moves weigh the same in all rows that hold both."""
         return FeatureSpec(families=self.families, balance=True)
 
 
