@@ -67,7 +67,7 @@ class Bank(Near):
         weight = weights[method](train)
         kernel = np.tensordot(weight, self._kernels_of(train), 1)
         cost = self._best_cost(kernel, train, seed)
-        return self._said(kernel, cost, train, test), {"candidates": np.argsort(-weight, kind="stable").tolist()}
+        return self._predict(kernel, cost, train, test), {"candidates": np.argsort(-weight, kind="stable").tolist()}
 
     def alignment(self, train: NDArray[np.int64]) -> NDArray[np.float64]:
         """Weights ``[member]`` by the alignment of kernels with the classes of the training side."""

@@ -116,13 +116,15 @@ class Near:
         kernel = kernels[chosen].mean(0)
         if len(chosen) > 1:
             cost = self._best_cost(kernel, train, seed)
-        return self._said(kernel, cost, train, test), {"candidates": chosen.tolist(), "cost": COSTS[cost]}
+        return self._predict(kernel, cost, train, test), {"candidates": chosen.tolist(), "cost": COSTS[cost]}
 
     def _best_cost(self, kernel: Kernel, train: NDArray[np.int64], seed: int) -> int:
         """Index of the cost for an average of kernels, by the same folds as a single one's."""
         return int(self._scores(kernel, train, seed)[0].mean(-1).argmax())
 
-    def _said(self, kernel: Kernel, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _predict(
+        self, kernel: Kernel, cost: int, train: NDArray[np.int64], test: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
         return predict_kernel(kernel, self.y, train, test, COSTS[cost])
 
     def _choice(self, method: str, accuracy: Floats, margin: Floats) -> tuple[NDArray[np.int64], int]:

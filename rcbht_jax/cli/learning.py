@@ -226,22 +226,22 @@ class Classify(Command):
         recordings = read_recordings(self.store)
         write = _csv if self.out.suffix == ".csv" else _json_lines
         with progress_bar("classify", "steps", 2) as bar:
-            predicted = classify(model, recordings, tracks, spec)
+            classification = classify(model, recordings, tracks, spec)
             bar.update(1)
             with atomic_write(self.out) as draft:
-                draft.write_text(write(predicted, lines_of(predicted, recordings)), encoding="utf-8")
+                draft.write_text(write(classification, lines_of(classification, recordings)), encoding="utf-8")
             bar.update(1)
-        counts = Counter(predicted.said.tolist())
+        counts = Counter(classification.predicted.tolist())
         return {
             "out": str(self.out),
             "task": spec.task,
-            "sentences": len(predicted.said),
-            "classes": {name: counts[name] for name in predicted.classes},
-            "dropped": predicted.items.dropped,
-            "known": int((predicted.known & ~predicted.seen).sum()),
-            "accuracy": predicted.accuracy(),
-            "trained_on": int(predicted.seen.sum()),
-            "accuracy_of_those": predicted.accuracy(seen=True),
+            "sentences": len(classification.predicted),
+            "classes": {name: counts[name] for name in classification.classes},
+            "dropped": classification.items.dropped,
+            "known": int((classification.known & ~classification.seen).sum()),
+            "accuracy": classification.accuracy(),
+            "trained_on": int(classification.seen.sum()),
+            "accuracy_of_those": classification.accuracy(seen=True),
         }
 
     def _read_tracks(self, model: TrainedModel) -> dict[str, LabelTracks]:
@@ -293,32 +293,36 @@ def _table(classes: Sequence[str], confusion: list[list[int]]) -> list[str]:
     ]
 
 
-def lines_of(predicted: Classification, recordings: Recordings) -> list[dict[str, Any]]:
+def lines_of(classification: Classification, recordings: Recordings) -> list[dict[str, Any]]:
     """One line per sentence, without the decision values."""
-    spans = predicted.items.intervals
+    spans = classification.items.intervals
     columns = {
-        "source": recordings.source[predicted.items.row],
-        "trial": recordings.trial[predicted.items.row],
-        "arm": recordings.arm[predicted.items.row] if len(spans) == 1 else np.full(len(predicted.said), "both"),
-        "session": recordings.session[predicted.items.row],
+        "source": recordings.source[classification.items.row],
+        "trial": recordings.trial[classification.items.row],
+        "arm": recordings.arm[classification.items.row]
+        if len(spans) == 1
+        else np.full(len(classification.predicted), "both"),
+        "session": recordings.session[classification.items.row],
         "start": np.round(spans[0].start * recordings.dt, 6),
         "end": np.round(spans[0].end * recordings.dt, 6),
-        "class": predicted.said,
-        "truth": predicted.items.name,
+        "class": classification.predicted,
+        "truth": classification.items.name,
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*(c.tolist() for c in columns.values()), strict=True)]
 
 
-def _csv(predicted: Classification, lines: list[dict[str, Any]]) -> str:
+def _csv(classification: Classification, lines: list[dict[str, Any]]) -> str:
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow([*lines[0], *predicted.pairs])
-    writer.writerows([*line.values(), *values] for line, values in zip(lines, predicted.decision.tolist(), strict=True))
+    writer.writerow([*lines[0], *classification.pairs])
+    writer.writerows(
+        [*line.values(), *values] for line, values in zip(lines, classification.decision.tolist(), strict=True)
+    )
     return table.getvalue()
 
 
-def _json_lines(predicted: Classification, lines: list[dict[str, Any]]) -> str:
-    decisions = (dict(zip(predicted.pairs, values, strict=True)) for values in predicted.decision.tolist())
+def _json_lines(classification: Classification, lines: list[dict[str, Any]]) -> str:
+    decisions = (dict(zip(classification.pairs, values, strict=True)) for values in classification.decision.tolist())
     texts = (
         json.dumps(line | {"truth": line["truth"] or None, "decision": decision}, ensure_ascii=False, allow_nan=False)
         for line, decision in zip(lines, decisions, strict=True)

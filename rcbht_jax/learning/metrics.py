@@ -1,7 +1,7 @@
 """Scores: of classifications, of repeated cross-validation, and of beliefs that arrive step by step.
 
 Pure functions on host arrays. Class indices are integers 0, 1, ...; probabilities are ``[step, class]``.
-Definitions of the streaming numbers: the paper's section on online results (evaluation notes, "Definitions").
+Definitions of the streaming numbers: the paper's section on online results.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ CERTAINTY_LEVELS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
 INADMISSIBLE = 0.5  # below this a belief counts for nothing
 
 
-def accuracy(truth: Ints, said: Ints) -> float:
-    """Share of ``[n]`` items whose class was said correctly.
+def accuracy(y_true: Ints, y_pred: Ints) -> float:
+    """Share of ``[n]`` items whose class is predicted correctly.
 
     Raises:
         InputError: no items, or different numbers of them.
     """
-    _same(truth, said)
-    return float(np.mean(truth == said))
+    _same(y_true, y_pred)
+    return float(np.mean(y_true == y_pred))
 
 
-def recall(truth: Ints, said: Ints, classes: int) -> NDArray[np.float64]:
-    """Share of each class's items said correctly, ``[class]``; NaN where the class does not occur."""
-    table = confusion(truth, said, classes).astype(np.float64)
+def recall(y_true: Ints, y_pred: Ints, classes: int) -> NDArray[np.float64]:
+    """Share of each class's items predicted correctly, ``[class]``; NaN where the class does not occur."""
+    table = confusion(y_true, y_pred, classes).astype(np.float64)
     total = table.sum(1)
     return np.divide(table.diagonal(), total, out=np.full(classes, np.nan), where=total > 0)
 
 
-def balanced_accuracy(truth: Ints, said: Ints) -> float:
-    """Mean recall over the classes that occur in ``truth``."""
-    _same(truth, said)
-    return float(np.nanmean(recall(truth, said, int(max(truth.max(), said.max())) + 1)))
+def balanced_accuracy(y_true: Ints, y_pred: Ints) -> float:
+    """Mean recall over the classes that occur in ``y_true``."""
+    _same(y_true, y_pred)
+    return float(np.nanmean(recall(y_true, y_pred, int(max(y_true.max(), y_pred.max())) + 1)))
 
 
-def confusion(truth: Ints, said: Ints, classes: int) -> NDArray[np.int64]:
-    """Counts ``[true class, said class]``."""
-    _same(truth, said)
-    return np.bincount(truth * classes + said, minlength=classes * classes).reshape(classes, classes)
+def confusion(y_true: Ints, y_pred: Ints, classes: int) -> NDArray[np.int64]:
+    """Counts ``[true class, predicted class]``."""
+    _same(y_true, y_pred)
+    return np.bincount(y_true * classes + y_pred, minlength=classes * classes).reshape(classes, classes)
 
 
-def _same(truth: Ints, said: Ints) -> None:
-    if truth.shape != said.shape or truth.size == 0:
-        raise InputError(f"{truth.size} true classes and {said.size} said ones cannot be compared.")
+def _same(y_true: Ints, y_pred: Ints) -> None:
+    if y_true.shape != y_pred.shape or y_true.size == 0:
+        raise InputError(f"{y_true.size} true classes and {y_pred.size} predicted ones cannot be compared.")
 
 
 def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95) -> tuple[float, float, float]:
@@ -79,56 +79,56 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 
-def overall_pr(probability: Floats, truth: Ints) -> float:
+def overall_pr(probability: Floats, y_true: Ints) -> float:
     """The paper's OverallPr: mean over steps of (largest probability x correct)."""
-    return float(np.mean(_credit(probability, truth)))
+    return float(np.mean(_credit(probability, y_true)))
 
 
-def class_pr(probability: Floats, truth: Ints) -> NDArray[np.float64]:
+def class_pr(probability: Floats, y_true: Ints) -> NDArray[np.float64]:
     """The paper's ClassPr: as OverallPr over the steps of each class, ``[class]``; NaN where it has none."""
     classes = probability.shape[1]
-    steps = np.bincount(truth, minlength=classes)
-    credit = np.bincount(truth, _credit(probability, truth), minlength=classes)
+    steps = np.bincount(y_true, minlength=classes)
+    credit = np.bincount(y_true, _credit(probability, y_true), minlength=classes)
     return np.divide(credit, steps, out=np.full(classes, np.nan), where=steps > 0)
 
 
-def macro_step_accuracy(probability: Floats, truth: Ints) -> float:
-    """Mean over the classes present of the share of their steps said correctly while streaming."""
-    _check(probability, truth)
-    return float(np.nanmean(recall(truth, probability.argmax(1), probability.shape[1])))
+def macro_step_accuracy(probability: Floats, y_true: Ints) -> float:
+    """Mean over the classes present of the share of their steps predicted correctly while streaming."""
+    _check(probability, y_true)
+    return float(np.nanmean(recall(y_true, probability.argmax(1), probability.shape[1])))
 
 
-def _check(probability: Floats, truth: Ints) -> None:
-    if probability.ndim != 2 or probability.shape[0] != truth.shape[0] or truth.size == 0:
+def _check(probability: Floats, y_true: Ints) -> None:
+    if probability.ndim != 2 or probability.shape[0] != y_true.shape[0] or y_true.size == 0:
         raise InputError(
-            f"probabilities of shape {probability.shape} do not fit {truth.size} true classes; "
+            f"probabilities of shape {probability.shape} do not fit {y_true.size} true classes; "
             "expected one row per step."
         )
 
 
-def _credit(probability: Floats, truth: Ints) -> NDArray[np.float64]:
-    _check(probability, truth)
-    return np.where(probability.argmax(1) == truth, probability.max(1), 0.0)
+def _credit(probability: Floats, y_true: Ints) -> NDArray[np.float64]:
+    _check(probability, y_true)
+    return np.where(probability.argmax(1) == y_true, probability.max(1), 0.0)
 
 
-def reliability(probability: Floats, truth: Ints, bins: int = 10) -> NDArray[np.float64]:
-    """Reliability diagram of the said class: ``[bin, 3]`` share of steps, mean probability, share correct.
+def reliability(probability: Floats, y_true: Ints, bins: int = 10) -> NDArray[np.float64]:
+    """Reliability diagram of the predicted class: ``[bin, 3]`` share of steps, mean probability, share correct.
 
     Bins are equal parts of [0, 1]; empty ones hold 0, NaN, NaN.
     """
-    _check(probability, truth)
+    _check(probability, y_true)
     top = probability.max(1)
     index = np.minimum((top * bins).astype(np.int64), bins - 1)
     count = np.bincount(index, minlength=bins)
-    sums = np.stack([np.bincount(index, w, bins) for w in (top, probability.argmax(1) == truth)], 1)
+    sums = np.stack([np.bincount(index, w, bins) for w in (top, probability.argmax(1) == y_true)], 1)
     mean = np.divide(sums, count[:, None], out=np.full((bins, 2), np.nan), where=count[:, None] > 0)
-    return np.concatenate([(count / len(truth))[:, None], mean], 1)
+    return np.concatenate([(count / len(y_true))[:, None], mean], 1)
 
 
-def calibration_error(probability: Floats, truth: Ints, bins: int = 10) -> float:
-    """Expected calibration error of the said class: mean distance of probability and accuracy, by step."""
-    share, said, right = reliability(probability, truth, bins).T
-    return float(np.nansum(share * np.abs(said - right)))
+def calibration_error(probability: Floats, y_true: Ints, bins: int = 10) -> float:
+    """Expected calibration error of the predicted class: mean distance of probability and accuracy, by step."""
+    share, y_pred, right = reliability(probability, y_true, bins).T
+    return float(np.nansum(share * np.abs(y_pred - right)))
 
 
 def certainty(probability: Floats, k: float) -> NDArray[np.int8]:
@@ -142,10 +142,10 @@ def window_start(steps: int) -> int:
     return 2 * steps // 3 + 1
 
 
-def certain_count(probability: Floats, truth: int, k: float) -> int:
+def certain_count(probability: Floats, y_true: int, k: float) -> int:
     """Steps in the last third of one trial that are correct with a probability above k."""
     last = probability[window_start(len(probability)) :]
-    return int(np.sum((last.argmax(1) == truth) & (last.max(1) > k))) if len(last) else 0
+    return int(np.sum((last.argmax(1) == y_true) & (last.max(1) > k))) if len(last) else 0
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Certainty:
         return count / (self.avg_len / 3)
 
 
-def certainties(probabilities: Sequence[Floats], truth: Sequence[int], k: float = CERTAINTY_LEVELS[0]) -> Certainty:
+def certainties(probabilities: Sequence[Floats], y_true: Sequence[int], k: float = CERTAINTY_LEVELS[0]) -> Certainty:
     """Counts, AvgLen and m of a set of trials, each ``[step, class]`` with one true class.
 
     Trials too short to have a last third (three steps or fewer) count in the paper's m, as in the paper,
@@ -174,11 +174,11 @@ def certainties(probabilities: Sequence[Floats], truth: Sequence[int], k: float 
     Raises:
         InputError: no trials, or different numbers of trials and classes.
     """
-    if not probabilities or len(probabilities) != len(truth):
-        raise InputError(f"{len(probabilities)} trials and {len(truth)} true classes cannot be compared.")
+    if not probabilities or len(probabilities) != len(y_true):
+        raise InputError(f"{len(probabilities)} trials and {len(y_true)} true classes cannot be compared.")
     classes = probabilities[0].shape[1]
-    of_class = np.asarray(truth)
-    pairs = zip(probabilities, truth, strict=True)
+    of_class = np.asarray(y_true)
+    pairs = zip(probabilities, y_true, strict=True)
     counts = np.array([certain_count(p, c, k) for p, c in pairs], np.float64)
     steps = np.array([len(p) for p in probabilities], np.float64)
     window = np.array([max(0, len(p) - window_start(len(p))) for p in probabilities], np.float64)

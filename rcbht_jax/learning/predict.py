@@ -29,7 +29,7 @@ class Classification:
 
     classes: tuple[str, ...]  # of the model
     items: UnlabelledIntervals
-    said: NDArray[np.str_]  # [item]
+    predicted: NDArray[np.str_]  # [item]
     decision: NDArray[np.float64]  # [item, pair] > 0 votes for the first of the pair
     seen: NDArray[np.bool_]  # [item] the model was trained on this very data set, source and session
 
@@ -46,7 +46,7 @@ class Classification:
     def accuracy(self, seen: bool = False) -> float | None:
         """Share right of the known sentences that were not trained on (or those that were); None without any."""
         those = self.known & (self.seen == seen)
-        return float((self.said == self.items.name)[those].mean()) if those.any() else None
+        return float((self.predicted == self.items.name)[those].mean()) if those.any() else None
 
 
 def encoders_of(model: TrainedModel) -> dict[str, Mapping[str, Any]]:
@@ -92,12 +92,12 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
                 )
 
 
-def _difference(wanted: Any, found: Any) -> str:
+def _difference(wanted: Any, items: Any) -> str:
     """The first option that differs, in words."""
-    if not (isinstance(wanted, dict) and isinstance(found, dict)):
+    if not (isinstance(wanted, dict) and isinstance(items, dict)):
         return ""
-    key = next(key for key in {**wanted, **found} if wanted.get(key) != found.get(key))
-    return f"{key} {wanted.get(key)}, here {found.get(key)}"
+    key = next(key for key in {**wanted, **items} if wanted.get(key) != items.get(key))
+    return f"{key} {wanted.get(key)}, here {items.get(key)}"
 
 
 def classify(
@@ -115,22 +115,22 @@ def classify(
     Raises:
         InputError: no sentence passes the filters, or the labels give other features than the model reads.
     """
-    found = unlabelled_intervals(recordings, spec)
-    if not len(found.row):
+    items = unlabelled_intervals(recordings, spec)
+    if not len(items.row):
         why = (
-            ", ".join(f"{count} trials: {reason}" for reason, count in found.dropped.items())
+            ", ".join(f"{count} trials: {reason}" for reason, count in items.dropped.items())
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")
-    made = extract_features(dict(tracks), found, model.feature_spec)
-    if made.names != model.feature_names:
+    features = extract_features(dict(tracks), items, model.feature_spec)
+    if features.names != model.feature_names:
         raise InputError(
-            f"the labels give {len(made.names)} features and the model of version {model.version} reads "
+            f"the labels give {len(features.names)} features and the model of version {model.version} reads "
             f"{len(model.feature_names)} others; train it anew."
         )
-    decision = model.svm.decision(made.values)
-    said = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
-    return Classification(model.svm.classes, found, said, decision, _seen(model, recordings)[found.row])
+    decision = model.svm.decision(features.values)
+    predicted = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
+    return Classification(model.svm.classes, items, predicted, decision, _seen(model, recordings)[items.row])
 
 
 def _seen(model: TrainedModel, recordings: Recordings) -> NDArray[np.bool_]:

@@ -295,30 +295,30 @@ def select(
         for i, spec in enumerate(paths):  # all kernels of one matrix follow each other, and share its scaling
             if made_for != (made_for := (spec.features, spec.scaling)):
                 scaled = _scaled(candidates[spec.features], train, spec, (weights or {}).get(spec.features))
-            said = _said(scaled, y, train, test, spec, grid.costs)
-            scores[i] += [_score(y[test], s, grid.balanced) for s in said]
+            predicted = _predicted(scaled, y, train, test, spec, grid.costs)
+            scores[i] += [_score(y[test], s, grid.balanced) for s in predicted]
         if progress:
             progress(1)
     best = int(scores.round(9).argmax())
     return replace(paths[best // len(grid.costs)], cost=grid.costs[best % len(grid.costs)])
 
 
-def _score(truth: Ints, said: Ints, balanced: bool) -> float:
-    return metrics.balanced_accuracy(truth, said) if balanced else metrics.accuracy(truth, said)
+def _score(y_true: Ints, predicted: Ints, balanced: bool) -> float:
+    return metrics.balanced_accuracy(y_true, predicted) if balanced else metrics.accuracy(y_true, predicted)
 
 
 def predictions(
     x: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float], weight: Weight = None
 ) -> list[NDArray[np.int64]]:
     """Class index ``[test item]`` for each cost (increasing), trained on the rows ``train`` of ``x``."""
-    return _said(_scaled(x, train, spec, weight), y, train, test, spec, costs)
+    return _predicted(_scaled(x, train, spec, weight), y, train, test, spec, costs)
 
 
 def _scaled(x: Matrix, train: Ints, spec: SvmSpec, weight: Weight) -> NDArray[np.float64]:
     return fit_scale(x[train], spec.scaling, spec.floor, spec.ranks, weight)(x)
 
 
-def _said(
+def _predicted(
     scaled: Matrix, y: Ints, train: Ints, test: Ints, spec: SvmSpec, costs: Sequence[float]
 ) -> list[NDArray[np.int64]]:
     gamma = _gamma(scaled[train], spec.gamma)
@@ -335,13 +335,13 @@ def predictions_of_kernel(
     the (increasing) costs ends there and the last answer stands for the rest. It also ends where the solver
     gives up: larger costs are harder still, and repeating the last solved answer keeps ties from choosing them.
     """
-    said: list[NDArray[np.int64]] = []
+    predicted: list[NDArray[np.int64]] = []
     share = len(y) / (np.bincount(y).max() * len(np.unique(y))) if balanced else 1.0
     for cost in costs:
         machine = _solved(train, y, "precomputed", cost, balanced, max(_MIN_ITERATIONS, _PER_ITEM * len(y)))
-        if said and machine.fit_status_ == 1:
+        if predicted and machine.fit_status_ == 1:
             break
-        said.append(machine.predict(test).astype(np.int64))
+        predicted.append(machine.predict(test).astype(np.int64))
         if np.abs(machine.dual_coef_).max() < cost * share:
             break
-    return said + [said[-1]] * (len(costs) - len(said))
+    return predicted + [predicted[-1]] * (len(costs) - len(predicted))
