@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from jaxtyping import Float
+
 from rcbht_jax.robots.hiro import ARMS, CHEST_HEIGHT, MIRROR, RIGHT, SHOULDER_ROLL, TCP, Vector, side
 
 Array = Any  # numpy.ndarray or jax.Array
@@ -18,7 +20,9 @@ Frame = tuple[Array, Array, Array]  # the x, y and z axes, [..., 3] each, in wor
 SEARCH_STEPS = 5  # of the inverse; each about squares its error: 0.3 rad -> rounding, over the task's workspace
 
 
-def fk(q: Array, arm: str = "R") -> tuple[Array, Array, Array]:
+def fk(
+    q: Float[Array, "*batch 6"], arm: str = "R"
+) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3 3"], Float[Array, "*batch 3"]]:
     """Forward kinematics.
 
     Args:
@@ -35,7 +39,9 @@ def fk(q: Array, arm: str = "R") -> tuple[Array, Array, Array]:
     return origins[-1], _matrix(frame), _along(origins[-1], frame, TCP[arm])
 
 
-def jacobian(q: Array, arm: str = "R") -> tuple[Array, Array]:
+def jacobian(
+    q: Float[Array, "*batch 6"], arm: str = "R"
+) -> tuple[Float[Array, "*batch 3 6"], Float[Array, "*batch 3 6"]]:
     """Velocity of the wrist point and angular velocity of the hand per joint velocity, in world coordinates.
 
     Args:
@@ -54,13 +60,13 @@ def jacobian(q: Array, arm: str = "R") -> tuple[Array, Array]:
     return xp.stack(linear, axis=-1), xp.stack(axes, axis=-1)
 
 
-def rotation_from_rpy(rpy: Array) -> Array:
+def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """Rotation [..., 3, 3] = Rz(yaw) Ry(pitch) Rx(roll) from roll, pitch, yaw [..., 3]."""
     frame = _turned(_world_frame(rpy), 2, rpy[..., 2])
     return _matrix(_turned(_turned(frame, 1, rpy[..., 1]), 0, rpy[..., 0]))
 
 
-def rpy_from_rotation(rotation: Array) -> Array:
+def rpy_from_rotation(rotation: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Roll, pitch, yaw [..., 3] of a rotation [..., 3, 3], pitch within +-90 degrees.
 
     With the hand straight down (pitch -90 degrees) only yaw + roll is determined.
@@ -72,13 +78,18 @@ def rpy_from_rotation(rotation: Array) -> Array:
     return xp.stack([roll, pitch, yaw], axis=-1)
 
 
-def tilt(rotation: Array) -> Array:
+def tilt(rotation: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch"]:
     """Angle [...] between the hand and the vertical: 0 when the wrist's x axis points up."""
     xp = rotation.__array_namespace__()
     return xp.arctan2(xp.hypot(rotation[..., 0, 0], rotation[..., 1, 0]), rotation[..., 2, 0])
 
 
-def ik(position: Array, rotation: Array, near: Array, arm: str = "R") -> Array:
+def ik(
+    position: Float[Array, "*batch 3"],
+    rotation: Float[Array, "*batch 3 3"],
+    near: Float[Array, "*batch 6"],
+    arm: str = "R",
+) -> Float[Array, "*batch 6"]:
     """Inverse kinematics of a TCP pose.
 
     The last axis misses the crossing point of the two before it by 80 mm, so no closed form exists. But given
@@ -115,8 +126,8 @@ def ik(position: Array, rotation: Array, near: Array, arm: str = "R") -> Array:
         last = _accelerated(last, once, twice)
     q, reachable = _solve(wrist, frame, last, near)
     solved = max(1e-9, 100.0 * float(xp.finfo(position.dtype).eps))  # rad, on a lever of 80 mm
-    found = reachable & (abs(_wrapped(q[..., 5] - last)) < solved)
-    q = xp.where(found[..., None], q, math.nan)
+    converged = reachable & (abs(_wrapped(q[..., 5] - last)) < solved)
+    q = xp.where(converged[..., None], q, math.nan)
     return q if side(arm) > 0 else q * _like(signs, q)
 
 

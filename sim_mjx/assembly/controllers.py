@@ -1,7 +1,7 @@
 """The recorded force and moment law: joint references moved by the error of the wrench, every control period.
 
-Pure functions of one trial's arrays; batches by ``jax.vmap``. Source: design page "HIRO task", controller facts,
-point 2 (reproduces the logged references with R^2 >= 0.998).
+Pure functions of one trial's arrays; batches by ``jax.vmap``. The law reproduces the logged references with
+R^2 >= 0.998.
 """
 
 from __future__ import annotations
@@ -48,9 +48,6 @@ def force_law(
 def goals_in_world(goal: Array, rotation: Array, in_world: Array) -> Array:
     """A set-point [3] in world coordinates; it is given in the wrist's unless ``in_world``."""
     return jnp.where(in_world, goal, rotation @ goal)
-
-
-# numpy.ndarray or jax.Array
 
 
 def half_cosine(times: Array, poses: Array, t: Array) -> Array:

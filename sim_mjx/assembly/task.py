@@ -1,7 +1,7 @@
 """The state machine of the assembly: approach, rotation, insertion, (pre-)mating, end.
 
 ``advance`` is one control period of one trial: measured joints and wrench in, joint references out. Pure, no
-loop; batches by ``jax.vmap``. Source: design page "HIRO task", controller facts, points 1 to 3.
+loop; batches by ``jax.vmap``. Identified from the recorded joint references and state marks.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TaskParams:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TaskState:
-    """Where one trial stands."""
+    """State of one trial."""
 
     tick: Array  # int32, control periods since the start
     phase: Array  # int32, APPROACH ... ENDED
@@ -107,8 +107,8 @@ def _periods(seconds: Array) -> Array:
 
 def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array, wrench: Array) -> Array:
     """Whether the current phase ends with this measurement."""
-    touch = (rotation.T @ wrench[:3])[0] > params.contact_force
-    contact = touch & (state.tick > _periods(params.contact_after))
+    pushed = (rotation.T @ wrench[:3])[0] > params.contact_force
+    contact = pushed & (state.tick > _periods(params.contact_after))
     row = jnp.clip(state.phase - ROTATION, 0, 3)
     since = state.tick - state.entered[state.phase]
     pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))

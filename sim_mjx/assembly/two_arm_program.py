@@ -25,7 +25,7 @@ Array = Any
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HoldParams:
-    """What the left arm does: it keeps its pose until the right hand touches, then gives way to the force.
+    """Force control of the left arm, which keeps its pose until the right hand touches, then yields to the force.
 
     Set-points are in its wrist frame and count from the free-space offset; one row per phase of the right arm:
     rotation, insertion, pre-mating, mating.
@@ -87,13 +87,13 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
         logged: wrenches in the wrists' frames.
     """
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
-    itself = jnp.eye(3, dtype=raw.dtype)
+    identity = jnp.eye(3, dtype=raw.dtype)
     # the recorded rigid contact chatters, on both wrists at once; ours is elastic and does not
     rough = loop.rest + (raw - loop.rest) * (1.0 + params.chatter * noise[12])
-    felt = _felt(params.sensor, rough[:6], params.offset[:6])
-    left_felt = _felt(params.left_sensor, rough[6:], params.offset[6:])
-    read, right = sensor.read(params.sensor, loop.sensor, felt, noise[:6], itself)
-    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_felt, noise[6:12], itself)
+    right_raw = _with_offset(params.sensor, rough[:6], params.offset[:6])
+    left_raw = _with_offset(params.left_sensor, rough[6:], params.offset[6:])
+    read, right = sensor.read(params.sensor, loop.sensor, right_raw, noise[:6], identity)
+    left_read, left = sensor.read(params.left_sensor, loop.left_sensor, left_raw, noise[6:12], identity)
     state = task.advance(params.task, loop.task, joints[:6], _in_world(right, joints[:6], "R"))
     # recorded: once mating begins the right arm keeps still
     state = replace(state, command=jnp.where(state.phase == task.MATING, loop.task.command, state.command))
@@ -131,9 +131,9 @@ def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase
     return jnp.where((phase >= task.ROTATION) & (phase < task.ENDED), pressed, command)
 
 
-def _felt(touch: SensorParams, raw: Array, offset: Array) -> Array:
+def _with_offset(params: SensorParams, raw: Array, offset: Array) -> Array:
     """Readings [6] with the free-space offset; the tare took place without it."""
-    about_wrist = offset[3:] + jnp.cross(touch.reference, offset[:3])
+    about_wrist = offset[3:] + jnp.cross(params.reference, offset[:3])
     return raw + jnp.concatenate([offset[:3], about_wrist])
 
 

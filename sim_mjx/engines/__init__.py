@@ -1,4 +1,4 @@
-"""Physics engines behind one function; none of them knows the task."""
+"""Physics engines behind one function; they are independent of the task."""
 
 from __future__ import annotations
 

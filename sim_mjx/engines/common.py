@@ -1,4 +1,4 @@
-"""What every engine does alike before and after the physics."""
+"""Steps that all engines share before and after the physics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SETTLING = 200  # physics steps before time zero, in which the tool's weight ben
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 
 BLOCK = 16  # trials
-LARGEST = 1e5  # N or Nm; beyond it the physics has diverged, whatever it says next
+LARGEST = 1e5  # N or Nm; beyond it the physics has diverged
 
 
 @lru_cache

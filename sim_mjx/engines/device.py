@@ -1,4 +1,4 @@
-"""MJX, with JAX's or Warp's kernels: whole rollouts on the device, without a word to the host every period.
+"""MJX, with JAX's or Warp's kernels: whole rollouts on the device, without a transfer to the host every period.
 
 All trials of a batch run until the last has ended. One compiled program does a stretch of control periods:
 sensor, state machine, controller and physics. The physics counts joint angles from each trial's home pose: a servo

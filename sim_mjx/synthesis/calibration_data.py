@@ -1,4 +1,4 @@
-"""Simulated trials as what thresholds are calibrated on: rollouts, words and scores without leaving the device."""
+"""Simulated trials as calibration data: rollouts, labels and scores stay on the device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim_mjx.assembly.task import STATES
 from sim_mjx.engines import device
 
 Array = Any
-MOST_WRENCH = 2000.0  # N or Nm; beyond, the physics has come apart
+MOST_WRENCH = 2000.0  # N or Nm; a larger wrench means that the physics diverged
 
 
 def simulated_scores(
@@ -33,9 +33,9 @@ def simulated_scores(
     *,
     progress: Callable[[int], None] | None = None,
 ) -> NDArray[np.float32]:
-    """Simulate trials and score thresholds by how well their words tell the states apart.
+    """Simulate trials and score thresholds by how well their labels separate the states.
 
-    Only parameters and candidates go to the device, and only the scores and a few counts come back.
+    Only parameters and candidates are copied to the device, and only scores and a few counts back.
 
     Args:
         scene: what is simulated; one arm.
@@ -55,9 +55,9 @@ def simulated_scores(
 
 
 def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData:
-    """The completed trials with a sentence for each of their four states, on the device.
+    """The completed trials with an interval for each of their four states, on the device.
 
-    A completed trial went through all states, seated all its tabs and felt nothing impossible.
+    A completed trial went through all states, seated all its tabs and did not diverge.
 
     Raises:
         InputError: there is none.
@@ -69,7 +69,7 @@ def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData
 def whole_corpus(
     out: device.Outcome, y: NDArray[np.integer], classes: tuple[str, ...], config: EncoderConfig
 ) -> CalibrationData:
-    """The trials that did not seat all tabs and felt nothing impossible, one sentence each, on the device.
+    """The trials that did not seat all tabs and did not diverge, one interval each, on the device.
 
     Args:
         out: of :func:`sim_mjx.engines.device.run`.
@@ -80,18 +80,18 @@ def whole_corpus(
     Raises:
         InputError: there is none.
     """
-    edges, truth, usable = _whole(out, jax.device_put(y.astype(np.int32)))
-    return _corpus(config, out.wrench, edges, truth, usable, classes)
+    edges, y_true, usable = _whole(out, jax.device_put(y.astype(np.int32)))
+    return _corpus(config, out.wrench, edges, y_true, usable, classes)
 
 
 def _corpus(
     config: EncoderConfig, wrench: Array, edges: Array, y: Array, usable: Array, classes: tuple[str, ...]
 ) -> CalibrationData:
     order, count = _first(usable)
-    kept = int(jax.device_get(count))
-    if not kept:
+    usable_count = int(jax.device_get(count))
+    if not usable_count:
         raise InputError(f"none of the {len(wrench)} simulated trials can be used; nothing to calibrate on.")
-    wrench, edges, y = _rows(kept, order, (wrench, edges, y))
+    wrench, edges, y = _rows(usable_count, order, (wrench, edges, y))
     return device_calibration_data(config, wrench, edges, y, classes)
 
 

@@ -1,4 +1,4 @@
-"""What is kept of a batch of trials, as arrays with plain names: checked, with onsets as recorded trials have them."""
+"""Arrays that are stored of a batch of trials: diverged trials marked, onsets as in recorded trials; and labels."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from sim_mjx.synthesis.shards import Arrays
 
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
 TILTS = 2**16  # angles that are computed at once
-# No robot of this kind measures or moves so much: beyond, the physics has come apart, finite or not.
+# No robot of this kind measures or moves so much: beyond, the physics has diverged, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 
 
 def of_trials(out: Rollouts) -> Arrays:
-    """What is kept of a batch of trials; of a diverged one nothing but its mark."""
+    """Stored arrays of a batch of trials; a diverged trial has only its mark."""
     diverged = _diverged(out)
     # a trial that was stopped has "entered" all later states with its last sample
     last = (out.length - 1)[:, None] * CONTROL_PERIOD

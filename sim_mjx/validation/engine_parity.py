@@ -1,4 +1,4 @@
-"""Does an engine give what C MuJoCo gives? Equal wrenches until something touches, equal words and outcomes after it.
+"""Parity of an engine with C MuJoCo: equal wrenches until the first contact, equal labels and outcomes after it.
 
 A contact amplifies any difference, so that wrenches of two engines can only be held against each other sample by
 sample until the first contact of any pair, which comes up to half a second before the controller notices one.
@@ -26,7 +26,7 @@ from sim_mjx.synthesis.records import label
 
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm, until the first contact
 LABELS_LIMIT, OUTCOME_LIMIT = 0.95, 0.98  # shares of time and of trials
-WINDOW = 5  # samples per line of the words that are compared
+WINDOW = 5  # samples per window of the labels that are compared
 NEVER = np.iinfo(np.int64).max
 
 
@@ -39,7 +39,7 @@ class Parity:
     force_until_contact: float  # N, largest difference of any axis before the first contact
     moment_until_contact: float  # Nm
     force_after_contact: float  # N, median difference
-    labels: dict[str, float]  # layer -> share of time, over trials and axes, with the same word
+    labels: dict[str, float]  # layer -> share of time, over trials and axes, with the same label
     states: float  # share of time in the same state
     same_outcome: float  # share of trials
     onset_difference: float  # s, 95th percentile
@@ -110,18 +110,18 @@ def parity(expected: Rollouts, contact: NDArray[np.int64], found: Rollouts) -> P
 
 
 def _label_agreement(expected: Rollouts, found: Rollouts, shared: NDArray[np.bool_]) -> dict[str, float]:
-    """Share of time, over all trials and axes, in which both wrenches have the same word; layer by layer."""
-    first, second = _words(expected, shared.shape[1]), _words(found, shared.shape[1])
+    """Share of time, over all trials and axes, in which both wrenches have the same label; layer by layer."""
+    first, second = _labels(expected, shared.shape[1]), _labels(found, shared.shape[1])
     wrists = expected.wrench.shape[2] // 6
     wide = np.repeat(shared, wrists * 6, axis=0).reshape(-1, 6, shared.shape[1])
     return {layer: float((first[layer] == second[layer])[wide].mean()) for layer in LAYERS}
 
 
-def _words(out: Rollouts, samples: int) -> dict[str, NDArray[np.int64]]:
+def _labels(out: Rollouts, samples: int) -> dict[str, NDArray[np.int64]]:
     """Label of every sample [trial * wrist, axis, time], 0 = none; layer by layer."""
     config = EncoderConfig(window=WINDOW, dt=CONTROL_PERIOD)
     tracks = label(out, config, jnp.asarray(preset("hiro").limits, jnp.float32))
-    words = {}
+    labels = {}
     for layer in LAYERS:
         track = getattr(tracks, layer)
         used = track.label != 0
@@ -130,8 +130,8 @@ def _words(out: Rollouts, samples: int) -> dict[str, NDArray[np.int64]]:
         change = np.zeros((*track.label.shape[:2], out.wrench.shape[1] + 1), np.int64)
         np.add.at(change, (*lane, track.t0[used]), track.label[used])
         np.subtract.at(change, (*lane, track.t1[used]), track.label[used])
-        words[layer] = np.cumsum(change, axis=2)[:, :, :samples]
-    return words
+        labels[layer] = np.cumsum(change, axis=2)[:, :, :samples]
+    return labels
 
 
 def _states(out: Rollouts, samples: int) -> NDArray[np.int64]:

@@ -1,8 +1,7 @@
-"""The signature metric: how much the wrench of one set of trials looks like that of a reference session.
+"""The signature metric: similarity of the wrenches of a set of trials to those of a reference session.
 
 Each trial is cut into four states (approach, rotation up to the harmonised boundary, insertion, the first
 second of mating), each resampled to 100 points. Axes are Fx Fy Fz Mx My Mz, N and Nm.
-Source: design page "hiro task", section "Signature metric".
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Similarity:
-    """How alike a test set is to a reference; the sd is the reference's, over trials and points."""
+    """Similarity of a test set to a reference; the sd is the reference's, over trials and points."""
 
     coverage: float  # share of the test's points inside the reference's widened band; 1 = all, mean of its table
     w1_over_sd: float  # Wasserstein-1 distance of the pooled values in sd; 0 = equal, median of its table

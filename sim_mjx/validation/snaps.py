@@ -30,7 +30,7 @@ class Snap(NamedTuple):
 
 
 def unfiltered(force: NDArray[np.floating], sensor: SensorParams) -> Floats:
-    """What the sensor felt before its low-pass filter: the recorded one inverted exactly.
+    """Force at the input of the sensor's low-pass filter, which is inverted exactly.
 
     Args:
         force: logged [..., time], N.
