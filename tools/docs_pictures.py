@@ -1,4 +1,4 @@
-"""Pictures of every label: found by the encoder itself in made-up signals, not drawn by hand.
+"""Pictures of labels, which the encoder itself assigned to synthetic signals.
 
 Run: python -m tools.docs_pictures
 """
@@ -12,11 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+import rcbht_jax as rj
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.export.dataset import words
-from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
+from rcbht_jax.labels import COLORS, LAYERS, LLB, MEANING, name
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure, text_color
 from rcbht_jax.plots.trial import fitted_lines
@@ -79,8 +80,30 @@ def draw(ax: Axes, wrench: NDArray[np.float32], tracks: LabelTracks, layer: str,
     ax.tick_params(labelsize=7)
 
 
+def one_push_or_two() -> None:
+    """Write the picture of the tutorial: two pushes of one duration, and their different behaviours."""
+    time = np.arange(600) * CONFIG.dt
+    shapes = [np.interp(time, [1, 2], [0, 8]), np.interp(time, [1, 1.25, 1.75, 2], [0, 4, 4, 8])]
+    wrench = np.zeros((2, len(time), 6))
+    wrench[:, :, 2] = shapes
+    frame = rj.encode(wrench, rate=1 / CONFIG.dt).to_frame()
+    figure = new_figure((9.0, 2.8), 90)
+    for column, title in enumerate(("one push", "the same duration, two pushes")):
+        ax = figure.add_subplot(1, 2, column + 1)
+        ax.plot(time, shapes[column], color="black", linewidth=1.8)
+        chosen = (frame["recording"] == column) & (frame["axis"] == "Fz") & (frame["layer"] == "llb")
+        for word in frame[chosen].itertuples():
+            color, middle = COLORS["llb"][LLB[word.label] - 1], (word.t0 + word.t1) / 2 * CONFIG.dt
+            ax.axvspan(word.t0 * CONFIG.dt, word.t1 * CONFIG.dt, color=color, alpha=0.6, linewidth=0)
+            ax.text(middle, -1.3, word.label, ha="center", va="center", fontsize=10, weight="bold")
+        ax.set(xlim=(0, time[-1]), ylim=(-2.2, 9), title=title, xlabel="time, s", ylabel="Fz, N")
+    figure.tight_layout()
+    save(figure, IMAGES / "one-or-two.png")
+
+
 def main() -> None:
-    """Write one picture per layer."""
+    """Write one picture per layer, and the one of the tutorial."""
+    one_push_or_two()
     wrench = signals()
     limits = preset("hiro")
     limits = type(limits)(np.repeat(limits.limits[:1], 6, 0))  # all channels are forces

@@ -110,7 +110,7 @@ def write_recordings(
         zarr_io.consolidate(draft)
 
 
-def read_recordings(path: Path) -> Recordings:
+def read_recordings(path: Path | str) -> Recordings:
     """Read and check a whole store.
 
     >>> recordings = read_recordings(Path("trials.zarr"))  # doctest: +SKIP
@@ -121,6 +121,7 @@ def read_recordings(path: Path) -> Recordings:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged (a chunk is missing,
             truncated or altered).
     """
+    path = Path(path)
     group = open_store(path)
     with zarr_io.reading(path):
         arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}

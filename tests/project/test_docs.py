@@ -7,15 +7,17 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax.cli.main import command_name, main, parse
 from rcbht_jax.errors import InputError
-
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+from tests.support.pages import NOTEBOOKS, PAGES, ROOT, notebook_cells, python_blocks, run
+from tests.support.store_cases import simple
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -29,18 +31,39 @@ def commands(page: Path) -> list[str]:
     return [match[0].strip() for match in matches if match]
 
 
-CODE = [(page, number) for page in PAGES[1:] for number in range(len(blocks(page, "python")))]
+CODE = [page for page in PAGES if python_blocks(page)]
 CALLS = [(page, line) for page in PAGES for line in commands(page)]
 
 
 def test_something_is_tested() -> None:
     assert len(CODE) >= 5
+    assert sum(bool(output) for page in CODE for _, output in python_blocks(page)) >= 5
+    assert NOTEBOOKS
     assert len(CALLS) >= 30
 
 
-@pytest.mark.parametrize(("page", "number"), CODE, ids=lambda value: getattr(value, "stem", value))
-def test_python_runs(page: Path, number: int) -> None:
-    exec(compile(blocks(page, "python")[number], str(page), "exec"), {"__name__": "docs"})
+@pytest.fixture
+def trials_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The store ``trials.zarr`` that pages read, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    onset = np.tile([0.0, 0.5, 1.0, 1.5], (12, 1))
+    rj.write_recordings(tmp_path / "trials.zarr", replace(simple(12, 400), onset=onset, onset_harmonised=onset), {})
+
+
+@pytest.mark.usefixtures("trials_store")
+@pytest.mark.parametrize("page", CODE, ids=lambda page: page.stem)
+def test_python_runs_and_prints_what_the_page_shows(page: Path) -> None:
+    """Blocks of a page share their names, as in a session."""
+    namespace = {"__name__": "docs"}
+    for code, output in python_blocks(page):
+        printed = run(code, namespace)
+        assert not output or printed == output, f"{page.name}:\n{code}prints\n{printed}"
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(notebook: Path) -> None:
+    namespace = {"__name__": "notebook"}
+    assert [run(cell, namespace) for cell in notebook_cells(notebook)]
 
 
 @pytest.mark.parametrize(("page", "line"), CALLS, ids=lambda value: getattr(value, "stem", value))
