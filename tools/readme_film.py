@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -26,13 +29,13 @@ from sim_mjx.plots.trial_overview import XYZ, still
 from sim_mjx.validation.replay import Replay, simulated
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "assembly.gif"
-FIRST, LAST = 3.8, 9.0  # s of the trial: the end of the approach, contact, rotation, insertion
-FRAMES, RATE = 76, 10  # pictures, pictures per second
+FIRST, LAST = 4.5, 7.6  # s of the trial: the end of the approach, contact, and settling before the parts snap
+FRAMES, RATE = 63, 10  # pictures, pictures per second
 HOLD = 3000  # ms, the last picture
-WINDOW = 20  # samples; 0.1 s, so that a word is long enough to be read
-FORCE, MOMENT = (120.0, 50.0, 20.0, 5.0), (12.0, 5.0, 2.0, 0.5)  # N/s, Nm/s: above the noise of this sensor
+WINDOW = 10  # samples
+FORCE, MOMENT = (60.0, 30.0, 12.0, 3.0), (6.0, 3.0, 1.2, 0.3)  # N/s, Nm/s: above the noise of this sensor
 SHOWN = ("Fx", "Fz")
-WIDE = 0.28  # s, shortest span into which a word is written
+WIDE, NARROW = 0.3, 0.13  # s, shortest spans into which a word, or its abbreviation, is written
 
 
 class Panel:
@@ -50,29 +53,29 @@ class Panel:
         band.tick_params(labelsize=8)
         (self.line,) = force.plot([], [], color=color, linewidth=1.5)
         self.word = force.text(0.012, 0.95, "", transform=force.transAxes, va="top", fontsize=12, weight="bold")
-        self.bars = []
-        for word in words[
-            (words["axis"] == axis) & (words["layer"] == "llb") & (words["t1"] * dt > FIRST)
-        ].itertuples():
-            code = LLB[word.label] - 1
-            color, meaning = COLORS["llb"][code], MEANING["llb"][code]
-            start, end = max(word.t0 * dt, FIRST), min(word.t1 * dt, LAST)
-            bar = band.axvspan(start, end, color=color, linewidth=0)
-            text = band.text((start + end) / 2, 0.5, meaning, ha="center", va="center", fontsize=9, clip_on=True)
-            text.set(color=text_color(color), text=meaning if end - start > WIDE else "")
-            self.bars.append((word.emit, bar, text, meaning, color))
+        chosen = words[(words["axis"] == axis) & (words["layer"] == "llb") & (words["t1"] * dt > FIRST)]
+        self.bars = [self._bar(band, word) for word in chosen.itertuples()]
+
+    def _bar(self, band: Axes, word: Any) -> tuple[float, float, str, Rectangle, Text]:
+        code, start, end = LLB[word.label] - 1, word.t0 * self.dt, word.t1 * self.dt
+        color, meaning = COLORS["llb"][code], MEANING["llb"][code]
+        bar = band.add_patch(Rectangle((start, 0), end - start, 1, color=color, linewidth=0))
+        left, right = max(start, FIRST), min(end, LAST)
+        text = meaning if right - left > WIDE else word.label if right - left > NARROW else ""
+        middle = band.text((left + right) / 2, 0.5, text, ha="center", va="center", fontsize=9, color=text_color(color))
+        return start, end, meaning, bar, middle
 
     def show(self, seconds: float) -> None:
-        """Draw what was received until ``seconds``; a word appears once the encoder has published it."""
+        """Draw the force and its words until ``seconds``; words grow, and their names appear half-way."""
         samples = np.arange(round(FIRST / self.dt), round(seconds / self.dt))
         self.line.set_data(samples * self.dt, self.values[samples])
-        for emit, bar, text, meaning, color in self.bars:
-            bar.set_visible(emit * self.dt <= seconds)
-            text.set_visible(emit * self.dt <= seconds)
-            if emit * self.dt <= seconds:
-                self.word.set(
-                    text=meaning, color=text_color(color), bbox={"facecolor": color, "linewidth": 0, "pad": 3}
-                )
+        for start, end, meaning, bar, text in self.bars:
+            bar.set_width(float(np.clip(seconds, start, end)) - start)
+            text.set_visible(text.get_position()[0] <= seconds)
+            if start <= seconds < end:
+                color = bar.get_facecolor()
+                style = {"facecolor": color, "linewidth": 0, "pad": 3}
+                self.word.set(text=meaning, color=text_color(color), bbox=style)
 
 
 def pictures(replay: Replay, recordings: Recordings, row: int) -> list[Image.Image]:
@@ -82,14 +85,14 @@ def pictures(replay: Replay, recordings: Recordings, row: int) -> list[Image.Ima
     words = rj.encode(wrench, rate=1 / recordings.dt, window=WINDOW, thresholds=limits).to_frame()
     figure = new_figure((9.0, 4.2), 100)
     figure.text(0.02, 0.93, "Two parts snap together", fontsize=13)
-    figure.text(0.43, 0.93, "what the wrist feels, in words", fontsize=13)
+    figure.text(0.43, 0.93, "the force at the wrist, in words", fontsize=13)
     drawings = still(
         (figure.add_axes((0.02, 0.48, 0.34, 0.42)), figure.add_axes((0.02, 0.03, 0.34, 0.42))), replay, 0.0
     )
     panels = [Panel(figure, 0.53 - 0.43 * n, axis, wrench, words, recordings.dt) for n, axis in enumerate(SHOWN)]
     canvas: Any = FigureCanvasAgg(figure)
     frames = []
-    for seconds in np.linspace(FIRST + 0.1, LAST, FRAMES):
+    for seconds in np.linspace(FIRST + 0.05, LAST, FRAMES):
         sample = round(seconds / replay.dt)
         for drawing in drawings:
             drawing.show(replay.qpos[sample], replay.past[sample])
