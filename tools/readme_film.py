@@ -84,8 +84,8 @@ def pictures(replay: Replay, recordings: Recordings, row: int) -> list[Image.Ima
     limits = rj.GradientThresholds(np.array([FORCE] * 3 + [MOMENT] * 3))
     words = rj.encode(wrench, rate=1 / recordings.dt, window=WINDOW, thresholds=limits).to_frame()
     figure = new_figure((9.0, 4.2), 100)
-    figure.text(0.02, 0.93, "Two parts snap together", fontsize=13)
-    figure.text(0.43, 0.93, "the force at the wrist, in words", fontsize=13)
+    figure.text(0.02, 0.93, "Two parts meet", fontsize=13)
+    figure.text(0.43, 0.93, "the force at the wrist, and its words", fontsize=13)
     drawings = still(
         (figure.add_axes((0.02, 0.48, 0.34, 0.42)), figure.add_axes((0.02, 0.03, 0.34, 0.42))), replay, 0.0
     )
