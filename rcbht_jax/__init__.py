@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.io.label_store import read_tracks, write_tracks
     from rcbht_jax.io.store import read_recordings, write_recordings
+    from rcbht_jax.learning.estimators import StateClassifier, SvmClassifier, WrenchFeatures
     from rcbht_jax.learning.evaluation import evaluate, train
     from rcbht_jax.learning.predict import classify
     from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
