@@ -4,13 +4,14 @@ VENV ?= .venv
 JOBS ?= 2
 OUT ?= demo-out
 PEERS ?= .venv-peers
+AEON ?= .venv-aeon
 WORK ?= reproduce-work
 
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test lint format demo docs packages bench figures peers reproduce constraints clean
+.PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -26,6 +27,14 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 test: $(INSTALLED) ## run all tests
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+aeon: $(AEON)/.installed ## run aeon's own checks of our estimators, in an environment of their own
+	$(AEON)/bin/python -m pytest --noconftest --override-ini filterwarnings= tests/learning/test_aeon_estimators.py
+
+$(AEON)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(AEON)
+	$(AEON)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[aeon]' pytest
+	@touch $@
 
 lint: $(INSTALLED) ## check style, types and which room imports which
 	$(BIN)/ruff check .
@@ -70,5 +79,5 @@ constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	@touch $(INSTALLED)
 
 clean: ## remove what make and the tests leave behind
-	rm -rf $(VENV) $(PEERS) $(WORK) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(PEERS) $(AEON) $(WORK) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
