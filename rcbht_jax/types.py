@@ -6,7 +6,7 @@ Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -228,17 +228,9 @@ class Recordings:
 
     Example:
         >>> import numpy as np, rcbht_jax as rj
-        >>> def text(value):
-        ...     return np.full(2, value)
-        >>> missing = np.full((2, 4), np.nan)
-        >>> recordings = rj.Recordings(
-        ...     wrench=np.zeros((2, 800, 6), np.float32), length=np.array([800, 600], np.int32), dt=0.005,
-        ...     onset=missing, onset_harmonised=missing, trial=np.array(["first", "second"]), arm=text("R"),
-        ...     source=text("my-robot"), session=text("monday"), outcome=text("success"), failure_type=text(""),
-        ...     deviation=np.full((2, 3), np.nan), note=text(""),
-        ... )
-        >>> len(recordings), recordings.take([1]).trial.tolist()
-        (2, ['second'])
+        >>> recordings = rj.Recordings.from_arrays([np.zeros((800, 6)), np.zeros((600, 6))], outcome="success")
+        >>> len(recordings), recordings.take([1]).length.tolist(), recordings.trial.tolist()
+        (2, [600], ['trial-0', 'trial-1'])
     """
 
     wrench: Float[np.ndarray, "recording time axis"]  # float32, N and Nm; axes Fx Fy Fz Mx My Mz
@@ -257,6 +249,43 @@ class Recordings:
 
     def __len__(self) -> int:
         return int(self.length.shape[0])
+
+    @staticmethod
+    def from_arrays(wrenches: Iterable[ArrayLike], rate: float = 200.0, **columns: Any) -> Recordings:
+        """A data set from recordings ``[time, 6]`` of any lengths.
+
+        Args:
+            wrenches: N and Nm, axes Fx Fy Fz Mx My Mz.
+            rate: samples per second.
+            columns: fields of the class, one value for all recordings or one for each; what is not given is unknown.
+
+        Raises:
+            InputError: a recording of another shape, a column that does not exist, or of another length.
+        """
+        parts = [np.asarray(wrench, np.float32) for wrench in wrenches]
+        count = len(parts)
+        if not parts or any(part.ndim != 2 or part.shape[1] != len(labels.AXES) for part in parts):
+            raise InputError(
+                f"Recordings have shapes {[part.shape for part in parts]}; expected [time, 6], at least one."
+            )
+        length = np.array([len(part) for part in parts], np.int32)
+        wrench = np.zeros((count, length.max(), len(labels.AXES)), np.float32)
+        for row, part in zip(wrench, parts, strict=True):
+            row[: len(part)] = part
+        missing = np.full((count, 4), np.nan)
+        texts = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "failure_type": "", "note": ""}
+        values: dict[str, Any] = {name: np.full(count, text) for name, text in texts.items()}
+        values |= {"trial": np.array([f"trial-{number}" for number in range(count)])}
+        values |= {"onset": missing, "onset_harmonised": columns.get("onset", missing)}
+        values |= {"deviation": np.full((count, 3), np.nan)}
+        for name, column in columns.items():
+            if name not in values:
+                raise InputError(f"There is no column {name!r}; there are {', '.join(values)}.")
+            try:
+                values[name] = np.broadcast_to(np.asarray(column), values[name].shape).copy()
+            except ValueError:
+                raise InputError(f"Column {name} has {np.size(column)} values for {count} recordings.") from None
+        return Recordings(wrench=wrench, length=length, dt=1 / rate, **values)
 
     def take(self, rows: ArrayLike) -> Recordings:
         """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""

@@ -8,12 +8,15 @@ from __future__ import annotations
 from typing import Any, no_type_check
 
 import numpy as np
-from aeon.classification import BaseClassifier
-from aeon.transformations.collection import BaseCollectionTransformer
 from numpy.typing import NDArray
-from sklearn.base import clone
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
+
+with needs_extra("aeon"):
+    from aeon.classification import BaseClassifier
+    from aeon.transformations.collection import BaseCollectionTransformer
+    from sklearn.base import clone
 
 _TAGS = {
     "X_inner_type": ["np-list", "numpy3D"],

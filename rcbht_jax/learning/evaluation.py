@@ -114,6 +114,18 @@ def evaluate(
     Raises:
         InputError: unknown sessions, too few trials for the folds, fewer than two classes, or a splitter that divides
             a trial.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
+        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
+        >>> outcome = np.where(slopes > 0, "success", "failure")
+        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> tracks = rj.encode(recordings.wrench, rate=200)
+        >>> protocol = EvaluationProtocol(folds=2, repeats=1, grid=Grid(("linear",), (1.0,), inner=2))
+        >>> result = evaluate(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), protocol)
+        >>> result.score["accuracy"]["mean"], result.majority_baseline["accuracy"]["mean"]
+        (1.0, 0.5)
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = labelled_intervals(recordings, task)
@@ -231,6 +243,17 @@ def train(
 
     Raises:
         InputError: fewer than two classes, or a class with a single trial.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
+        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
+        >>> outcome = np.where(slopes > 0, "success", "failure")
+        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> tracks = rj.encode(recordings.wrench, rate=200)
+        >>> grid = Grid(("linear",), (1.0,), inner=2)
+        >>> train(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), grid).svm.classes
+        ('failure', 'success')
     """
     items = labelled_intervals(recordings, task)
     described = candidates(tracks, items, features)

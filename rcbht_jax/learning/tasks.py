@@ -41,7 +41,11 @@ FAILURE_TYPES = (
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """A task and the recordings it is about; empty filters let everything pass."""
+    """A task and the recordings it is about; empty filters let everything pass.
+
+    >>> TaskSpec("states", sessions=("A", "B")).kept_outcomes
+    ('success',)
+    """
 
     task: str = "states"
     boundaries: str = "harmonised"  # of the states task: rotation as recorded, harmonised, or merged with insertion
@@ -111,10 +115,16 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIn
 
 
 def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
-    """Find the sentences of a task.
+    """The intervals of a task with their classes: sub-tasks, or whole trials.
 
     Raises:
         InputError: a filter names an unknown source or session, or fewer than two classes remain.
+
+    Example:
+        >>> recordings = Recordings.from_arrays(np.zeros((3, 400, 6)), outcome=["success", "failure", "unknown"])
+        >>> items = labelled_intervals(recordings, TaskSpec("outcome"))
+        >>> items.classes, items.y.tolist(), items.dropped
+        (('failure', 'success'), [1, 0], {'class not in the list': 1})
     """
     dropped: Counter[str] = Counter()
     rows = _rows(recordings, _chosen(recordings, spec), spec.arms, dropped)
@@ -144,8 +154,16 @@ def extract_features(
 
     Args:
         tracks: labels, or those of several encoders by name, which are put side by side.
-        items: from :func:`sentences` or :func:`spans`.
-        spec: what to make of the labels.
+        items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
+        spec: which features.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> recordings = Recordings.from_arrays(np.zeros((2, 400, 6)), outcome=["success", "failure"])
+        >>> items = labelled_intervals(recordings, TaskSpec("outcome"))
+        >>> features = extract_features(rj.encode(recordings.wrench), items, FeatureSpec(("histogram",), ("llb",)))
+        >>> features.values.shape, features.names[0]
+        ((2, 96), 'histogram.llb.Fx.time.FX')
     """
     if isinstance(tracks, LabelTracks):
         arms = [interval_features(tracks, intervals, spec) for intervals in items.intervals]

@@ -139,7 +139,7 @@ def show(replay: Replay, speed: float) -> None:
 
 def _only(recordings: Recordings, row: int) -> Recordings:
     """A data set of one recording, without padding."""
-    one = {f.name: getattr(recordings, f.name)[row : row + 1] for f in fields(Recordings) if f.name != "dt"}
+    one = {f.name: getattr(recordings, f.name)[row : row + 1] for f in fields(recordings) if f.name != "dt"}
     return replace(recordings, **one | {"wrench": np.ascontiguousarray(one["wrench"][:, : int(one["length"][0])])})
 
 

@@ -34,7 +34,7 @@ class Without:
 sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
 """
 # Import names of what the extras install.
-OPTIONAL = ["flatbuffers", "matplotlib", "mujoco", "optax", "pandas", "pyarrow", "rosbags", "sklearn"]
+OPTIONAL = ["aeon", "flatbuffers", "matplotlib", "mujoco", "optax", "pandas", "pyarrow", "rosbags", "sklearn"]
 OPTIONAL += ["tqdm", "tyro", "xarray", "zarr"]
 
 

@@ -233,7 +233,7 @@ def test_the_fit_lowers_the_loss_and_writes_parameters(
     second = json.loads(capsys.readouterr().out)
     assert (second["generations"], second["loss"] <= first["loss"]) == (2, True)
     assert main.main([*words, "--seed", "5"]) == 2
-    assert "other settings" in capsys.readouterr().err
+    assert "other data or options (seed 0, not 5)" in capsys.readouterr().err
     assert main.main([*words, "-o", str(tmp_path / "s.json"), "--snaps", "--generations", "1"]) == 0
     for wrong, sentence in (
         (["--parameters", "parts.colour"], "no physical parameter"),
