@@ -14,12 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
-from sklearn.utils import check_consistent_length
-from sklearn.utils.metaestimators import available_if
-from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
 
+from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
@@ -28,6 +24,13 @@ from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_featur
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec, fit, pairs
 from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
+
+with needs_extra("learn"):
+    from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
+    from sklearn.utils import check_consistent_length
+    from sklearn.utils.metaestimators import available_if
+    from sklearn.utils.multiclass import check_classification_targets
+    from sklearn.utils.validation import check_is_fitted, validate_data
 
 LAYOUTS = ("time-axis", "axis-time")
 
