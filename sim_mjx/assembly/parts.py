@@ -27,6 +27,7 @@ TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
 FIRST_TOUCH = np.array([0.3091, -0.1727, 0.4247])  # m, world, midway between the front tips as they meet the lips
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
 FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips
 LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
@@ -120,7 +121,7 @@ def add_female(
     arm: str,
     holder: mujoco.MjsBody | None = None,
     place: NDArray[np.float64] = FIRST_TOUCH,
-    turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    turn: NDArray[np.float64] = UNTURNED,
 ) -> None:
     """Put the female part on its mount: per tab a lip and two blocks, and one seat for all feet.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
 from sim_mjx.assembly.task import TaskParams, TaskState
 
 Array = Any
+Params = TypeVar("Params")
 
 
 @jax.tree_util.register_dataclass
@@ -123,8 +124,8 @@ def as_float32(params: Any) -> Any:
     return jax.tree.map(cast, params)
 
 
-def stack(trials: list[TrialParams]) -> TrialParams:
-    """A batch of single trials."""
+def stack(trials: list[Params]) -> Params:
+    """A batch of single trials of any program."""
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
 
 
