@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -194,6 +194,5 @@ def _load(path: Path, search: Search) -> tuple[State, Fit] | None:
     if content is None:
         return None
     arrays = {name: np.array(value) for name, value in content["state"].items()}
-    found = Fit(**content["fit"])
-    history = [Generation(*row) for row in found.generations]
-    return State(**arrays | {"step": content["state"]["step"]}), replace(found, generations=history)
+    history = [Generation(*row) for row in content["fit"]["generations"]]
+    return State(**arrays | {"step": content["state"]["step"]}), Fit(**content["fit"] | {"generations": history})
