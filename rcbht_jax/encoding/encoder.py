@@ -94,9 +94,10 @@ class EncoderState:
     on a CPU than one that carries fifty-six.
     """
 
-    time: Int[Array, "*lanes"]  # int32, samples consumed
-    ints: Int[Array, 24 * lanes]  # int32, label, t0, t1 of each segment
-    reals: Float[Array, 32 * lanes]  # vmax, vmin, area, rise of each segment
+    # Not named dimensions: vmap stacks states, with a dimension in front.
+    time: Int[Array, "..."]  # int32 [*lanes], samples consumed
+    ints: Int[Array, "..."]  # int32 [24, *lanes], label, t0, t1 of each segment
+    reals: Float[Array, "..."]  # [32, *lanes], vmax, vmin, area, rise of each segment
 
 
 @jax.tree_util.register_dataclass
@@ -119,7 +120,7 @@ def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float3
 
 
 def step(
-    config: EncoderConfig, thresholds: Thresholds, state: EncoderState, window: Float[Array, window * lanes]
+    config: EncoderConfig, thresholds: Thresholds, state: EncoderState, window: Float[Array, " window *lanes"]
 ) -> tuple[EncoderState, PackedLabels]:
     """One full window of samples for every lane.
 
@@ -149,7 +150,7 @@ def step_partial(
     config: EncoderConfig,
     thresholds: Thresholds,
     state: EncoderState,
-    window: Float[Array, window * lanes],
+    window: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> tuple[EncoderState, PackedLabels]:
     """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
@@ -171,7 +172,7 @@ def flush(
     config: EncoderConfig,
     thresholds: Thresholds,
     state: EncoderState,
-    rest: Float[Array, window * lanes],
+    rest: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> LabelTracks:
     """End of the stream: the last partial window, then all that is still held.
@@ -199,7 +200,7 @@ def peek(
     config: EncoderConfig,
     thresholds: Thresholds,
     state: EncoderState,
-    rest: Float[Array, window * lanes],
+    rest: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> LabelTracks:
     """Provisional labels as if the stream ended now; the state stays as it is. Same as :func:`flush`."""
