@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -168,21 +167,6 @@ def test_names_are_unique_and_cover_axes_or_pairs():
     assert {name.split(".")[2] for name in made.select(FAMILIES[:2]).names} == set(AXES)
     assert all(name.startswith(f"{family}.primitive.") for name, family in zip(made.names, made.families, strict=True))
     assert not set(FAMILIES) & set(WHOLE)
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_numpy_and_jax_agree(family):
-    rng = np.random.default_rng(0)
-    level = rng.normal(size=(6, signal_families.MOMENTS)).cumsum(-1)
-    level[4] = 3.0
-    arrays = rng.integers(-1, 2, level.shape).astype(float), level, rng.normal(size=level.shape)
-    host, stream = (
-        signal_families.FAMILIES[family](signal_families.ResampledSignal.of(*(xp.asarray(x, dtype) for x in arrays)))
-        for xp, dtype in ((np, np.float64), (jnp, np.float32))
-    )
-    assert (host.dtype, stream.dtype, type(host)) == (np.float64, np.float32, np.ndarray)
-    assert host.shape == stream.shape == (15 if family == "together" else 6, len(signal_families.COLUMNS[family]))
-    np.testing.assert_allclose(host, stream, rtol=0, atol=1e-5)
 
 
 def test_absolute_families_weigh_as_much_as_the_others():
