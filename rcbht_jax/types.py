@@ -201,6 +201,15 @@ class LabelTracks:
         return np.arange(_batched(self.llb.label).shape[0])
 
 
+def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating], NDArray[np.int32]]:
+    """Recordings ``[time, axis]`` of the same axes under each other, zero at the end, and their lengths."""
+    length = np.array([len(part) for part in parts], np.int32)
+    wrench = np.zeros((len(parts), max(length.max(), 1), parts[0].shape[1]), parts[0].dtype)
+    for row, part in zip(wrench, parts, strict=True):
+        row[: len(part)] = part
+    return wrench, length
+
+
 def axis_names(count: int) -> tuple[str, ...]:
     """Names of axes that nobody named: those of a wrench if there are six, else axis0, axis1, ..."""
     return labels.AXES if count == len(labels.AXES) else tuple(f"axis{number}" for number in range(count))
@@ -268,10 +277,7 @@ class Recordings:
             raise InputError(
                 f"Recordings have shapes {[part.shape for part in parts]}; expected [time, 6], at least one."
             )
-        length = np.array([len(part) for part in parts], np.int32)
-        wrench = np.zeros((count, length.max(), len(labels.AXES)), np.float32)
-        for row, part in zip(wrench, parts, strict=True):
-            row[: len(part)] = part
+        wrench, length = padded(parts)
         missing = np.full((count, 4), np.nan)
         texts = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "failure_type": "", "note": ""}
         values: dict[str, Any] = {name: np.full(count, text) for name, text in texts.items()}

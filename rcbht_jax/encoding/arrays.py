@@ -14,7 +14,7 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LabelTracks, TrackInfo, axis_names
+from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 
@@ -129,11 +129,7 @@ def _padded(
         return stacked, counts.astype(np.int32)
     if lengths is not None or any(values.ndim != 2 for values in signals):
         raise InputError("Lengths belong to an array [recording, time, axis]; a list has recordings [time, axis].")
-    counts = np.array([len(values) for values in signals], np.int32)
-    stacked = np.zeros((len(signals), max(counts.max(), 1), signals[0].shape[1]), signals[0].dtype)
-    for row, values in zip(stacked, signals, strict=True):
-        row[: len(values)] = values
-    return stacked, counts
+    return padded(signals)
 
 
 def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> GradientThresholds:

@@ -23,7 +23,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec, fit, pairs
-from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
+from rcbht_jax.types import LabelTrack, LabelTracks, axis_names, padded
 
 with needs_extra("learn"):
     from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
@@ -150,11 +150,7 @@ def _padded(
         raise InputError(
             f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
         )
-    length = np.array([samples for samples, _ in shapes], np.int32)
-    wrench = np.zeros((len(parts), length.max(), shapes[0][1]), np.float32)
-    for row, part in zip(wrench, parts, strict=True):
-        row[: len(part)] = part
-    return wrench, length
+    return padded(parts)
 
 
 def _limits(thresholds: Any, axes: int) -> Float[np.ndarray, "axis 4"]:
