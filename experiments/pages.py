@@ -102,9 +102,9 @@ def replaced(page: Path) -> str:
 
 
 def by_hand(page: Path) -> str:
-    """What is written by hand: no table, no generated number, no code."""
+    """What is written by hand: no table, no generated number, no code, no address of a link."""
     text = _NUMBER.sub("", _TABLE.sub("", page.read_text(encoding="utf-8")))
-    return re.sub(r"```.*?```", "", text, flags=re.S)
+    return re.sub(r"```.*?```|\]\([^)]*\)", "", text, flags=re.S)
 
 
 if __name__ == "__main__":

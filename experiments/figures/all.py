@@ -223,6 +223,7 @@ PICTURES = {
     "labels-primitive": "python -m tools.docs_pictures",
     "labels-mc": "python -m tools.docs_pictures",
     "labels-llb": "python -m tools.docs_pictures",
+    "one-or-two": "python -m tools.docs_pictures",
     "two-arm-right": "python -m experiments.classification.two_arm",
     "two-arm-left": "python -m experiments.classification.two_arm",
     "success-map": "python -m experiments.simulation.success",
