@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+UNITS = ("N", "N", "N", "Nm", "Nm", "Nm")  # of AXES
 LAYERS = ("primitive", "mc", "llb")
-STATES = ("approach", "rotation", "insertion", "mating")  # sub-tasks of the snap assembly, in order
 
 
 class Primitive(IntEnum):

@@ -6,8 +6,8 @@ Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.svg import Bar, bands
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -229,9 +230,13 @@ def _plural(count: int, one: str, many: str = "") -> str:
     return f"{count} {one if count == 1 else many or one + 's'}"
 
 
+# What is written where nothing was given; further columns may have any name.
+STANDARD_COLUMNS = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
+
+
 @dataclass(frozen=True)
 class Recordings:
-    """A data set in memory: one row per recording (one arm of one trial). Host arrays.
+    """A data set in memory: one row per recording (one sensor of one trial). Host arrays.
 
     Padding: ``wrench`` beyond ``length`` is zero.
 
@@ -242,74 +247,136 @@ class Recordings:
         (2, [600], ['trial-0', 'trial-1'])
     """
 
-    wrench: Float[np.ndarray, "recording time axis"]  # float32, N and Nm; axes Fx Fy Fz Mx My Mz
+    wrench: Float[np.ndarray, "recording time axis"]  # float32, in the units of the axes
     length: Int[np.ndarray, " recording"]  # samples
     dt: float  # seconds between samples
-    onset: Float[np.ndarray, "recording 4"]  # s, start of approach, rotation, insertion, mating; NaN = missing
-    onset_harmonised: Float[np.ndarray, "recording 4"]  # as above with the harmonised rotation boundary
-    trial: NDArray[np.str_]  # [recording] name of the trial; both arms of a trial share it
-    arm: NDArray[np.str_]  # [recording] "R" or "L"
-    source: NDArray[np.str_]  # [recording] data set, for example REAL_HIRO_ONE_SA_SUCCESS
-    session: NDArray[np.str_]  # [recording] recording session: A, B, C, ... or the data set's own
-    outcome: NDArray[np.str_]  # [recording] "success", "failure" or "unknown"
-    failure_type: NDArray[np.str_]  # [recording] sign pattern such as "+x-y+r"; "" = none
-    deviation: Float[np.ndarray, "recording 3"]  # x (m), y (m), roll (rad) from the nominal pose; NaN = unknown
+    trial: NDArray[np.str_]  # [recording] name of the trial; all arms of a trial share it
+    arm: NDArray[np.str_]  # [recording] arm or sensor, for example "R" or "L"
+    source: NDArray[np.str_]  # [recording] data set
+    session: NDArray[np.str_]  # [recording] recording session, day or subject: what a test should hold out
+    outcome: NDArray[np.str_]  # [recording] "success", "failure", "unknown", or the data set's own words
     note: NDArray[np.str_]  # [recording] remarks of the importer: flags separated by semicolons
+    annotations: Annotations = field(default_factory=Annotations)  # labelled intervals
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # [recording] further classes, groups, numbers
+    axes: tuple[str, ...] = labels.AXES  # [axis] names
+    units: tuple[str, ...] = labels.UNITS  # [axis]
 
     def __len__(self) -> int:
         return int(self.length.shape[0])
 
+    def __repr__(self) -> str:
+        size = f"{_plural(len(self), 'recording')}, {', '.join(self.axes)} at {1 / self.dt:g} Hz"
+        tracks = ", ".join(self.annotations.tracks) or "none"
+        return f"Recordings({size}; annotations: {tracks}; columns: {', '.join((*_TEXTS, *self.columns))})"
+
     @staticmethod
-    def from_arrays(wrenches: Iterable[ArrayLike], rate: float = 200.0, **columns: Any) -> Recordings:
-        """A data set from recordings ``[time, 6]`` of any lengths.
+    def from_arrays(
+        wrenches: Iterable[ArrayLike],
+        rate: float = 200.0,
+        *,
+        axes: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        annotations: Annotations | Iterable[tuple[int, str, str, float, float]] = (),
+        **columns: Any,
+    ) -> Recordings:
+        """A data set from recordings ``[time, axis]`` of any lengths.
 
         Args:
-            wrenches: N and Nm, axes Fx Fy Fz Mx My Mz.
+            wrenches: the same axes in all, any number of them.
             rate: samples per second.
-            columns: fields of the class, one value for all recordings or one for each; what is not given is unknown.
+            axes: their names; default Fx Fy Fz Mx My Mz if there are six.
+            units: unit of each axis; default N and Nm for the axes of a wrench, else "".
+            annotations: labelled intervals, or rows (recording, track, label, start in s, end in s).
+            columns: trial, arm, source, session, outcome, note or columns of any other name; one value for all
+                recordings or one for each.
 
         Raises:
-            InputError: a recording of another shape, a column that does not exist, or of another length.
+            InputError: recordings of different axes, or a column of another length.
         """
         parts = [np.asarray(wrench, np.float32) for wrench in wrenches]
-        count = len(parts)
-        if not parts or any(part.ndim != 2 or part.shape[1] != len(labels.AXES) for part in parts):
+        if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             raise InputError(
-                f"Recordings have shapes {[part.shape for part in parts]}; expected [time, 6], at least one."
+                f"Recordings have shapes {[part.shape for part in parts]}; expected [time, axis], at least one, with "
+                "the same axes."
             )
         wrench, length = padded(parts)
-        missing = np.full((count, 4), np.nan)
-        texts = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "failure_type": "", "note": ""}
-        values: dict[str, Any] = {name: np.full(count, text) for name, text in texts.items()}
-        values |= {"trial": np.array([f"trial-{number}" for number in range(count)])}
-        values |= {"onset": missing, "onset_harmonised": columns.get("onset", missing)}
-        values |= {"deviation": np.full((count, 3), np.nan)}
+        count, width = len(parts), wrench.shape[2]
+        names = axis_names(width) if axes is None else tuple(axes)
+        if units is None:
+            units = [dict(zip(labels.AXES, labels.UNITS, strict=True)).get(name, "") for name in names]
+        if len(names) != width or len(units) != width:
+            raise InputError(f"There are {len(names)} names and {len(units)} units for {width} axes.")
+        values: dict[str, Any] = {name: np.full(count, text) for name, text in STANDARD_COLUMNS.items()}
+        values["trial"] = np.array([f"trial-{number}" for number in range(count)])
         for name, column in columns.items():
-            if name not in values:
-                raise InputError(f"There is no column {name!r}; there are {', '.join(values)}.")
+            array = np.asarray(column)
             try:
-                values[name] = np.broadcast_to(np.asarray(column), values[name].shape).copy()
+                values[name] = np.broadcast_to(array, (count,)).copy()
             except ValueError:
-                raise InputError(f"Column {name} has {np.size(column)} values for {count} recordings.") from None
-        return Recordings(wrench=wrench, length=length, dt=1 / rate, **values)
+                raise InputError(f"Column {name} has {array.size} values for {count} recordings.") from None
+        extra = {name: values.pop(name) for name in list(values) if name not in (*STANDARD_COLUMNS, "trial")}
+        marks = annotations if isinstance(annotations, Annotations) else Annotations.from_rows(annotations)
+        return Recordings(
+            wrench, length, 1 / rate, annotations=marks, columns=extra, axes=names, units=tuple(units), **values
+        )
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A column ``[recording]`` by name: outcome, session, ... or one of ``columns``.
+
+        Raises:
+            InputError: there is no such column.
+        """
+        if name in _TEXTS:
+            return np.asarray(getattr(self, name))
+        if name not in self.columns:
+            raise InputError(f"There is no column {name!r}; there are {', '.join([*_TEXTS, *self.columns])}.")
+        return self.columns[name]
+
+    def starts(self, track: str) -> Float[np.ndarray, "recording label"]:
+        """First start of each label of a track, s; NaN = the recording has no such label.
+
+        Raises:
+            InputError: there is no such track.
+        """
+        return self.annotations.starts(track, len(self))
 
     def take(self, rows: ArrayLike) -> Recordings:
         """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""
-        names = [field.name for field in fields(self) if field.name != "dt"]
-        return replace(self, **{name: getattr(self, name)[np.asarray(rows)] for name in names})
+        numbers = np.arange(len(self))[np.asarray(rows)]
+        arrays = {name: getattr(self, name)[numbers] for name in ("wrench", "length", *_TEXTS)}
+        columns = {name: values[numbers] for name, values in self.columns.items()}
+        return replace(self, **arrays, columns=columns, annotations=self.annotations.take(numbers))
 
     @staticmethod
     def join(parts: Sequence[Recordings]) -> Recordings:
         """Several data sets as one, padded to the longest recording.
 
+        A column that a part lacks is empty there: "" or NaN.
+
         Raises:
-            InputError: there are none, or their sampling periods differ.
+            InputError: there are none, or their sampling periods or axes differ.
         """
         periods = sorted({part.dt for part in parts})
         if len(periods) != 1:
             raise InputError(f"data sets to be joined need one sampling period, these have {periods or 'none'}.")
+        if len({(part.axes, part.units) for part in parts}) > 1:
+            raise InputError("data sets to be joined need the same axes in the same units.")
         longest = max(part.wrench.shape[1] for part in parts)
         wide = [np.pad(part.wrench, ((0, 0), (0, longest - part.wrench.shape[1]), (0, 0))) for part in parts]
-        names = [field.name for field in fields(parts[0]) if field.name not in ("dt", "wrench")]
-        columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return replace(parts[0], wrench=np.concatenate(wide), **columns)
+        texts: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in ("length", *_TEXTS)
+        }
+        names = dict.fromkeys(name for part in parts for name in part.columns)
+        columns = {name: np.concatenate([_column(part, name, parts) for part in parts]) for name in names}
+        marks = Annotations.join([part.annotations for part in parts], [len(part) for part in parts])
+        return replace(parts[0], wrench=np.concatenate(wide), columns=columns, annotations=marks, **texts)
+
+
+_TEXTS = ("trial", *STANDARD_COLUMNS)
+
+
+def _column(part: Recordings, name: str, parts: Sequence[Recordings]) -> NDArray[Any]:
+    if name in part.columns:
+        return part.columns[name]
+    kind = next(other.columns[name].dtype.kind for other in parts if name in other.columns)
+    return np.full(len(part), "" if kind == "U" else np.nan)

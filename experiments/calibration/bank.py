@@ -35,6 +35,7 @@ from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.kernels import alignment_weights
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTracks, Recordings
 
 WINDOWS = (5, 10, 20)  # samples
@@ -95,7 +96,7 @@ def bank(recordings: Recordings, items: LabelledIntervals, tracks: list[LabelTra
 def filled_in(recordings: Recordings, items: LabelledIntervals) -> NDArray[np.bool_]:
     """Sentences ``[item]`` of trials whose last mark stands one second after the one before, or before the end."""
     (spans,) = items.intervals
-    last, before = recordings.onset[spans.recording, 3], recordings.onset[spans.recording, 2]
+    last, before = recordings.starts(RECORDED)[spans.recording, 3], recordings.starts(RECORDED)[spans.recording, 2]
     end = recordings.length[spans.recording] * recordings.dt
     gaps = np.stack([last - before, end - last])
     return np.asarray((np.abs(gaps - 1) < FILLED).any(0))

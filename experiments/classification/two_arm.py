@@ -20,6 +20,7 @@ from experiments._lib.results_io import pictures, write_result
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.robots import kinematics
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts
@@ -126,7 +127,7 @@ def as_recordings(run: Rollouts, name: str) -> Recordings:
 
 
 def profiles(recordings: Recordings, arm: str) -> np.ndarray:
-    complete = np.isfinite(recordings.onset_harmonised).all(1)
+    complete = np.isfinite(recordings.starts(HARMONISED)).all(1)
     return signature.profiles(recordings, np.flatnonzero(complete & (recordings.arm == arm)))
 
 
@@ -145,8 +146,8 @@ def signatures(recorded: Recordings, run: Rollouts, picture: bool) -> dict[str, 
             title = f"Two arms, {name} wrist, its own frame"
             figure = signature.signature_figure(reference, test, title, ("recorded", "simulated"))
             figure.savefig(pictures() / f"two-arm-{name}.png", dpi=70)
-    full = np.isfinite(recorded.onset).all(1)
-    out["median onsets, recorded, s"] = np.round(np.median(recorded.onset[full], axis=0), 3).tolist()
+    full = np.isfinite(recorded.starts(RECORDED)).all(1)
+    out["median onsets, recorded, s"] = np.round(np.median(recorded.starts(RECORDED)[full], axis=0), 3).tolist()
     out["median onsets, simulated, s"] = np.round(np.nanmedian(run.onset, axis=0), 3).tolist()
     return out
 

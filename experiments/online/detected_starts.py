@@ -41,6 +41,7 @@ from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # snapshots per second
@@ -108,7 +109,7 @@ def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], s
     for recording in np.unique(snapshots.recording).tolist():
         mine = snapshots.recording == recording
         starts[recording] = noticed(p[mine], snapshots.now[mine] * dt, items.classes)
-        onset = data.onset_harmonised[recording]
+        onset = data.starts(HARMONISED)[recording]
         errors.append([starts[recording].get(s, np.nan) - onset[s] for s in range(1, len(items.classes))])
     own = with_beginnings(snapshots, starts, dt)
     order = np.lexsort((own.now, own.recording))

@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.io.store import read_recordings, read_simulation
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.presets import preset as preset_of
@@ -115,14 +116,14 @@ def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
     """One store."""
     recordings, truth = read_recordings(path), read_simulation(path)
     recordings = replace(recordings, trial=np.char.add(f"{path.stem}-", recordings.trial.astype(str)))
-    touched = np.isfinite(recordings.onset[:, 1])
+    touched = np.isfinite(recordings.starts(RECORDED)[:, 1])
     if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
         touched &= False  # the part stands beyond the reach of the hand's
     gone = np.array(TABS)[truth["hook_overlap"].argmin(1)]
     cause = np.char.add(f"{kind} ", gone) if kind == "missing-tab" else np.full(len(recordings), kind)
     session = preset_of(preset)
     mating = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
-    mating = np.where(np.isfinite(recordings.onset[:, 3]), recordings.onset[:, 3], mating)
+    mating = np.where(np.isfinite(recordings.starts(RECORDED)[:, 3]), recordings.starts(RECORDED)[:, 3], mating)
     grades = np.full(len(recordings), grade)
     return Trials(
         recordings,

@@ -27,6 +27,7 @@ from rcbht_jax.introspection.fault_monitor import (
     SubtaskSnapshots,
     schedule_snapshots,
 )
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 
 CONFIG = FaultMonitorConfig()
@@ -51,7 +52,7 @@ def schedule(recordings: Recordings, every: int) -> tuple[NDArray[np.int64], ...
 
     Mating counts as two sub-tasks: small differences show once the hand has settled.
     """
-    onset = recordings.onset[:, MERGED] / recordings.dt
+    onset = recordings.starts(RECORDED)[:, MERGED] / recordings.dt
     begins = np.where(np.isfinite(onset), np.rint(np.nan_to_num(onset)), -1).astype(np.int64)
     settled = begins[:, MATING] + round(REST / recordings.dt)
     settled = np.where((begins[:, MATING] >= 0) & (settled < recordings.length), settled, -1)
@@ -77,7 +78,7 @@ def watched(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, 
 def monitor(w: Watched, inside: NDArray[np.bool_], seed: int) -> FaultMonitor:
     """Learn from the trials ``inside`` that are nominal or failed with a fault."""
     data = w.trials
-    onset = data.recordings.onset[:, MERGED]
+    onset = data.recordings.starts(RECORDED)[:, MERGED]
     stopped = data.failed & (data.kind == "early-stop")
     return FaultMonitor.fit(
         w.snapshots.of_trials(inside & (data.nominal | data.failed & (data.kind != NOMINAL))),

@@ -30,6 +30,7 @@ from experiments.online.fault_trials import GRADES, NOMINAL, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
 from rcbht_jax.introspection.fault_monitor import FaultMonitor
 from rcbht_jax.learning.metrics import corrected_interval
+from rcbht_jax.robots.snap_assembly import RECORDED
 
 TARGETS = {"detected before the end, per kind": 0.90, "false alarms per nominal trial": 0.02}
 NOMINAL_SHARE = 2 / 3  # of the nominal trials train: levels for few false alarms take many of them
@@ -74,7 +75,7 @@ def run(w: Watched, seed: int) -> Run:
 
 def in_time(those: Trials, alarm: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether an alarm ``[trial]`` came after the fault could show and before the failing sub-task ended."""
-    contact = np.where(those.contact, those.recordings.onset[:, 1], 0.0)
+    contact = np.where(those.contact, those.recordings.starts(RECORDED)[:, 1], 0.0)
     begins = np.where(those.kind == "early-stop", those.stop, contact)
     return np.asarray((alarm >= begins) & (alarm <= those.end))
 
@@ -91,7 +92,7 @@ def cell(those: Trials, runs: Sequence[Streamed], rows: NDArray[np.bool_]) -> di
     found = [words | clock for words, clock in zip(by["words"], by["clock"], strict=True)]
     early = [mine & (times["words"] < times["clock"]) for mine, times in zip(by["words"], helped, strict=True)]
     alarm = [np.minimum(times["words"], times["clock"]) for times in helped]
-    begins = np.where(those.kind == "early-stop", those.stop, those.recordings.onset[:, 1])
+    begins = np.where(those.kind == "early-stop", those.stop, those.recordings.starts(RECORDED)[:, 1])
     since = [(times - begins)[mine] for mine, times in zip(found, alarm, strict=True)]
     left = [(those.end - times)[mine] for mine, times in zip(found, alarm, strict=True)]
     return {
@@ -166,7 +167,7 @@ def table(those: Trials, runs: list[Run]) -> dict[str, Any]:
 def moments(those: Trials) -> dict[str, dict[str, float]]:
     """Mz in the last second of mating, Nm: what a missing tab changes, and how much nominal trials differ."""
     dt = those.recordings.dt
-    mated = np.isfinite(those.recordings.onset[:, 3])
+    mated = np.isfinite(those.recordings.starts(RECORDED)[:, 3])
     last = [
         those.recordings.wrench[row, round((end - 1) / dt) : round(end / dt), 5].mean() if met else np.nan
         for row, (end, met) in enumerate(zip(those.end.tolist(), mated.tolist(), strict=True))

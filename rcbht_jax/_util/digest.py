@@ -25,12 +25,28 @@ def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
     return digest.hexdigest()
 
 
+# Tracks of annotations under which version 0.1 kept its start times of sub-tasks, and its names for them.
+_V1_TRACKS = {"states": "onset", "states-harmonised": "onset_harmonised", "states-merged": ""}
+
+
 def data_hash(recordings: Any) -> str:
-    """Digest of the wrenches, lengths, state times, names and classes of a :class:`rcbht_jax.types.Recordings`."""
+    """Digest of the wrenches, lengths, annotations, names and classes of a :class:`rcbht_jax.types.Recordings`.
+
+    Of data with the annotations of version 0.1 it is the digest of that version, which stands in its models.
+    """
+    marks = recordings.annotations
+    if set(marks.labels) == set(_V1_TRACKS):
+        starts = {name: recordings.starts(track) for track, name in _V1_TRACKS.items() if name}
+        columns = {"failure_type": recordings.column("failure_type")}
+    else:
+        order = [name for track in marks.labels for name in ("", track, *marks.labels[track])]
+        starts = {"labels": np.array(order, np.str_)}
+        starts |= {name: getattr(marks, name) for name in ("recording", "track", "code", "start", "end")}
+        columns = {name: recordings.columns[name] for name in sorted(recordings.columns)}
+    fields = {name: getattr(recordings, name) for name in ("trial", "arm", "session", "outcome")}
+    fields = {"wrench": recordings.wrench, "length": recordings.length} | starts | fields | columns
     digest = hashlib.sha256()
-    names = ("wrench", "length", "onset", "onset_harmonised", "trial", "arm", "session", "outcome", "failure_type")
-    for name in names:
-        values = getattr(recordings, name)
+    for name, values in fields.items():
         digest.update(f"{name} {values.shape} ".encode())
         digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())
     return digest.hexdigest()

@@ -19,6 +19,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTrack, Recordings
 
 IMPULSE_SHARE = 0.85
@@ -143,7 +144,7 @@ def calibrate(
     length = recordings.length[rows]
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
-    impulse, constant = trial_limits(tracks.primitive, recordings.onset_harmonised[rows], end, recordings.dt)
+    impulse, constant = trial_limits(tracks.primitive, recordings.starts(HARMONISED)[rows], end, recordings.dt)
     context = combine(impulse, constant, base, copy)
     if not context.trials.any():
         raise InputError("No trial has a rotation or an insertion with a primitive in it; the states may be missing.")

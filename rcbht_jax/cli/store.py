@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
+from rcbht_jax.robots.snap_assembly import RECORDED
 
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
@@ -116,5 +117,5 @@ def _describe(recordings: Recordings, key: tuple[str, ...], member: np.ndarray) 
         **dict(zip(("source", "session", "outcome", "arm"), key, strict=True)),
         "recordings": int(member.sum()),
         "seconds": [round(float(value), 6) for value in np.quantile(seconds, (0.0, 0.5, 1.0))],
-        "onsets_missing": np.isnan(recordings.onset[member]).sum(0).tolist(),
+        "onsets_missing": np.isnan(recordings.starts(RECORDED)[member]).sum(0).tolist(),
     }

@@ -13,6 +13,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 
 Starts = Literal["harmonised", "recorded", "none"]
 
@@ -38,7 +39,7 @@ def read_store(
     chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
     if not chosen.any():
         raise InputError(f"{path} has no recording of arm {arm} among the chosen trials.")
-    onsets = recordings.onset_harmonised if starts == "harmonised" else recordings.onset
+    onsets = recordings.starts(HARMONISED) if starts == "harmonised" else recordings.starts(RECORDED)
     for row in np.flatnonzero(chosen):
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt

@@ -1,11 +1,13 @@
 """The store: a Zarr v3 group with one row per recording, readable by ``xarray.open_zarr``.
 
-Layout (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero beyond ``length [trial]``;
-``dt`` (scalar and attribute); ``onset``, ``onset_harmonised [trial, state]``; ``deviation [trial, pose]``;
-the string variables ``trial_name``, ``arm``, ``source``, ``session``, ``outcome``, ``failure_type``, ``note``
-``[trial]``; the coordinate ``axis``; label tracks in ``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``);
-parameters and ground truth of a simulation in ``simulation/``, every array ``[trial, ...]``.
-The dimension "trial" counts recordings: one arm of one trial.
+Layout of version 2 (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero beyond ``length [trial]``;
+the coordinates ``trial`` (names), ``time`` (s) and ``axis`` (names; their units in the attribute ``axis_units``);
+the string variables ``arm``, ``source``, ``session``, ``outcome``, ``note`` ``[trial]``; ``dt`` (scalar and attribute);
+further columns ``[trial]`` in ``columns/``; the table of annotations in ``annotations/`` (``recording``, ``track``,
+``label``, ``start``, ``end`` ``[interval]``); label tracks in ``labels/<name>/<layer>/``
+(``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in ``simulation/``, every array
+``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. Version 1 is read as well
+(:mod:`rcbht_jax.io.store_v1`).
 
 Every chunk carries a CRC-32C and the group a SHA-256 of its content, so that reading detects truncation and loss.
 Stores are written atomically (:mod:`rcbht_jax._util.atomic`).
@@ -13,6 +15,7 @@ Stores are written atomically (:mod:`rcbht_jax._util.atomic`).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,33 +28,31 @@ import rcbht_jax
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import store_v1
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
     import zarr
 
-FORMAT, FORMAT_VERSION = "rcbht-recordings", 1
-OUTCOMES = ("success", "failure", "unknown")
-SIMULATION = "simulation"
+FORMAT, FORMAT_VERSION = "rcbht-recordings", 2
+SIMULATION, COLUMNS, ANNOTATIONS = "simulation", "columns", "annotations"
 
 # Variable of the store -> (field of Recordings, dimensions, dtype, attributes).
 VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
-    "wrench": ("wrench", ("trial", "time", "axis"), "float32", {"units": "N (forces), N m (moments)"}),
+    "wrench": ("wrench", ("trial", "time", "axis"), "float32", {}),
     "length": ("length", ("trial",), "int32", {"units": "samples"}),
-    "onset": ("onset", ("trial", "state"), "float64", {"units": "s"}),
-    "onset_harmonised": ("onset_harmonised", ("trial", "state"), "float64", {"units": "s"}),
-    "deviation": ("deviation", ("trial", "pose"), "float64", {"units": "m (x, y), rad (roll)"}),
-    "trial_name": ("trial", ("trial",), "string", {}),
+    "trial": ("trial", ("trial",), "string", {}),
     "arm": ("arm", ("trial",), "string", {}),
     "source": ("source", ("trial",), "string", {}),
     "session": ("session", ("trial",), "string", {}),
     "outcome": ("outcome", ("trial",), "string", {}),
-    "failure_type": ("failure_type", ("trial",), "string", {}),
     "note": ("note", ("trial",), "string", {}),
 }
+NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
+INTERVALS = {"recording": "int32", "track": "string", "label": "string", "start": "float64", "end": "float64"}
 
 
 def check_target(path: Path, overwrite: bool) -> None:
@@ -91,20 +92,31 @@ def write_recordings(
     check_target(path, overwrite)
     validate(recordings)
     arrays = {variable: getattr(recordings, spec[0]) for variable, spec in VARIABLES.items()}
+    intervals = _intervals(recordings.annotations)
     header: dict[str, Any] = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
         "dt": recordings.dt,
-        "content_sha256": content_hash([*arrays.values(), np.float64(recordings.dt)]),
+        "axis_units": list(recordings.units),
+        "annotation_labels": {track: list(names) for track, names in recordings.annotations.labels.items()},
+        "content_sha256": _hash(recordings, arrays, intervals),
     }
     with atomic_folder(path) as draft:
         group = zarr_io.create_group(draft, {**attrs, **header})
         for variable, (_, dimensions, dtype, attributes) in VARIABLES.items():
             zarr_io.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
         zarr_io.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
-        zarr_io.write_array(group, "axis", np.array(AXES), ("axis",), "string", {})
+        zarr_io.write_array(group, "axis", np.array(recordings.axes), ("axis",), "string", {})
+        time = np.arange(recordings.wrench.shape[1]) * recordings.dt
+        zarr_io.write_array(group, "time", time, ("time",), "float64", {"units": "s"})
+        sub = group.create_group(COLUMNS)
+        for name, values in recordings.columns.items():
+            zarr_io.write_array(sub, name, values, ("trial",), _dtype(values), {})
+        sub = group.create_group(ANNOTATIONS)
+        for name, dtype in INTERVALS.items():
+            zarr_io.write_array(sub, name, intervals[name], ("interval",), dtype, {})
         if simulation is not None:
             _write_simulation(group, simulation, len(recordings))
         zarr_io.consolidate(draft)
@@ -114,7 +126,7 @@ def read_recordings(path: Path | str) -> Recordings:
     """Read and check a whole store.
 
     >>> recordings = read_recordings(Path("trials.zarr"))  # doctest: +SKIP
-    >>> recordings.wrench.shape  # [recording, time, axis], N and Nm  # doctest: +SKIP
+    >>> recordings.wrench.shape  # [recording, time, axis]  # doctest: +SKIP
     (21, 3354, 6)
 
     Raises:
@@ -124,17 +136,57 @@ def read_recordings(path: Path | str) -> Recordings:
     path = Path(path)
     group = open_store(path)
     with zarr_io.reading(path):
-        arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
-        dt = float(zarr_io.read_array(group, "dt", "float64")[()])
+        read = store_v1.read if group.attrs["format_version"] == 1 else _read
+        recordings, digest = read(group)
         expected = group.attrs["content_sha256"]
-    if content_hash([*arrays.values(), np.float64(dt)]) != expected:
+    if digest != expected:
         raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
-    recordings = Recordings(dt=dt, **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()})
     try:
         validate(recordings)
     except InputError as error:
         raise InputError(f"{path} holds contradictory recordings: {error}") from error
     return recordings
+
+
+def _read(group: zarr.Group) -> tuple[Recordings, str]:
+    """Recordings and digest of a store of version 2."""
+    arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
+    sub = zarr_io.subgroup(group, COLUMNS)
+    columns = {
+        name: zarr_io.read_array(sub, name, None if array.dtype.kind in "biuf" else "string")
+        for name, array in sorted(sub.arrays())
+    }
+    sub = zarr_io.subgroup(group, ANNOTATIONS)
+    intervals = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in INTERVALS.items()}
+    recordings = Recordings(
+        dt=float(zarr_io.read_array(group, "dt", "float64")[()]),
+        annotations=Annotations.from_table(intervals, dict(group.attrs["annotation_labels"])),  # type: ignore[arg-type]
+        columns=columns,
+        axes=tuple(zarr_io.read_array(group, "axis", "string").tolist()),
+        units=tuple(map(str, group.attrs["axis_units"])),  # type: ignore[arg-type]
+        **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()},
+    )
+    return recordings, _hash(recordings, arrays, intervals)
+
+
+def _hash(recordings: Recordings, arrays: Mapping[str, Any], intervals: Mapping[str, Any]) -> str:
+    names = np.array([*recordings.axes, *recordings.units, *sorted(recordings.columns)], np.str_)
+    order = [[track, *labels] for track, labels in recordings.annotations.labels.items()]
+    texts = np.array([label for labels in order for label in [str(len(labels)), *labels]], np.str_)
+    columns = [recordings.columns[name] for name in sorted(recordings.columns)]
+    return content_hash([*arrays.values(), np.float64(recordings.dt), names, texts, *intervals.values(), *columns])
+
+
+def _intervals(annotations: Annotations) -> dict[str, NDArray[Any]]:
+    """The table of annotations as columns, with names in place of codes."""
+    tracks = np.array(annotations.tracks, np.str_)
+    track = tracks[annotations.track] if len(annotations) else np.zeros(0, np.str_)
+    rest = {name: getattr(annotations, name) for name in ("recording", "start", "end")}
+    return {name: ({"track": track, "label": annotations.names()} | rest)[name] for name in INTERVALS}
+
+
+def _dtype(values: NDArray[Any]) -> str:
+    return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
 def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
@@ -143,8 +195,7 @@ def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], cou
         if len(values) != count:
             raise InputError(f"{SIMULATION}/{name} has {len(values)} rows; expected {count}, one per recording.")
         dimensions = ("trial", *(f"{name}_{i}" for i in range(1, values.ndim)))
-        dtype = "string" if values.dtype.kind == "U" else str(values.dtype)
-        zarr_io.write_array(sub, name, values, dimensions, dtype, {})
+        zarr_io.write_array(sub, name, values, dimensions, _dtype(values), {})
 
 
 def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
@@ -187,9 +238,9 @@ def open_store(path: Path) -> zarr.Group:
     group = zarr_io.open_group(path)
     if group.attrs.get("format") != FORMAT:
         raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
-    if group.attrs.get("format_version") != FORMAT_VERSION:
+    if group.attrs.get("format_version") not in range(1, FORMAT_VERSION + 1):
         raise InputError(
-            f"{path} has format version {group.attrs.get('format_version')}; expected {FORMAT_VERSION}. "
+            f"{path} has format version {group.attrs.get('format_version')}; expected 1 to {FORMAT_VERSION}. "
             "Import it again with this version of rcbht."
         )
     return group
@@ -211,14 +262,17 @@ def validate(recordings: Recordings) -> None:
 
     Raises:
         InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
-            finite within the length or not zero beyond it, or an arm or outcome is unknown.
+            finite within the length or not zero beyond it, or an annotation is about no recording.
     """
     wrench = np.asarray(recordings.wrench)
-    if wrench.ndim != 3 or wrench.shape[2] != 6 or 0 in wrench.shape:
-        raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, 6], none of them 0.")
+    if wrench.ndim != 3 or 0 in wrench.shape:
+        raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, axes], none of them 0.")
     _check_shapes(recordings, len(wrench))
     if not (np.isfinite(recordings.dt) and recordings.dt > 0):
         raise InputError(f"dt is {recordings.dt}; expected a positive number of seconds.")
+    axes = (recordings.axes, recordings.units)
+    if any(len(names) != wrench.shape[2] for names in axes) or len(set(recordings.axes)) < wrench.shape[2]:
+        raise InputError(f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units.")
     for row, samples in enumerate(recordings.length):
         where = f"recording {row} ({recordings.trial[row]})"
         if not 1 <= samples <= wrench.shape[1]:
@@ -227,21 +281,29 @@ def validate(recordings: Recordings) -> None:
             raise InputError(f"{where}: the wrench is not finite everywhere; expected numbers.")
         if wrench[row, samples:].any():
             raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
-    _check_choice("arm", recordings.arm, ("R", "L"))
-    _check_choice("outcome", recordings.outcome, OUTCOMES)
+    _check_annotations(recordings)
+
+
+def _check_annotations(recordings: Recordings) -> None:
+    marks = recordings.annotations
+    if len(marks) and not (0 <= marks.recording.min() and marks.recording.max() < len(recordings)):
+        raise InputError(
+            f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
+            f"{len(recordings)}, from 0."
+        )
+    if not np.isfinite(marks.start).all() or np.isinf(marks.end).any():
+        raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
 
 
 def _check_shapes(recordings: Recordings, count: int) -> None:
-    width = {"state": (4,), "pose": (3,), "time": recordings.wrench.shape[1:]}
-    for name, dimensions, dtype, _ in VARIABLES.values():
+    for name, _, dtype, _ in VARIABLES.values():
         array = np.asarray(getattr(recordings, name))
-        shape = (count, *(width[dimensions[1]] if len(dimensions) > 1 else ()))
+        shape = recordings.wrench.shape if name == "wrench" else (count,)
         matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
         if array.shape != shape or not matches:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
-
-
-def _check_choice(name: str, values: NDArray[np.str_], allowed: tuple[str, ...]) -> None:
-    wrong = [str(value) for value in values if value not in allowed]
-    if wrong:
-        raise InputError(f"{name} is {wrong[0]!r}; expected one of {', '.join(allowed)}.")
+    for name, values in recordings.columns.items():
+        if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
+            raise InputError(f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}].")
+        if not NAME.fullmatch(name) or name in VARIABLES:
+            raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")

@@ -130,6 +130,18 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     return values
 
 
+def subgroup(group: zarr.Group, name: str) -> zarr.Group:
+    """A group inside a group.
+
+    Raises:
+        InputError: it is missing.
+    """
+    sub = group.get(name)
+    if not isinstance(sub, zarr.Group):
+        raise InputError(f"{group.store_path} has no group {name}; it is incomplete. Import or copy it again.")
+    return sub
+
+
 @uninterrupted()
 def consolidate(path: Path) -> None:
     """Collect the metadata of all members in the root group, which makes opening by xarray one read."""

@@ -1,8 +1,7 @@
-"""Tasks: which sentences of a data set are classified, into which classes, and what was left out.
+"""Tasks: which intervals of a data set are classified, into which classes, and what was left out.
 
-* ``states``: one sentence per recording and state of the assembly;
-* ``outcome``: the whole record, success or failure;
-* ``failure-type``: the whole record of a failure, by the signs of its deviation.
+A task is the name of a track of annotations, whose labelled intervals are classified, or of a column, by which whole
+recordings are classified.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     Features,
@@ -24,47 +24,28 @@ from rcbht_jax.features import (
     concatenate_features,
     interval_features,
 )
-from rcbht_jax.labels import STATES
 from rcbht_jax.types import LabelTracks, Recordings
 
-TASKS = ("states", "outcome", "failure-type")
-BOUNDARIES = ("recorded", "harmonised", "merged")
-ARMS = ("R", "L", "both")
-MERGED_STATES = ("approach", "rotation+insertion", "mating")
-OUTCOMES = ("failure", "success")
-UNKNOWN = "unknown"  # outcome of a trial that nobody judged
-# The sign patterns with at least nine trials in the full set (evaluation notes).
-FAILURE_TYPES = (
-    "+x", "+y", "-y", "+r", "-r", "+x+y", "+x-y", "+x+r", "+x-r", "+y+r", "-y+r", "+x+y+r", "+x-y+r",
-)  # fmt: skip
+SUCCESS, UNKNOWN = "success", "unknown"  # outcomes: seated as planned; a trial that nobody judged
+BOTH = "both"  # arms, side by side
 
 
 @dataclass(frozen=True)
 class TaskSpec:
     """A task and the recordings it is about; empty filters let everything pass.
 
-    >>> TaskSpec("states", sessions=("A", "B")).kept_outcomes
-    ('success',)
+    >>> TaskSpec("states", sessions=("A", "B")).sessions
+    ('A', 'B')
     """
 
-    task: str = "states"
-    boundaries: str = "harmonised"  # of the states task: rotation as recorded, harmonised, or merged with insertion
-    arms: str = "R"  # one arm, or "both" side by side
+    task: str = "states"  # track of annotations, or column
+    boundaries: str = "harmonised"  # variant of the track: TASK-harmonised is used where there is one; else TASK
+    arms: str = "R"  # one arm, or "both" side by side; where there is only one, that one
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
-    outcomes: tuple[str, ...] | None = None  # None = successes for states, failures for failure-type, else all
-
-    def __post_init__(self) -> None:
-        for value, known in ((self.task, TASKS), (self.boundaries, BOUNDARIES), (self.arms, ARMS)):
-            if value not in known:
-                raise InputError(f"{value!r} is not a choice; expected one of {', '.join(known)}.")
-
-    @property
-    def kept_outcomes(self) -> tuple[str, ...]:
-        """The outcomes that pass, with the task's own default."""
-        if self.outcomes is not None:
-            return self.outcomes
-        return {"states": ("success",), "outcome": (), "failure-type": ("failure",)}[self.task]
+    outcomes: tuple[str, ...] | None = None  # None = successes of a track if there are some; of a column all
+    classes: tuple[str, ...] = ()  # in this order; empty = all, tracks in their own order, columns in that of the alphabet
+    complete: bool = False  # only recordings that have every label of the track, each after the one before
 
 
 @dataclass(frozen=True)
@@ -105,13 +86,13 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIn
     """
     dropped: Counter[str] = Counter()
     rows = _rows(recordings, _chosen(recordings, spec, unknown=spec.outcomes is None), spec.arms, dropped)
-    if spec.task == "states":
-        rows, names, edges = _states(recordings, rows, spec.boundaries, dropped)
+    track = track_of(recordings, spec)
+    if track:
+        found = _of_track(recordings, rows, track, spec, dropped)
     else:
-        names, kept, _ = _known(recordings, rows, spec.task)
-        names, edges = np.where(kept, names, "")[:, None], _records(recordings, rows)
-    first = np.repeat(rows[:, 0], names.shape[1])
-    return UnlabelledIntervals(first, names.ravel().astype(str), _intervals(rows, edges, recordings.dt), dict(dropped))
+        values, known, _ = _known(recordings, rows, spec)
+        found = _whole(recordings, rows, np.where(known, values, ""))
+    return UnlabelledIntervals(found.rows[:, 0], found.label, _intervals(found, recordings.dt), dict(dropped))
 
 
 def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
@@ -128,23 +109,49 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     """
     dropped: Counter[str] = Counter()
     rows = _rows(recordings, _chosen(recordings, spec), spec.arms, dropped)
-    if spec.task == "states":
-        rows, names, edges = _states(recordings, rows, spec.boundaries, dropped)
+    track = track_of(recordings, spec)
+    if track:
+        found = _of_track(recordings, rows, track, spec, dropped)
+        order = recordings.annotations.labels[track]
     else:
-        rows, names, edges = _whole(recordings, rows, spec.task, dropped)
-    states = MERGED_STATES if spec.boundaries == "merged" else STATES
-    order = {"states": states, "outcome": OUTCOMES, "failure-type": FAILURE_TYPES}[spec.task]
-    present = set(names.ravel().tolist())
-    classes = tuple(c for c in order if c in present)
+        values, known, doubtful = _known(recordings, rows, spec)
+        _count(dropped, "same record under two names", int(doubtful.sum()))
+        _count(dropped, "class not in the list" if spec.classes else "class unknown", int((~known & ~doubtful).sum()))
+        found = _whole(recordings, rows[known], values[known])
+        order = tuple(sorted(set(found.label.tolist())))
+    present = set(found.label.tolist())
+    classes = tuple(name for name in spec.classes or order if name in present)
     if len(classes) < 2:
         raise InputError(
-            f"the task {spec.task} finds {len(classes)} classes in the {len(rows)} trials that pass the filters; "
-            "it needs two."
+            f"the task {spec.task} finds {_listed('class', classes)} in the {len(rows)} trials that pass the filters; it "
+            f"needs two.{_reasons(dropped)}"
         )
-    intervals = _intervals(rows, edges, recordings.dt)
-    first = np.repeat(rows[:, 0], names.shape[1])
-    y = np.array([classes.index(c) for c in names.ravel().tolist()], np.int64)
+    y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
+    first = found.rows[:, 0]
+    intervals = _intervals(found, recordings.dt)
     return LabelledIntervals(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
+
+
+def track_of(recordings: Recordings, spec: TaskSpec) -> str:
+    """The track of annotations of a task; "" = it is about whole recordings and their column.
+
+    Raises:
+        InputError: there is neither a track nor a column of that name.
+    """
+    tracks = recordings.annotations.tracks
+    for track in (f"{spec.task}-{spec.boundaries}", spec.task):
+        if track in tracks:
+            return track
+    if spec.task not in column_names(recordings) and spec.task.replace("-", "_") not in column_names(recordings):
+        known = (*tracks, *column_names(recordings))
+        raise InputError(f"There is no track or column {spec.task!r} for the task; there are {', '.join(known)}.")
+    return ""
+
+
+def column_names(recordings: Recordings) -> tuple[str, ...]:
+    """Columns that can be a task: outcome and the data set's own texts."""
+    texts = (name for name, values in recordings.columns.items() if values.dtype.kind == "U")
+    return ("outcome", *texts)
 
 
 def extract_features(
@@ -171,24 +178,51 @@ def extract_features(
     return concatenate_features({name: extract_features(one, items, spec) for name, one in tracks.items()})
 
 
-def _intervals(rows: NDArray[np.int64], edges: NDArray[np.int64], dt: float) -> tuple[Intervals, ...]:
-    """The sentences of each arm, from edges ``[trial, arm, edge]``."""
+@dataclass(frozen=True)
+class _Found:
+    """Labelled intervals in samples, half-open."""
+
+    rows: NDArray[np.int64]  # [item, arm] recording
+    label: NDArray[np.str_]  # [item]
+    start: NDArray[np.int64]  # [item, arm]
+    end: NDArray[np.int64]  # [item, arm]
+
+
+def _intervals(found: _Found, dt: float) -> tuple[Intervals, ...]:
+    """The intervals of each arm."""
     return tuple(
-        Intervals(
-            recording=np.repeat(rows[:, arm], edges.shape[2] - 1),
-            start=edges[:, arm, :-1].ravel(),
-            end=edges[:, arm, 1:].ravel(),
-            dt=dt,
-        )
-        for arm in range(rows.shape[1])
+        Intervals(recording=rows, start=start, end=end, dt=dt)
+        for rows, start, end in zip(found.rows.T, found.start.T, found.end.T, strict=True)
     )
+
+
+def _listed(noun: str, names: Sequence[str]) -> str:
+    return f"only the {noun} {names[0]}" if names else f"no {noun}"
+
+
+def _reasons(dropped: Mapping[str, int]) -> str:
+    return f" Left out: {', '.join(f'{count} ({reason})' for reason, count in dropped.items())}." if dropped else ""
+
+
+def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:
+    """The outcomes that pass, with the task's own default."""
+    if spec.outcomes is not None:
+        return spec.outcomes
+    if track_of(recordings, spec):
+        return (SUCCESS,) if (recordings.outcome == SUCCESS).any() else ()
+    values = recordings.column(_column(recordings, spec))
+    return () if spec.task == "outcome" else tuple(sorted(set(recordings.outcome[values != ""].tolist())))
+
+
+def _column(recordings: Recordings, spec: TaskSpec) -> str:
+    return spec.task if spec.task in column_names(recordings) else spec.task.replace("-", "_")
 
 
 def _chosen(recordings: Recordings, spec: TaskSpec, unknown: bool = False) -> NDArray[np.bool_]:
     filters: list[tuple[str, NDArray[np.str_], Sequence[str]]] = [
         ("source", recordings.source, spec.sources),
         ("session", recordings.session, spec.sessions),
-        ("outcome", recordings.outcome, spec.kept_outcomes),
+        ("outcome", recordings.outcome, _outcomes(recordings, spec)),
     ]
     chosen = np.ones(len(recordings), bool)
     for what, values, wanted in filters:
@@ -204,7 +238,8 @@ def _chosen(recordings: Recordings, spec: TaskSpec, unknown: bool = False) -> ND
 
 def _rows(recordings: Recordings, chosen: NDArray[np.bool_], arms: str, dropped: Counter[str]) -> NDArray[np.int64]:
     """Rows of the data set ``[trial, arm]``; trials that lack an arm are dropped."""
-    wanted = ("R", "L") if arms == "both" else (arms,)
+    there = sorted(set(recordings.arm[chosen].tolist()), reverse=True)  # R before L
+    wanted = tuple(there) if arms == BOTH or len(there) == 1 else (arms,)
     by_trial: dict[tuple[str, str], dict[str, int]] = {}
     for row in np.flatnonzero(chosen).tolist():
         key = (str(recordings.source[row]), str(recordings.trial[row]))
@@ -219,42 +254,57 @@ def _count(dropped: Counter[str], reason: str, trials: int) -> None:
         dropped[reason] += trials
 
 
-_Found = tuple[NDArray[np.int64], NDArray[Any], NDArray[np.int64]]  # rows, class names, edges [trial, arm, edge]
+def _of_track(
+    recordings: Recordings, rows: NDArray[np.int64], track: str, spec: TaskSpec, dropped: Counter[str]
+) -> _Found:
+    """Intervals of a track whose ends are known, in the order of the trials and of time."""
+    marks = recordings.annotations.of(track)
+    labels = np.array(marks.labels[track], np.str_)
+    start = np.rint(marks.start / recordings.dt)
+    end = np.nan_to_num(np.rint(marks.end / recordings.dt), nan=-1.0)
+    usable = (start >= 0) & (end > start) & (end <= recordings.length[marks.recording])
+    if spec.complete:
+        usable &= _complete(marks, usable, len(recordings))[marks.recording]
+    if spec.classes:
+        usable &= np.isin(labels[marks.code], spec.classes)
+    order = np.lexsort((marks.start, marks.recording))
+    order = order[usable[order]]
+    bounds = np.searchsorted(marks.recording[order], np.arange(len(recordings) + 1))
+    of_trials = [[order[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
+    same = [arms for arms in of_trials if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]
+    _count(dropped, "its arms are annotated differently", len(of_trials) - len(same))
+    _count(dropped, "a state is missing" if spec.complete else "no annotation", sum(not len(arms[0]) for arms in same))
+    items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
+    left = np.isin(marks.recording, rows[:, 0]) & ~usable
+    if not spec.complete and not spec.classes and left.any():
+        _count(dropped, "intervals that are empty, end beyond the record or have no known end", int(left.sum()))
+    return _Found(
+        marks.recording[items].astype(np.int64), labels[marks.code[items[:, 0]]],
+        start[items].astype(np.int64), end[items].astype(np.int64),
+    )  # fmt: skip
 
 
-def _states(recordings: Recordings, rows: NDArray[np.int64], boundaries: str, dropped: Counter[str]) -> _Found:
-    onset = recordings.onset_harmonised if boundaries == "harmonised" else recordings.onset
-    names = MERGED_STATES if boundaries == "merged" else STATES
-    starts = onset[rows]
-    if boundaries == "merged":
-        starts = starts[..., [0, 1, 3]]
-    length = recordings.length[rows]
-    # A missing mark becomes -1, which is never in order.
-    samples = np.where(np.isfinite(starts), np.rint(starts / recordings.dt), -1).astype(np.int64)
-    edges = np.concatenate([samples, length[..., None].astype(np.int64)], -1)
-    whole = (edges[..., 0] >= 0).all(1) & (np.diff(edges, axis=-1) > 0).all((1, 2))
-    _count(dropped, "a state is missing", int((~whole).sum()))
-    return rows[whole], np.tile(np.array(names), (int(whole.sum()), 1)), edges[whole]
-
-
-def _whole(recordings: Recordings, rows: NDArray[np.int64], task: str, dropped: Counter[str]) -> _Found:
-    values, kept, doubtful = _known(recordings, rows, task)
-    _count(dropped, "same record under two names", int(doubtful.sum()))
-    _count(dropped, "class not in the list", int((~kept & ~doubtful).sum()))
-    return rows[kept], values[kept][:, None], _records(recordings, rows[kept])
+def _complete(marks: Annotations, usable: NDArray[np.bool_], recordings: int) -> NDArray[np.bool_]:
+    """Recordings ``[recording]`` all of whose labels are there, follow each other and are usable."""
+    (names,) = marks.labels.values()
+    count = np.bincount(marks.recording[usable], minlength=recordings)
+    ordered = (np.diff(marks.starts(next(iter(marks.labels)), recordings), axis=1) > 0).all(1)
+    return np.asarray((count == len(names)) & ordered)
 
 
 def _known(
-    recordings: Recordings, rows: NDArray[np.int64], task: str
+    recordings: Recordings, rows: NDArray[np.int64], spec: TaskSpec
 ) -> tuple[NDArray[np.str_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Class of each whole trial, whether it is one of the task's, and whether the same record has two names."""
-    first = rows[:, 0]
-    typed = task == "failure-type"
-    values, known = (recordings.failure_type, FAILURE_TYPES) if typed else (recordings.outcome, OUTCOMES)
-    doubtful = typed & (np.char.find(recordings.note[first], "contradictory-duplicate") >= 0)
-    return values[first], np.isin(values[first], known) & ~doubtful, doubtful
+    first, column = rows[:, 0], _column(recordings, spec)
+    values = recordings.column(column)[first]
+    known = np.isin(values, spec.classes) if spec.classes else ~np.isin(values, ("", UNKNOWN))
+    copies = np.char.find(recordings.note[first], "contradictory-duplicate") >= 0
+    doubtful = copies & (column != "outcome")
+    return values, known & ~doubtful, doubtful
 
 
-def _records(recordings: Recordings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Edges ``[trial, arm, edge]`` of whole records."""
-    return np.stack([np.zeros_like(rows), recordings.length[rows].astype(np.int64)], -1)
+def _whole(recordings: Recordings, rows: NDArray[np.int64], values: NDArray[np.str_]) -> _Found:
+    """Whole records."""
+    end = recordings.length[rows].astype(np.int64)
+    return _Found(rows, values, np.zeros_like(rows), end)

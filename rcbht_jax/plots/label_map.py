@@ -14,6 +14,7 @@ from matplotlib.patheffects import Normal, Stroke
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES
 from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels
@@ -134,7 +135,7 @@ def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings) -> Codes:
     codes = np.zeros((len(rows), len(AXES), len(STATES), POINTS_PER_STATE), np.int8)
     fractions = (np.arange(POINTS_PER_STATE) + 0.5) / POINTS_PER_STATE
     for row, index in enumerate(rows.tolist()):
-        edges = np.append(recordings.onset_harmonised[index] / recordings.dt, np.nan)
+        edges = np.append(recordings.starts(HARMONISED)[index] / recordings.dt, np.nan)
         for state, start in enumerate(edges[:-1]):
             if np.isnan(start):
                 continue

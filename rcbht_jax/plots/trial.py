@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES, name
 from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, text_color
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels
@@ -98,7 +99,7 @@ def trial_figure(
 
 def state_marks(recordings: Recordings, index: int) -> list[Mark]:
     """Starts of the states of one recording; a harmonised start is listed where it differs from the logged one."""
-    rows = zip(STATES, recordings.onset[index], recordings.onset_harmonised[index], strict=True)
+    rows = zip(STATES, recordings.starts(RECORDED)[index], recordings.starts(HARMONISED)[index], strict=True)
     marks = []
     for state, logged, harmonised in rows:
         if not np.isnan(logged):
@@ -231,7 +232,7 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
 
 def _title(recordings: Recordings, index: int, window: int | None) -> str:
     arm = {"R": "right arm", "L": "left arm"}.get(str(recordings.arm[index]), "")
-    failure = f" ({recordings.failure_type[index]})" if recordings.failure_type[index] else ""
+    failure = f" ({recordings.column("failure_type")[index]})" if recordings.column("failure_type")[index] else ""
     facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.reference.encode import encode, sample_times
 from rcbht_jax.reference.tracks import to_tracks
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 _FIELDS = tuple(LabelTrack.__dataclass_fields__)
@@ -51,7 +52,7 @@ def encode_dataset(
     rows = []
     for index in progress(range(len(recordings))):
         length = int(recordings.length[index])
-        onset = recordings.onset[index]
+        onset = recordings.starts(RECORDED)[index]
         starts = onset[: int(np.argmax(np.isnan(onset)))] if np.isnan(onset).any() else onset
         labels = encode(
             sample_times(length, recordings.dt),

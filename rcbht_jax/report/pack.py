@@ -20,6 +20,7 @@ from rcbht_jax.events import Belief
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import AXES, LAYERS
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
 
 LEVELS = 16_000  # steps between the smallest and the largest value of an axis: finer than the resolution of sensors
@@ -43,7 +44,7 @@ def infer_beliefs(introspector: Introspector, recordings: Recordings, row: int) 
     """
     introspector.reset()
     samples = int(recordings.length[row])
-    onsets = recordings.onset_harmonised[row]
+    onsets = recordings.starts(HARMONISED)[row]
     starts = np.rint(onsets[np.isfinite(onsets)] / recordings.dt).astype(int)
     inner = np.unique(starts[(starts > 0) & (starts < samples)]).tolist()
     events: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
@@ -94,7 +95,7 @@ def pack(
     raw = b"".join(part.tobytes() for part in [*wide, wrench, *narrow])
     about = {
         **{field: str(getattr(recordings, field)[row]) for field in ("trial", "arm", "source", "session", "outcome")},
-        "failure": str(recordings.failure_type[row]),
+        "failure": str(recordings.column("failure_type")[row]),
         "samples": samples,
         "low": lowest.tolist(),
         "step": step.tolist(),

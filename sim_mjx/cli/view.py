@@ -14,6 +14,7 @@ import tyro
 
 from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, progress_bar
 from rcbht_jax.errors import InputError
+from rcbht_jax.robots.snap_assembly import HARMONISED
 
 if TYPE_CHECKING:
     from rcbht_jax.types import LabelTracks, Recordings
@@ -60,7 +61,7 @@ class View(Command):
         row = find_recording(recordings, self.trial, self.arm, self.source)
         replay = self._replay(recordings, row)
         result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
-        times = moments(replay, recordings.onset_harmonised[row])
+        times = moments(replay, recordings.starts(HARMONISED)[row])
         if out is None:
             show(replay, self.speed)
         elif out.suffix.lower() in animation.SUFFIXES:

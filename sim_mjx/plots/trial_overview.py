@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.labels import AXES, COLORS
 from rcbht_jax.plots.canvas import label_legend, new_figure
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.assembly.task import STATES
@@ -162,7 +163,7 @@ def _labels(ax: Axes, tracks: LabelTracks, row: int, dt: float) -> set[int]:
 
 def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> None:
     """Background and, if wanted, names of the states."""
-    onset = recordings.onset_harmonised[row]
+    onset = recordings.starts(HARMONISED)[row]
     known = np.flatnonzero(np.isfinite(onset))
     ends = [*onset[known][1:], recordings.length[row] * recordings.dt]
     for state, end in zip(known, ends, strict=True):
@@ -173,7 +174,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
 
 
 def _title(replay: Replay, recordings: Recordings, row: int) -> str:
-    kind = f" ({recordings.failure_type[row]})" if recordings.failure_type[row] else ""
+    kind = f" ({recordings.column("failure_type")[row]})" if recordings.column("failure_type")[row] else ""
     facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
     past = [TABS[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
     return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}\n{replay.how}"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import onsets
 from rcbht_jax.robots import kinematics
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
 from sim_mjx.assembly.scene import one_arm
@@ -137,15 +138,15 @@ def recorded(recordings: Recordings, session: str) -> Target:
         InputError: unknown preset, or no such trials.
     """
     constants = preset(session)
-    usable = (recordings.session == constants.recorded_as) & np.isfinite(recordings.onset_harmonised).all(1)
+    usable = (recordings.session == constants.recorded_as) & np.isfinite(recordings.starts(HARMONISED)).all(1)
     usable &= np.char.find(recordings.note, "other-setup") < 0
     if not constants.real:  # of the OpenHRP simulation only the successes are logged like the other sessions
         usable &= recordings.outcome == "success"
     rows = np.flatnonzero(usable)
     if len(rows) == 0:
         raise InputError(f"The store holds no trial of session {session} that reached every state.")
-    onset = np.median(recordings.onset_harmonised[rows, 1:], axis=0)
-    ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.onset[rows, 3])
+    onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
+    ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.starts(RECORDED)[rows, 3])
     found_snaps = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
     return Target(constants, signature.profiles(recordings, rows), onset, ring, found_snaps)
 
@@ -154,7 +155,7 @@ def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
     """Snaps of the recorded trials that seated."""
     seated = rows[(np.char.find(recordings.note[rows], "off-seat") < 0) & (recordings.outcome[rows] == "success")]
     forces = [snaps.unfiltered(recordings.wrench[row, : recordings.length[row], 2], SESSION_A.sensor) for row in seated]
-    starts = recordings.onset[seated, 1].tolist()
+    starts = recordings.starts(RECORDED)[seated, 1].tolist()
     return snaps.summary([snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)])
 
 

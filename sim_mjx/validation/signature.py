@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
 STATES = ("approach", "rotation", "insertion", "mating, first 1 s")
@@ -71,13 +72,13 @@ def profiles(recordings: Recordings, rows: Sequence[int] | NDArray[np.integer] |
 
 def _edges(recordings: Recordings, rows: NDArray[np.integer]) -> Floats:
     """The five edges [n, 5] of the four states, s."""
-    onset = recordings.onset_harmonised[rows]
+    onset = recordings.starts(HARMONISED)[rows]
     end = (recordings.length[rows] - 1) * recordings.dt
     edges = np.column_stack([np.zeros(len(rows)), onset[:, 1:], np.minimum(onset[:, 3] + MATING, end)])
     for row, length, steps in zip(rows, end, np.diff(edges, axis=1), strict=True):
         if not (steps > 0).all():
             state = STATES[int(np.argmin(steps > 0))].split(",")[0]
-            onsets = np.round(recordings.onset_harmonised[row], 3).tolist()
+            onsets = np.round(recordings.starts(HARMONISED)[row], 3).tolist()
             raise InputError(
                 f"The {state} state of recording {row} ({recordings.trial[row]}) is empty or has no end (onsets "
                 f"{onsets} s, record {length:.3f} s); choose recordings that reach mating."

@@ -28,6 +28,7 @@ from rcbht_jax.io.rosbags import read_bag
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES, LAYERS, name
 from rcbht_jax.reference.dataset import encode_dataset
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple, some_recordings
 
@@ -94,7 +95,7 @@ def all_labels(data: DataSet) -> tables.Table:
 def test_tables_say_what_the_store_says(data: DataSet) -> None:
     trials, labels = tables.trials(data.recordings), all_labels(data)
     assert trials["trial"].tolist() == NAMES
-    np.testing.assert_array_equal(trials["onset_rotation"], data.recordings.onset[:, 1])
+    np.testing.assert_array_equal(trials["onset_rotation"], data.recordings.starts(RECORDED)[:, 1])
     assert data.tracks is not None
     assert len(labels["code"]) == sum(np.count_nonzero(getattr(data.tracks, layer).label) for layer in LAYERS)
     chosen = (labels["recording"] == 1) & (labels["layer"] == "llb") & (labels["axis"] == "My")

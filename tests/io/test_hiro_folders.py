@@ -11,6 +11,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import importer
 from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.onsets import fallback, harmonised, needs_harmonising, onsets_from_marks
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 
 TIME = np.arange(400) * 0.005
@@ -57,8 +58,8 @@ def test_a_broken_trial_does_not_stop_the_others(tmp_path: Path) -> None:
         "six": "state-file-unusable",
         "states": "state-file-unusable",
     }
-    assert np.isnan(recordings.onset[2:]).all()
-    np.testing.assert_array_equal(recordings.onset[1], [0, 0.5, 1, 1.5])
+    assert np.isnan(recordings.starts(RECORDED)[2:]).all()
+    np.testing.assert_array_equal(recordings.starts(RECORDED)[1], [0, 0.5, 1, 1.5])
 
 
 def test_exact_copies_are_imported_once(tmp_path: Path) -> None:
@@ -92,7 +93,7 @@ def test_contradictory_copies_are_kept_and_flagged(tmp_path: Path) -> None:
         "XX+y0.0094+r0.1901": "contradictory-duplicate:XX-y0.0094+r0.1901",
         "XX-y0.0094+r0.1901": "contradictory-duplicate:XX+y0.0094+r0.1901",
     }
-    assert recordings.failure_type.tolist() == ["+x", "", ""]
+    assert recordings.column("failure_type").tolist() == ["+x", "", ""]
     assert np.isnan(recordings.deviation[1:]).all()
     assert len(report.warnings) == 2
 
@@ -121,7 +122,7 @@ def test_layouts(tmp_path: Path) -> None:
     recordings, _ = importer.read_hiro(tmp_path)
     assert recordings.arm.tolist() == ["L", "R"]
     assert notes(recordings) == {"only-left": "state-file-missing", "plain-state": ""}
-    np.testing.assert_array_equal(recordings.onset[1], [0, 0.5, np.nan, np.nan])
+    np.testing.assert_array_equal(recordings.starts(RECORDED)[1], [0, 0.5, np.nan, np.nan])
     assert recordings.outcome.tolist() == ["unknown", "unknown"]
     assert recordings.session.tolist() == ["set", "set"]
 
@@ -219,5 +220,5 @@ def test_without_angles_the_boundary_comes_from_the_pose_or_the_share(tmp_path: 
         "pose": "angles-missing;harmonised-from-pose",
         "share": "angles-missing;harmonised-fallback",
     }
-    np.testing.assert_allclose(recordings.onset_harmonised[:, 2], [1.2, 1.4])
-    np.testing.assert_allclose(recordings.onset[:, 2], 0.505)
+    np.testing.assert_allclose(recordings.starts(HARMONISED)[:, 2], [1.2, 1.4])
+    np.testing.assert_allclose(recordings.starts(RECORDED)[:, 2], 0.505)

@@ -13,6 +13,7 @@ import pytest
 from rcbht_jax.io.hiro import importer
 from rcbht_jax.io.hiro.names import SETS
 from rcbht_jax.io.store import read_attrs
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
 
@@ -126,7 +127,7 @@ def test_harmonised_states_reproduce_the_signatures(
 
 def resampled(recordings: Recordings, index: int, shift: float) -> np.ndarray:
     """The signature [4, 100, 6] of a recording, the rotation boundary moved by ``shift`` seconds."""
-    start = recordings.onset_harmonised[index] + np.array([0.0, 0.0, shift, 0.0])
+    start = recordings.starts(HARMONISED)[index] + np.array([0.0, 0.0, shift, 0.0])
     samples = int(recordings.length[index])
     time = np.arange(samples) * recordings.dt
     edges = [*start, min(start[3] + 1.0, time[-1])]

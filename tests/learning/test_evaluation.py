@@ -17,6 +17,7 @@ from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, t
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 QUICK = Grid(kernels=("linear",), costs=(0.1, 1.0), scalings=(False,), inner=2)
@@ -96,7 +97,7 @@ def test_boundaries_can_be_harmonised_or_merged(recordings):
 
 
 def test_merging_needs_no_rotation_mark(recordings):
-    onset = recordings.onset.copy()
+    onset = recordings.starts(RECORDED).copy()
     onset[:, 2] = np.nan
     without = replace(recordings, onset=onset)
     assert len(labelled_intervals(without, TaskSpec(boundaries="merged")).y) > 0
@@ -106,7 +107,7 @@ def test_merging_needs_no_rotation_mark(recordings):
 
 @pytest.mark.parametrize("bad", [5.0, 1.0, 0.95])
 def test_marks_beyond_the_record_or_out_of_order_drop_the_trial(recordings, bad):
-    onset = recordings.onset.copy()
+    onset = recordings.starts(RECORDED).copy()
     onset[0, 2] = bad
     items = labelled_intervals(replace(recordings, onset=onset), TaskSpec(boundaries="recorded"))
     assert items.dropped["a state is missing"] == 2
@@ -143,7 +144,7 @@ def test_outcome_and_failure_type_use_whole_records(recordings):
 
 
 def test_rare_failure_types_are_left_out(recordings):
-    types = recordings.failure_type.astype("<U8")
+    types = recordings.column("failure_type").astype("<U8")
     types[20] = "+x-y"  # a listed type, on a success: the outcome filter hides it
     types[TRIALS - 2] = "-r"
     types[2 * TRIALS - 1] = "-y"

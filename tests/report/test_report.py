@@ -34,6 +34,7 @@ from rcbht_jax.report import Options, page
 from rcbht_jax.report.pack import LEVELS, infer_beliefs, pack, quantised, rounded
 from rcbht_jax.report.page import chosen, results_html
 from rcbht_jax.report.results import SCHEMA, cells, read_results
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
@@ -351,7 +352,7 @@ def test_mouse_words_and_print(report: Path, data: DataSet) -> None:
 
 def test_a_hundred_long_trials_open_within_two_seconds(data: DataSet, tmp_path: Path) -> None:
     """33 s each, as long as the longest recorded session, of noise that hardly deflates."""
-    long = dataclasses.replace(signals(6600), onset=data.recordings.onset, onset_harmonised=data.recordings.onset)
+    long = dataclasses.replace(signals(6600), onset=data.recordings.starts(RECORDED), onset_harmonised=data.recordings.starts(RECORDED))
     write_recordings(tmp_path / "long.zarr", long, {})
     few = load(tmp_path / "long.zarr", window=5)
     rows = np.arange(100) % 4

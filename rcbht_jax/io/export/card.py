@@ -15,6 +15,7 @@ from rcbht_jax._util.digest import content_hash
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.labels import LAYERS, MEANING, name
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
@@ -107,7 +108,7 @@ def _outcome_confounds(recordings: Recordings) -> list[str]:
 
 def _state_confounds(recordings: Recordings) -> list[str]:
     sentences = []
-    onset, logged = recordings.onset_harmonised, recordings.onset
+    onset, logged = recordings.starts(HARMONISED), recordings.starts(RECORDED)
     if missing := int(np.isnan(onset).any(1).sum()):
         sentences.append(f"Recordings that lack the start of a state: {missing}.")
     durations = [column[np.isfinite(column)] for column in np.diff(onset, axis=1).T]

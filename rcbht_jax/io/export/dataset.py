@@ -17,6 +17,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import choose_tracks, list_tracks
 from rcbht_jax.io.store import SIMULATION, open_store, read_attrs, read_recordings, read_simulation
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 
@@ -104,7 +105,7 @@ def states_at_samples(recordings: Recordings, row: int) -> Int8[np.ndarray, " sa
     """State of the assembly at each sample by the harmonised boundaries; -1 before the first known one."""
     samples = np.arange(recordings.length[row])
     state = np.full(len(samples), -1, np.int8)
-    for number, onset in enumerate(recordings.onset_harmonised[row]):
+    for number, onset in enumerate(recordings.starts(HARMONISED)[row]):
         if np.isfinite(onset):
             state[samples >= np.rint(onset / recordings.dt)] = number
     return state

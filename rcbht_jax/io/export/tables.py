@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.io.export.dataset import DataSet, words
 from rcbht_jax.labels import AXES, LAYERS, MEANING, STATES, name
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 
 Table = dict[str, NDArray[Any]]
@@ -54,7 +55,7 @@ def trials(recordings: Recordings) -> Table:
     table: Table = {"recording": np.arange(len(recordings), dtype=np.int32)}
     table |= {field: np.asarray(getattr(recordings, field)) for field in TEXTS}
     table |= {"samples": recordings.length, "seconds": recordings.length * recordings.dt}
-    for prefix, onsets in (("onset", recordings.onset), ("harmonised", recordings.onset_harmonised)):
+    for prefix, onsets in (("onset", recordings.starts(RECORDED)), ("harmonised", recordings.starts(HARMONISED))):
         table |= {f"{prefix}_{state}": onsets[:, number] for number, state in enumerate(STATES)}
     return table | {column: recordings.deviation[:, number] for number, column in enumerate(DEVIATIONS)}
 

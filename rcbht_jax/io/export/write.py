@@ -19,6 +19,7 @@ from rcbht_jax.io.export.dataset import DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import write_lerobot
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
+from rcbht_jax.robots.snap_assembly import HARMONISED
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
 
@@ -147,7 +148,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
 def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
     recordings, samples = data.recordings, int(data.recordings.length[row])
     codes = None if data.tracks is None else codes_at_samples(data.tracks, row, samples)
-    onsets = recordings.onset_harmonised[row]
+    onsets = recordings.starts(HARMONISED)[row]
     begins = set(np.rint(onsets[np.isfinite(onsets)] / recordings.dt).astype(int).tolist())
     with McapWriter(path) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):

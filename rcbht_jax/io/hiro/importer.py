@@ -27,6 +27,7 @@ from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 
 Progress = Callable[[list[Path]], Iterable[Path]]
@@ -192,10 +193,10 @@ def _pack(records: list[ArmRecord]) -> Recordings:
     for row, record in zip(wrench, records, strict=True):
         row[: len(record.table.values)] = record.table.values
     names = [record.name for record in records]
-    return Recordings(
-        wrench=wrench,
-        length=length,
-        dt=round(records[0].table.dt, 6),
+    return snap_recordings(
+        wrench,
+        length,
+        round(records[0].table.dt, 6),
         onset=np.stack([record.onset for record in records]),
         onset_harmonised=np.stack([record.onset_harmonised for record in records]),
         trial=np.array([record.trial for record in records], np.str_),

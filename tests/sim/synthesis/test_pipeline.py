@@ -29,6 +29,7 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_store_holds_what_was_simulated(whole: Path) -> None:
     assert np.array_equal(recordings.outcome == "success", out.seated.all(1))
     assert set(recordings.outcome) == {"success", "failure"}
     assert simulation["fault"].tolist() == [fault.kind for fault in faults]
-    assert recordings.failure_type.tolist() == [fault.failure_type for fault in faults]
+    assert recordings.column("failure_type").tolist() == [fault.failure_type for fault in faults]
     assert np.array_equal(recordings.deviation, [fault.deviation for fault in faults])
     assert np.array_equal(simulation["hook_overlap"], params.parts.hook_overlap)
     assert np.array_equal(simulation["seated"], out.seated)
@@ -112,8 +113,8 @@ def test_one_sample_of_rotation_is_harmonised_by_the_tilt(tmp_path: Path) -> Non
     synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(turn))
     recordings = read_recordings(tmp_path / "t.zarr")
     assert set(recordings.note) == {"harmonised"}
-    np.testing.assert_allclose(recordings.onset[:, 2], 0.015)
-    np.testing.assert_allclose(recordings.onset_harmonised[:, 2], 0.025)
+    np.testing.assert_allclose(recordings.starts(RECORDED)[:, 2], 0.015)
+    np.testing.assert_allclose(recordings.starts(HARMONISED)[:, 2], 0.025)
 
 
 def wild(out: Rollouts, how: str) -> None:

@@ -19,6 +19,7 @@ from rcbht_jax.cli import main
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.two_arm_scene import two_arm
@@ -49,9 +50,9 @@ def test_a_stored_trial_is_simulated_again_exactly(simulated: Path, shown: repla
     np.testing.assert_array_equal(shown.past[-1], seated)
     # a tab that is past its lip is below the height that counts, and stays part of the story
     assert (shown.height[shown.past] < 0).all()
-    found = replay.moments(shown, recordings.onset_harmonised[1])
+    found = replay.moments(shown, recordings.starts(HARMONISED)[1])
     assert list(found.values()) == sorted(found.values())
-    assert found["touch"] == recordings.onset_harmonised[1, 1]
+    assert found["touch"] == recordings.starts(HARMONISED)[1, 1]
     assert {name for name in found if name.endswith(replay.PASSES)} == {
         f"{tab}{replay.PASSES}" for tab, seat in zip(("FR", "FL", "RR", "RL"), seated, strict=True) if seat
     }
