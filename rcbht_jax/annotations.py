@@ -162,6 +162,13 @@ class Annotations:
         first[chosen.recording[::-1], chosen.code[::-1]] = chosen.start[::-1]
         return first
 
+    def begins(self, recording: int, track: str = "") -> Float[np.ndarray, " interval"]:
+        """Starts of the intervals of a track (default: see :meth:`choose`) in one recording, s, in order of time."""
+        name = self.choose(track)
+        if not name:
+            return np.zeros(0)
+        return np.sort(self.start[(self.recording == recording) & (self.track == self.tracks.index(name))])
+
     def take(self, rows: NDArray[np.integer]) -> Annotations:
         """The annotations of some recordings ``[new recording]``, which may repeat, numbered anew."""
         by_recording = np.argsort(self.recording, kind="stable")

@@ -34,7 +34,7 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
-from rcbht_jax.labels import STATES
+from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals

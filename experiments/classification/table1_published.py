@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
-from rcbht_jax.labels import STATES
+from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES
+from rcbht_jax.labels import COLORS, LAYERS
 from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure
-from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels
@@ -26,7 +25,7 @@ _CAPTIONS = {
     "state": "columns: time, normalised within each state; white: state missing, or no label",
 }
 Rows = Int[np.ndarray, " row"]
-Codes = Int8[np.ndarray, "row 6 _column"]
+Codes = Int8[np.ndarray, "row axis _column"]
 # A white rim separates lines from dark labels.
 _RIM = [Stroke(linewidth=2.2, foreground="white"), Normal()]
 
@@ -40,23 +39,25 @@ def label_map(
     by: Literal["word", "state"] = "word",
     words: int | None = None,
     title: str = "",
+    track: str = "",
 ) -> Figure:
     """Labels of one layer of many recordings.
 
     Rows are sorted by session, data set, trial and arm. Columns are the labels in order (``by="word"``) or time,
-    normalised within each harmonised state (``by="state"``). White: after the last label of a recording, a missing
-    state, or a time without a label.
+    normalised within each interval of a track of annotations (``by="state"``). White: after the last label of a
+    recording, a missing interval, or a time without a label.
 
     >>> figure = label_map(recordings, tracks, "llb", by="state")  # doctest: +SKIP
 
     Args:
         recordings: data set.
-        tracks: its labels ``[recording, 6, slot]``.
+        tracks: its labels ``[recording, axis, slot]``.
         layer: "primitive", "mc" or "llb".
         select: which recordings: bool ``[recording]`` or row numbers; default all.
         by: what a column is.
         words: largest number of labels to show; the caption states how many rows are truncated. Default all.
         title: start of the title.
+        track: track of annotations; default see :meth:`rcbht_jax.annotations.Annotations.choose`.
 
     Raises:
         InputError: the layer or ``by`` is unknown, no recording is selected, ``words`` is not positive, or the tracks
@@ -68,20 +69,21 @@ def label_map(
         )
     check_rows(recordings, tracks)
     rows = _sorted_rows(recordings, select)
-    track: LabelTrack = getattr(tracks, layer)
-    codes = _by_word(track, rows) if by == "word" else _by_state(track, rows, recordings)
+    chosen: LabelTrack = getattr(tracks, layer)
+    states = _states(recordings, track) if by == "state" else ()
+    codes = _by_word(chosen, rows) if by == "word" else _by_state(chosen, rows, recordings, track, states)
     caption = _CAPTIONS[by]
     if by == "word" and words is not None:
         codes, caption = _cut(codes, words, caption)
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
-    columns = 1 if by == "word" else 2
-    figure, panels = _panels(columns, len(rows))
-    per_column = len(AXES) // columns
+    columns = 1 if by == "word" or len(recordings.axes) == 1 else 2
+    figure, panels = _panels(recordings.axes, columns, len(rows))
+    per_column = -(-len(panels) // columns)
     for axis, ax in enumerate(panels):
         _draw(ax, codes[:, axis], layer)
-        ax.set_title(AXES[axis], fontsize=12, loc="left", pad=4)
+        ax.set_title(recordings.axes[axis], fontsize=12, loc="left", pad=4)
         _separate_sessions(ax, recordings, rows, named=axis < per_column)
-        _label_columns(ax, by, last=axis % per_column == per_column - 1)
+        _label_columns(ax, states, last=axis % per_column == per_column - 1)
     facts = f"{LAYER_TITLES[layer]} of {len(rows)} recordings"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
     height = figure.get_figheight()
@@ -92,9 +94,9 @@ def label_map(
     return figure
 
 
-def _panels(columns: int, rows: int) -> tuple[Figure, list[Axes]]:
-    """Axes in the order of ``AXES``, column by column, tall enough for ``rows``."""
-    per_column = len(AXES) // columns
+def _panels(axes: tuple[str, ...], columns: int, rows: int) -> tuple[Figure, list[Axes]]:
+    """A panel for each of ``axes``, column by column, tall enough for ``rows``."""
+    per_column = -(-len(axes) // columns)
     panel = min(max(0.05 * rows * columns, 1.6), 3.6 * columns)  # inches
     height = HEAD + FOOT + per_column * panel + (per_column - 1) * GAP
     figure = new_figure((WIDTH, height), DPI)
@@ -102,7 +104,7 @@ def _panels(columns: int, rows: int) -> tuple[Figure, list[Axes]]:
         per_column, columns, left=_LEFT, right=0.985, bottom=FOOT / height, top=1 - HEAD / height,
         wspace=0.04, hspace=GAP / panel,
     )  # fmt: skip
-    return figure, [figure.add_subplot(grid[axis % per_column, axis // per_column]) for axis in range(len(AXES))]
+    return figure, [figure.add_subplot(grid[axis % per_column, axis // per_column]) for axis in range(len(axes))]
 
 
 def _sorted_rows(recordings: Recordings, select: Bool[np.ndarray, " recording"] | Rows | None) -> Rows:
@@ -130,21 +132,31 @@ def _cut(codes: Codes, words: int, caption: str) -> tuple[Codes, str]:
     return codes[..., :words], f"{caption}; {longer} of {codes[..., 0].size} rows are truncated"
 
 
-def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings) -> Codes:
-    """Codes by state, ``POINTS_PER_STATE`` columns each, 0 where a state is missing."""
-    codes = np.zeros((len(rows), len(AXES), len(STATES), POINTS_PER_STATE), np.int8)
+def _states(recordings: Recordings, track: str) -> tuple[str, ...]:
+    name = recordings.annotations.choose(track)
+    if not name:
+        raise InputError("The data set has no annotations; a label map by state needs a track of them.")
+    return recordings.annotations.labels[name]
+
+
+def _by_state(
+    track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str, states: tuple[str, ...]
+) -> Codes:
+    """Codes by state, ``POINTS_PER_STATE`` columns each, 0 where a state is missing; the first of several."""
+    starts = recordings.starts(recordings.annotations.choose(annotated)) / recordings.dt
+    axes = len(recordings.axes)
+    codes = np.zeros((len(rows), axes, len(states), POINTS_PER_STATE), np.int8)
     fractions = (np.arange(POINTS_PER_STATE) + 0.5) / POINTS_PER_STATE
     for row, index in enumerate(rows.tolist()):
-        edges = np.append(recordings.starts(HARMONISED)[index] / recordings.dt, np.nan)
+        edges = np.append(starts[index], np.nan)
         for state, start in enumerate(edges[:-1]):
             if np.isnan(start):
                 continue
-            later = edges[state + 1 :]
-            stop = min([*later[~np.isnan(later)], recordings.length[index]])
+            stop = min([*edges[edges > start], recordings.length[index]])
             moments = start + fractions * max(stop - start, 0.0)
-            for axis in range(len(AXES)):
+            for axis in range(axes):
                 codes[row, axis, state] = _codes_at(track, index, axis, moments)
-    return codes.reshape(len(rows), len(AXES), -1)
+    return codes.reshape(len(rows), axes, -1)
 
 
 def _codes_at(
@@ -184,13 +196,13 @@ def _separate_sessions(ax: Axes, recordings: Recordings, rows: Rows, named: bool
     ax.tick_params(axis="y", length=0)
 
 
-def _label_columns(ax: Axes, by: str, last: bool) -> None:
+def _label_columns(ax: Axes, states: tuple[str, ...], last: bool) -> None:
     ax.tick_params(labelbottom=last)
-    if by == "word":
+    if not states:
         if last:
             ax.set_xlabel("number of the label, from 1", fontsize=11)
         return
-    for state in range(1, len(STATES)):
+    for state in range(1, len(states)):
         ax.axvline(state * POINTS_PER_STATE + 0.5, color="black", linewidth=0.9, gid="state", path_effects=_RIM)
-    ax.set_xticks([(state + 0.5) * POINTS_PER_STATE for state in range(len(STATES))], STATES)
+    ax.set_xticks([(state + 0.5) * POINTS_PER_STATE for state in range(len(states))], states)
     ax.tick_params(axis="x", length=0)

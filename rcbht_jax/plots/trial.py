@@ -15,9 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import AXES, COLORS, LAYERS, STATES, name
+from rcbht_jax.labels import COLORS, LAYERS, name
 from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, text_color
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels
@@ -31,11 +30,11 @@ _LETTER = 8.0  # pixels of one letter of a label's name, at most
 
 @dataclass(frozen=True)
 class Mark:
-    """The start of a state."""
+    """The start of an annotated interval."""
 
     seconds: float
     text: str
-    dashed: bool  # a boundary of the harmonised states, not one that the controller logged
+    dashed: bool  # of a track that corrects the first one, where the two differ
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def trial_figure(
 
     Args:
         recordings: data set.
-        tracks: its labels ``[recording, 6, slot]``.
+        tracks: its labels ``[recording, axis, slot]``.
         index: row of the recording.
         window: samples per straight-line fit, for the title.
         seconds: start and end of the part to show; default the whole recording.
@@ -80,7 +79,7 @@ def trial_figure(
     view = _view(recordings, index, seconds)
     marks = [mark for mark in state_marks(recordings, index) if view.start <= mark.seconds < view.stop]
     figure = new_figure(INCHES, DPI)
-    panels = _panels(figure)
+    panels = _panels(figure, recordings.axes)
     used: dict[str, set[int]] = {layer: set() for layer in LAYERS}
     for axis, (signal, band) in enumerate(panels):
         lanes = [_lane(getattr(tracks, layer), index, axis, view) for layer in LAYERS]
@@ -98,15 +97,23 @@ def trial_figure(
 
 
 def state_marks(recordings: Recordings, index: int) -> list[Mark]:
-    """Starts of the states of one recording; a harmonised start is listed where it differs from the logged one."""
-    rows = zip(STATES, recordings.starts(RECORDED)[index], recordings.starts(HARMONISED)[index], strict=True)
-    marks = []
-    for state, logged, harmonised in rows:
-        if not np.isnan(logged):
-            marks.append(Mark(float(logged), state, False))
-        if not np.isnan(harmonised) and not abs(harmonised - logged) < recordings.dt / 2:
-            marks.append(Mark(float(harmonised), f"{state}, harmonised", True))
+    """Starts of the intervals of the first track of one recording, and of those that its harmonised variant moves."""
+    first = next(iter(recordings.annotations.labels), "")
+    corrected = recordings.annotations.choose()
+    if not first:
+        return []
+    logged = _starts(recordings, first, index)
+    marks = [Mark(seconds, label, False) for label, seconds in logged]
+    for label, seconds in _starts(recordings, corrected, index) if corrected != first else ():
+        if not any(name == label and abs(seconds - start) < recordings.dt / 2 for name, start in logged):
+            marks.append(Mark(seconds, f"{label}, harmonised", True))
     return sorted(marks, key=lambda mark: mark.seconds)
+
+
+def _starts(recordings: Recordings, track: str, index: int) -> list[tuple[str, float]]:
+    marks = recordings.annotations.of(track)
+    rows = marks.recording == index
+    return list(zip(marks.names()[rows].tolist(), marks.start[rows].tolist(), strict=True))
 
 
 def fitted_lines(lane: LabelTrack, dt: float) -> Float[np.ndarray, "slot 2 2"]:
@@ -136,18 +143,18 @@ def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
     return LabelTrack(**{field: values[visible] for field, values in columns.items()})
 
 
-def _panels(figure: Figure) -> list[tuple[Axes, Axes]]:
-    """Six pairs of axes, signal above bands, all with one time axis."""
-    grid = figure.add_gridspec(len(AXES), 1, left=LEFT, right=RIGHT, bottom=BOTTOM, top=TOP, hspace=0.13)
+def _panels(figure: Figure, axes: tuple[str, ...]) -> list[tuple[Axes, Axes]]:
+    """A pair of panels for each axis, signal above bands, all with one time axis."""
+    grid = figure.add_gridspec(len(axes), 1, left=LEFT, right=RIGHT, bottom=BOTTOM, top=TOP, hspace=0.13)
     panels: list[tuple[Axes, Axes]] = []
-    for axis in range(len(AXES)):
+    for axis, title in enumerate(axes):
         pair = grid[axis].subgridspec(2, 1, height_ratios=(2.5, 1.0), hspace=0)
         signal = figure.add_subplot(pair[0], sharex=panels[0][0] if panels else None)
         band = figure.add_subplot(pair[1], sharex=signal)
-        signal.set_gid(f"signal-{AXES[axis]}")
-        band.set_gid(f"labels-{AXES[axis]}")
+        signal.set_gid(f"signal-{title}")
+        band.set_gid(f"labels-{title}")
         signal.tick_params(labelbottom=False, bottom=False, labelsize=10)
-        band.tick_params(labelbottom=axis == len(AXES) - 1, labelsize=10)
+        band.tick_params(labelbottom=axis == len(axes) - 1, labelsize=10)
         panels.append((signal, band))
     return panels
 
@@ -166,7 +173,8 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primit
     low, high = float(visible.min()), float(visible.max())
     margin = max(0.08 * (high - low), 1e-3)
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    ax.set_ylabel(f"{AXES[axis]}, {'N' if axis < 3 else 'Nm'}", fontsize=12)
+    unit = recordings.units[axis]
+    ax.set_ylabel(f"{recordings.axes[axis]}, {unit}" if unit else recordings.axes[axis], fontsize=12)
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
 
@@ -232,7 +240,9 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
 
 def _title(recordings: Recordings, index: int, window: int | None) -> str:
     arm = {"R": "right arm", "L": "left arm"}.get(str(recordings.arm[index]), "")
-    failure = f" ({recordings.column("failure_type")[index]})" if recordings.column("failure_type")[index] else ""
+    kinds = (str(values[index]) for values in recordings.columns.values() if values.dtype.kind == "U")
+    kind = ", ".join(filter(None, kinds))
+    failure = f" ({kind})" if kind else ""
     facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
@@ -249,7 +259,7 @@ def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
     """Legend of the lines, in the upper right corner."""
     handles: list[Artist] = [ax.lines[0], ax.collections[0]]
     texts = ["wrench", "fitted lines"]
-    for dashed, text in ((False, "start of a state, logged"), (True, "start of a state, harmonised")):
+    for dashed, text in ((False, "start of a state"), (True, "start of a state, harmonised")):
         if any(mark.dashed == dashed for mark in marks):
             handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))
             texts.append(text)

@@ -16,8 +16,9 @@ from jaxtyping import Float64, Int16
 from numpy.typing import ArrayLike
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, STATES, name
+from rcbht_jax.labels import ALPHABETS, AXES, LAYERS, name
 from rcbht_jax.reference import OfflineLabels, state_onsets
+from rcbht_jax.robots.snap_assembly import STATES
 
 Row = Int16[np.ndarray, " feature"]
 

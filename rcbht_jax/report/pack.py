@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.export.dataset import words
-from rcbht_jax.labels import AXES, LAYERS
-from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTracks, Recordings
 
 LEVELS = 16_000  # steps between the smallest and the largest value of an axis: finer than the resolution of sensors
@@ -40,12 +39,11 @@ class Beliefs:
 def infer_beliefs(introspector: Introspector, recordings: Recordings, row: int) -> list[Beliefs]:
     """Stream one recording through a model.
 
-    The model is given the harmonised onsets of the store, as a controller would announce its sub-tasks.
+    The model is given the starts of the annotated intervals, as a controller would announce its sub-tasks.
     """
     introspector.reset()
     samples = int(recordings.length[row])
-    onsets = recordings.starts(HARMONISED)[row]
-    starts = np.rint(onsets[np.isfinite(onsets)] / recordings.dt).astype(int)
+    starts = np.rint(recordings.annotations.begins(row) / recordings.dt).astype(int)
     inner = np.unique(starts[(starts > 0) & (starts < samples)]).tolist()
     events: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
     for start, stop in zip([0, *inner], [*inner, samples], strict=True):
@@ -75,14 +73,14 @@ def pack(
     """
     from rcbht_jax.plots.trial import state_marks  # matplotlib, which a live page does without
 
-    samples = int(recordings.length[row])
+    samples, axes = int(recordings.length[row]), len(recordings.axes)
     codes, lowest, step = quantised(recordings.wrench[row, :samples].T)
     wide: list[NDArray[Any]] = []
     narrow: list[NDArray[Any]] = []
     counts = []
     for layer in LAYERS:
-        lanes = [] if tracks is None else [words(getattr(tracks, layer), row, axis) for axis in range(len(AXES))]
-        counts.append([len(lane["label"]) for lane in lanes] or [0] * len(AXES))
+        lanes = [] if tracks is None else [words(getattr(tracks, layer), row, axis) for axis in range(axes)]
+        counts.append([len(lane["label"]) for lane in lanes] or [0] * axes)
         if not lanes:
             continue
         joined = {field: np.concatenate([lane[field] for lane in lanes]) for field in lanes[0]}
@@ -95,7 +93,7 @@ def pack(
     raw = b"".join(part.tobytes() for part in [*wide, wrench, *narrow])
     about = {
         **{field: str(getattr(recordings, field)[row]) for field in ("trial", "arm", "source", "session", "outcome")},
-        "failure": str(recordings.column("failure_type")[row]),
+        "failure": str(recordings.columns["failure_type"][row]) if "failure_type" in recordings.columns else "",
         "samples": samples,
         "low": lowest.tolist(),
         "step": step.tolist(),

@@ -20,7 +20,7 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import DataSet
-from rcbht_jax.labels import AXES, COLORS, LAYERS, MEANING, name
+from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.report.pack import infer_beliefs, pack
 from rcbht_jax.report.results import Results, cells
 from rcbht_jax.types import Recordings
@@ -60,7 +60,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         progress(1)
     facts = {
         "dt": data.recordings.dt,
-        "axes": AXES,
+        "axes": data.recordings.axes,
         "layers": LAYERS,
         "names": {layer: [name(layer, code) for code in range(len(MEANING[layer]) + 1)] for layer in LAYERS},
         "meanings": {layer: ["", *MEANING[layer]] for layer in LAYERS},

@@ -15,7 +15,6 @@ from rcbht_jax._util.digest import content_hash
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.labels import LAYERS, MEANING, name
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
@@ -33,6 +32,8 @@ def description(data: DataSet) -> dict[str, Any]:
     return {
         "made_by": f"rcbht-jax {rcbht_jax.__version__}",
         "dt": data.recordings.dt,
+        "axes": dict(zip(data.recordings.axes, data.recordings.units, strict=True)),
+        "annotations": {track: list(names) for track, names in data.recordings.annotations.labels.items()},
         "recordings": len(data.recordings),
         "columns": COLUMNS,
         "alphabets": {
@@ -67,10 +68,8 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
         "**Licence:** not stated yet; add it here before you share this data. It is the licence of the recordings, not "
         "that of the program that wrote these files.",
         f"## Files\n\n{layout}",
-        "## Units and frames\n\nForces Fx Fy Fz in N, moments Mx My Mz in N m, times in s from the first sample of a "
-        "recording, evenly spaced. The wrench is as the source logged it: not tared, filtered, resampled or rotated. "
-        "HIRO's one-arm trials, recorded or simulated, are in the robot's base frame (x forward, y left, z up), its "
-        "two-arm trials in the frame of each wrist; moments are about a point of the wrist.",
+        f"## Units and frames\n\n{_axes(recordings)}; times in s from the first sample of a recording, evenly spaced. "
+        + str(data.attrs.get("frames", "The source does not state the frame of the axes.")),
         f"## Labels\n\n{_labels(data)}",
         f"## Counts\n\n{_counts(recordings)}",
         "## Known confounds\n\n" + "\n".join(f"* {sentence}" for sentence in about["confounds"]),
@@ -79,6 +78,11 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
         + "\n```",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _axes(recordings: Recordings) -> str:
+    pairs = zip(recordings.axes, recordings.units, strict=True)
+    return ", ".join(f"{axis} in {unit}" if unit else f"{axis} (unit not stated)" for axis, unit in pairs)
 
 
 def confounds(data: DataSet) -> Sequence[str]:
@@ -107,16 +111,23 @@ def _outcome_confounds(recordings: Recordings) -> list[str]:
 
 
 def _state_confounds(recordings: Recordings) -> list[str]:
+    track = recordings.annotations.choose()
+    if not track:
+        return []
     sentences = []
-    onset, logged = recordings.starts(HARMONISED), recordings.starts(RECORDED)
-    if missing := int(np.isnan(onset).any(1).sum()):
-        sentences.append(f"Recordings that lack the start of a state: {missing}.")
-    durations = [column[np.isfinite(column)] for column in np.diff(onset, axis=1).T]
-    medians = [float(np.median(column)) for column in durations if len(column)]
+    marks = recordings.annotations.of(track)
+    names = marks.labels[track]
+    if missing := int(np.isnan(recordings.starts(track)).any(1).sum()):
+        sentences.append(f"Recordings that lack a label of the track {track}: {missing}.")
+    seconds = marks.end - marks.start
+    medians = [float(np.nanmedian(seconds[marks.code == code])) for code in np.unique(marks.code[seconds > 0])]
     if medians and max(medians) > 2 * min(medians):
-        sentences.append("The states differ in length: compare scores of states with those of duration alone.")
-    if single := int((logged[:, 2] - logged[:, 1] < 1.5 * recordings.dt).sum()):
-        sentences.append(f"Recordings whose logged rotation lasts one sample: {single}; use the harmonised boundaries.")
+        sentences.append(
+            f"The {len(names)} classes of {track} differ in length: compare scores with those of duration alone."
+        )
+    first = recordings.annotations.of(recordings.annotations.tracks[0])
+    if single := int((first.end - first.start < 1.5 * recordings.dt).sum()):
+        sentences.append(f"Intervals of {next(iter(first.labels))} that last one sample or less: {single}.")
     return sentences
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int8
+from jaxtyping import Int8, Int16
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
@@ -17,7 +17,6 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import choose_tracks, list_tracks
 from rcbht_jax.io.store import SIMULATION, open_store, read_attrs, read_recordings, read_simulation
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 
@@ -58,7 +57,7 @@ def load(store: Path, tracks: str = "", window: int | None = None) -> DataSet:
 
 
 def _encode(recordings: Recordings, window: int) -> tuple[LabelTracks, dict[str, Any]]:
-    config, thresholds = EncoderConfig(window, recordings.dt), preset("hiro")
+    config, thresholds = EncoderConfig(window, recordings.dt), preset("hiro", recordings.axes)
     tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length)
     attrs = {
         "semantics": "online",
@@ -81,9 +80,10 @@ def codes_at_samples(tracks: LabelTracks, row: int, samples: int) -> Int8[np.nda
     Online labels hold from their publication on (what a robot could know after that sample); labels of an offline
     encoder, which have no moment of publication, over the span that they describe.
     """
-    codes = np.zeros((samples, len(LAYERS), 6), np.int8)
+    axes = np.shape(tracks.llb.label)[1]
+    codes = np.zeros((samples, len(LAYERS), axes), np.int8)
     for number, layer in enumerate(LAYERS):
-        for axis in range(6):
+        for axis in range(axes):
             codes[:, number, axis] = _at_samples(words(getattr(tracks, layer), row, axis), samples)
     return codes
 
@@ -101,11 +101,19 @@ def _at_samples(word: dict[str, NDArray[Any]], samples: int) -> Int8[np.ndarray,
     return np.where(valid, word["label"][latest], 0).astype(np.int8)
 
 
-def states_at_samples(recordings: Recordings, row: int) -> Int8[np.ndarray, " sample"]:
-    """State of the assembly at each sample by the harmonised boundaries; -1 before the first known one."""
+def states_at_samples(recordings: Recordings, row: int) -> Int16[np.ndarray, " sample"]:
+    """Code of the annotated label at each sample (:meth:`rcbht_jax.annotations.Annotations.choose`); -1 = none.
+
+    An interval whose end is unknown lasts until the next one begins.
+    """
     samples = np.arange(recordings.length[row])
-    state = np.full(len(samples), -1, np.int8)
-    for number, onset in enumerate(recordings.starts(HARMONISED)[row]):
-        if np.isfinite(onset):
-            state[samples >= np.rint(onset / recordings.dt)] = number
+    state = np.full(len(samples), -1, np.int16)
+    track = recordings.annotations.choose()
+    if not track:
+        return state
+    marks = recordings.annotations.of(track)
+    for item in np.flatnonzero(marks.recording == row):
+        state[samples >= np.rint(marks.start[item] / recordings.dt)] = marks.code[item]
+        if np.isfinite(marks.end[item]):
+            state[samples >= np.rint(marks.end[item] / recordings.dt)] = -1
     return state

@@ -19,7 +19,7 @@ from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
 from rcbht_jax.io.export.dataset import DataSet, codes_at_samples, states_at_samples
 from rcbht_jax.io.export.tables import Table
-from rcbht_jax.labels import AXES, LAYERS
+from rcbht_jax.labels import LAYERS
 
 VERSION = "v3.0"
 CHUNK, FILE_BYTES = 1000, 100 * 2**20  # files per folder; largest file, before compression
@@ -69,14 +69,14 @@ def _fps(dt: float) -> int:
     return fps
 
 
-def _features(labelled: bool) -> dict[str, dict[str, Any]]:
-    axes, scalar = list(AXES), {"shape": [1], "names": None}
+def _features(labelled: bool, axes: list[str]) -> dict[str, dict[str, Any]]:
+    scalar, shape = {"shape": [1], "names": None}, [len(axes)]
     features: dict[str, dict[str, Any]] = {
-        "observation.wrench": {"dtype": "float32", "shape": [6], "names": axes},
+        "observation.wrench": {"dtype": "float32", "shape": shape, "names": axes},
         "observation.state_index": {"dtype": "int64", **scalar},
     }
     if labelled:
-        features |= {f"observation.label.{layer}": {"dtype": "int64", "shape": [6], "names": axes} for layer in LAYERS}
+        features |= {f"observation.label.{layer}": {"dtype": "int64", "shape": shape, "names": axes} for layer in LAYERS}
     features |= {"next.done": {"dtype": "bool", **scalar}, "timestamp": {"dtype": "float32", **scalar}}
     return features | {
         key: {"dtype": "int64", **scalar} for key in ("frame_index", "episode_index", "index", "task_index")
@@ -97,7 +97,7 @@ def _info(data: DataSet, fps: int, tasks: int, episodes: int, frames: int) -> di
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": None,
-        "features": _features(data.tracks is not None),
+        "features": _features(data.tracks is not None, list(data.recordings.axes)),
     }
 
 

@@ -9,44 +9,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.io.export.dataset import DataSet, words
-from rcbht_jax.labels import AXES, LAYERS, MEANING, STATES, name
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
+from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.types import Recordings
 
 Table = dict[str, NDArray[Any]]
 
-TEXTS = ("trial", "arm", "source", "session", "outcome", "failure_type", "note")
-DEVIATIONS = ("deviation_x", "deviation_y", "deviation_roll")
+TEXTS = ("trial", "arm", "source", "session", "outcome", "note")
 
 COLUMNS = {
     "recording": "number of the recording, from 0: one arm of one trial",
-    "trial": "name of the trial; both arms of a trial share it",
-    "arm": "R or L",
+    "trial": "name of the trial; all arms of a trial share it",
+    "arm": "arm or sensor",
     "source": "data set",
     "session": "recording session",
-    "outcome": "success, failure or unknown",
-    "failure_type": "type of failure; empty = none",
+    "outcome": "success, failure, unknown, or the data set's own words",
     "note": "flags of the importer, separated by semicolons",
     "samples": "number of samples",
     "seconds": "duration, s",
-    "onset_*": "logged start of a state, s; NaN = missing",
-    "harmonised_*": "start of a state with the harmonised rotation boundary, s; NaN = missing",
-    "deviation_*": "deviation of the start from the nominal pose: x, y in m, roll in rad; NaN = unknown",
+    "track": "name of a track of annotations",
     "sample": "number of the sample, from 0",
     "time": "s from the first sample",
-    "Fx Fy Fz": "force, N",
-    "Mx My Mz": "moment, N m",
     "layer": "primitive, mc or llb",
-    "axis": "Fx Fy Fz Mx My Mz",
+    "axis": "name of the axis",
     "word": "number of the label in its layer and axis, from 0",
     "code": "label as a number, see alphabets",
-    "label": "label as a name",
+    "label": "label as a name; of a track, what was annotated",
     "t0, t1": "first sample of the span, and one past its last",
-    "start, end": "the span in s",
+    "start, end": "the span in s; an empty or NaN end = unknown",
     "emit": "samples received when the label was published; -1 = not online",
-    "vmax, vmin": "largest and smallest value of the fitted lines, N or N m",
-    "avg": "mean, N or N m",
-    "grad": "slope, N/s or N m/s",
+    "vmax, vmin": "largest and smallest value of the fitted lines, unit of the axis",
+    "avg": "mean, unit of the axis",
+    "grad": "slope, unit of the axis per s",
 }
 
 
@@ -55,9 +48,16 @@ def trials(recordings: Recordings) -> Table:
     table: Table = {"recording": np.arange(len(recordings), dtype=np.int32)}
     table |= {field: np.asarray(getattr(recordings, field)) for field in TEXTS}
     table |= {"samples": recordings.length, "seconds": recordings.length * recordings.dt}
-    for prefix, onsets in (("onset", recordings.starts(RECORDED)), ("harmonised", recordings.starts(HARMONISED))):
-        table |= {f"{prefix}_{state}": onsets[:, number] for number, state in enumerate(STATES)}
-    return table | {column: recordings.deviation[:, number] for number, column in enumerate(DEVIATIONS)}
+    return table | dict(recordings.columns)
+
+
+def annotations(recordings: Recordings) -> Table:
+    """One row per annotated interval; empty without annotations."""
+    marks = recordings.annotations
+    if not len(marks):
+        return {}
+    table = {"recording": marks.recording, "track": np.array(marks.tracks)[marks.track], "label": marks.names()}
+    return table | {"start": marks.start, "end": marks.end}
 
 
 def wrench(recordings: Recordings, row: int) -> Table:
@@ -65,7 +65,7 @@ def wrench(recordings: Recordings, row: int) -> Table:
     samples = int(recordings.length[row])
     number = np.arange(samples, dtype=np.int32)
     table: Table = {"recording": np.full(samples, row, np.int32), "sample": number, "time": number * recordings.dt}
-    return table | {axis: recordings.wrench[row, :samples, column] for column, axis in enumerate(AXES)}
+    return table | {axis: recordings.wrench[row, :samples, column] for column, axis in enumerate(recordings.axes)}
 
 
 def labels(data: DataSet) -> Iterator[Table]:
@@ -73,7 +73,7 @@ def labels(data: DataSet) -> Iterator[Table]:
     if data.tracks is None:
         return
     for row in range(len(data.recordings)):
-        parts = [_sentence(data, row, layer, axis) for layer in LAYERS for axis in range(len(AXES))]
+        parts = [_sentence(data, row, layer, axis) for layer in LAYERS for axis in range(len(data.recordings.axes))]
         yield {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
 
 
@@ -84,7 +84,7 @@ def _sentence(data: DataSet, row: int, layer: str, axis: int) -> Table:
     return {
         "recording": np.full(count, row, np.int32),
         "layer": np.full(count, layer),
-        "axis": np.full(count, AXES[axis]),
+        "axis": np.full(count, data.recordings.axes[axis]),
         "word": np.arange(count, dtype=np.int32),
         "code": word["label"].astype(np.int8),
         "label": names[word["label"]],

@@ -19,11 +19,11 @@ from rcbht_jax.io.export.dataset import DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import write_lerobot
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
-from rcbht_jax.robots.snap_assembly import HARMONISED
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
 
-_TABLES = """* `trials.{0}`: one row per recording: names, outcome, starts of states;
+_TABLES = """* `trials.{0}`: one row per recording: names, outcome, further columns;
+* `annotations.{0}`: one row per annotated interval, where there are some;
 * {1};
 * `labels.{0}`: one row per label, where labels are included;
 * `simulation.{0}`: parameters and ground truth of the simulation, where the trials were simulated;
@@ -70,10 +70,10 @@ def check_target(out: Path) -> None:
 
 
 def _check_names(data: DataSet) -> None:
-    for field in tables.TEXTS:
-        for row, text in enumerate(getattr(data.recordings, field).tolist()):
+    for field in (*tables.TEXTS, *data.recordings.columns):
+        for row, text in enumerate(data.recordings.column(field).tolist()):
             try:
-                text.encode()
+                str(text).encode()
             except UnicodeEncodeError:
                 raise InputError(f"The {field} of recording {row} is {text!r}, which is not valid Unicode.") from None
 
@@ -83,8 +83,8 @@ def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
     period = {"dt_seconds": repr(data.recordings.dt)}
 
     pq.write_table(pa.table(tables.trials(data.recordings)), folder / "trials.parquet")
-    if simulation := tables.simulation(data):
-        pq.write_table(pa.table(simulation), folder / "simulation.parquet")
+    for title, rows in _optional(data):
+        pq.write_table(pa.table(rows), folder / f"{title}.parquet")
     schema = pa.table(tables.wrench(data.recordings, 0)).schema.with_metadata(period)
     with pq.ParquetWriter(folder / "wrench.parquet", schema) as writer:
         for row in range(len(data.recordings)):
@@ -101,6 +101,12 @@ def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
             writer.close()
     layout = "`wrench.parquet`: one row per sample, one row group per recording"
     write_card(data, folder, _TABLES.format("parquet", layout))
+
+
+def _optional(data: DataSet) -> list[tuple[str, Table]]:
+    """Tables that not every data set has, with their names."""
+    both = (("annotations", tables.annotations(data.recordings)), ("simulation", tables.simulation(data)))
+    return [(title, table) for title, table in both if table]
 
 
 def _write_csv(path: Path, table: Table, *, header: bool = True) -> None:
@@ -120,8 +126,8 @@ def _write_csv(path: Path, table: Table, *, header: bool = True) -> None:
 
 def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
-    if simulation := tables.simulation(data):
-        _write_csv(folder / "simulation.csv", simulation)
+    for title, rows in _optional(data):
+        _write_csv(folder / f"{title}.csv", rows)
     for number, table in enumerate(tables.labels(data)):
         _write_csv(folder / "labels.csv", table, header=number == 0)
     (folder / "wrench").mkdir()
@@ -133,13 +139,16 @@ def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
 
 def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
+    for title, rows in _optional(data):
+        _write_csv(folder / f"{title}.csv", rows)
     for row in range(len(data.recordings)):
         _mcap_recording(data, row, folder / f"{row:06d}.mcap")
         progress(1)
     layout = (
         "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped), `/labels` (whenever one "
-        "changes; online labels appear when they were published), `/events` (starts of states, harmonised);\n"
-        "* `trials.csv`: one row per recording: names, outcome, starts of states;\n"
+        "changes; online labels appear when they were published), `/events` (starts of annotated intervals);\n"
+        "* `trials.csv`: one row per recording: names, outcome, further columns;\n"
+        "* `annotations.csv`: one row per annotated interval, where there are some;\n"
         "* `dataset.json`: sampling period, columns with units, alphabets, provenance."
     )
     write_card(data, folder, layout)
@@ -148,8 +157,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
 def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
     recordings, samples = data.recordings, int(data.recordings.length[row])
     codes = None if data.tracks is None else codes_at_samples(data.tracks, row, samples)
-    onsets = recordings.starts(HARMONISED)[row]
-    begins = set(np.rint(onsets[np.isfinite(onsets)] / recordings.dt).astype(int).tolist())
+    begins = set(np.rint(recordings.annotations.begins(row) / recordings.dt).astype(int).tolist())
     with McapWriter(path) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt
