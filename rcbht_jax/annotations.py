@@ -19,7 +19,7 @@ def _empty(dtype: type) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Annotations:
-    """A table of labelled intervals: recording, track, label, start, end. Host arrays.
+    """A table of labelled intervals, sorted by recording, track and start. Host arrays.
 
     Several tracks may cover the same time, for example sub-tasks as logged and as corrected. The labels of a track have
     an order, which is that of reports.
@@ -31,9 +31,9 @@ class Annotations:
         ({'phase': ('approach', 'contact')}, [[0.0, 1.5]])
     """
 
-    recording: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))  # number of the recording
+    recording: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))
     track: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int16))  # index into labels
-    code: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))  # index into the track's labels
+    code: Int[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.int32))  # index into labels[track]
     start: Float[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.float64))  # s
     end: Float[np.ndarray, " interval"] = field(default_factory=lambda: _empty(np.float64))  # s; NaN = unknown
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # labels of each track, in their order
@@ -59,7 +59,7 @@ class Annotations:
         Raises:
             InputError: a track's given labels lack one of a row.
         """
-        table = sorted(rows, key=lambda row: (row[0], row[3]))
+        table = sorted(rows, key=lambda row: row[3])
         order: dict[str, dict[str, int]] = {
             track: {label: code for code, label in enumerate(names)} for track, names in (labels or {}).items()
         }
@@ -67,7 +67,9 @@ class Annotations:
         for recording, track, label, *_ in table:
             known = order.setdefault(track, {})
             if label not in known and track in given:
-                raise InputError(f"Recording {recording}: track {track} has no label {label!r}; there are {', '.join(known)}.")
+                raise InputError(
+                    f"Recording {recording}: track {track} has no label {label!r}; there are {', '.join(known)}."
+                )
             known.setdefault(label, len(known))
         tracks = list(order)
         return Annotations(
@@ -77,7 +79,7 @@ class Annotations:
             np.array([row[3] for row in table], np.float64),
             np.array([row[4] for row in table], np.float64),
             {track: tuple(known) for track, known in order.items()},
-        )
+        )._sorted()
 
     @staticmethod
     def from_table(table: Mapping[str, NDArray[Any]], labels: Mapping[str, Sequence[str]]) -> Annotations:
@@ -203,7 +205,10 @@ class Annotations:
             np.concatenate([part.recording + np.int32(at) for part, at in zip(parts, first, strict=True)]),
             np.concatenate(tracks), np.concatenate(codes),
             np.concatenate([part.start for part in parts]), np.concatenate([part.end for part in parts]), merged,
-        )  # fmt: skip
+        )._sorted()  # fmt: skip
+
+    def _sorted(self) -> Annotations:
+        return self._rows(np.lexsort((self.start, self.track, self.recording)))
 
     def _rows(self, rows: NDArray[Any]) -> Annotations:
         columns = ("recording", "track", "code", "start", "end")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments._lib.catalogue import DATA
+from experiments._lib.tasks import failure_types, states
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Split
@@ -80,18 +81,18 @@ class Benchmark:
 
 
 def _across(boundaries: str, train_on: str, test_on: str) -> Benchmark:
-    return Benchmark(TaskSpec(boundaries=boundaries, sources=(REAL,)), (train_on,), (test_on,))
+    return Benchmark(states(boundaries=boundaries, sources=(REAL,)), (train_on,), (test_on,))
 
 
 BENCHMARKS = {
-    "REAL states": Benchmark(TaskSpec(sources=(REAL,))),
-    "SIM1 states": Benchmark(TaskSpec(sources=(SIM1,))),
-    "SIM2 states": Benchmark(TaskSpec(sources=(SIM2,), arms="both")),
+    "REAL states": Benchmark(states(sources=(REAL,))),
+    "SIM1 states": Benchmark(states(sources=(SIM1,))),
+    "SIM2 states": Benchmark(states(sources=(SIM2,), arms="both")),
     "REAL states, A to B": _across("harmonised", "A", "B"),
     "REAL states, B to A": _across("harmonised", "B", "A"),
     "REAL merged states, A to B": _across("merged", "A", "B"),
     "REAL merged states, B to A": _across("merged", "B", "A"),
-    "failure types": Benchmark(TaskSpec("failure-type", sources=(FAILURES,))),
+    "failure types": Benchmark(failure_types(sources=(FAILURES,))),
 }
 
 

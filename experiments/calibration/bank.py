@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import states
 from experiments.calibration.near_preset import Near
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -34,7 +35,7 @@ from rcbht_jax.features.recipes import ALL, PLAIN, RICHER
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.kernels import alignment_weights
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -112,7 +113,7 @@ def main() -> None:
     @cache
     def of(source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
         recordings = of_sources(store, (source,))
-        return recordings, labelled_intervals(recordings, TaskSpec()), labelled(recordings)
+        return recordings, labelled_intervals(recordings, states()), labelled(recordings)
 
     @cache
     def learners(source: str, spec: str) -> Bank:

@@ -29,6 +29,7 @@ from sklearn.metrics import log_loss
 
 from experiments._lib.benchmarks import SIM1, of_sources
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import states
 from experiments.calibration.speed import numpy_rate
 from rcbht_jax.calibration import gradient
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -38,7 +39,7 @@ from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candi
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
-from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import labelled_intervals
 
 SPREAD = 0.3  # standard deviation of the logarithm of the preset's steps, from which training starts
 SPACE = SearchSpace()  # all 24 numbers
@@ -192,7 +193,7 @@ def main() -> None:
     given = parser.parse_args()
     recordings = of_sources(read_recordings(given.store), (SIM1,))
     config = EncoderConfig(5, recordings.dt)
-    data = calibration_data(recordings, labelled_intervals(recordings, TaskSpec()), config)
+    data = calibration_data(recordings, labelled_intervals(recordings, states()), config)
     ways: dict[str, tuple[int, Callable[[Side, int], dict[str, Any]]]] = {
         "gradient": (10, partial(by_gradient, steps=given.steps, loss="logistic")),
         "gradient of the fit": (10, partial(by_gradient, steps=given.steps, loss="fit")),

@@ -17,6 +17,7 @@ import numpy as np
 
 from experiments._lib.benchmarks import FAILURES, REAL, SIM1, of_sources, rounded
 from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.tasks import failure_types, states
 from experiments._lib.thresholds import trained_thresholds
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import calibration_data
@@ -136,9 +137,9 @@ def across(train_on: tuple[str, ...], test_on: tuple[str, ...]) -> Callable[...,
 
 def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any]:
     if task == "sim1":
-        return compare(of_sources(store, (SIM1,)), TaskSpec(), folds(repeats), count)
+        return compare(of_sources(store, (SIM1,)), states(), folds(repeats), count)
     if task == "failure-type":
-        spec = TaskSpec("failure-type")
+        spec = failure_types()
         return compare(of_sources(store, (FAILURES,)), spec, folds(1), count)
     result = {}
     sources, pairs = {
@@ -149,7 +150,7 @@ def run(task: str, store: Recordings, count: int, repeats: int) -> dict[str, Any
         for train_on, test_on in pairs:
             name = f"{'+'.join(train_on)} -> {'+'.join(test_on)}, {boundaries}"
             print(name, flush=True)
-            spec = TaskSpec(boundaries=boundaries)
+            spec = states(boundaries=boundaries)
             result[name] = compare(of_sources(store, sources), spec, across(train_on, test_on), count)
     return result
 

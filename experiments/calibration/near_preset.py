@@ -27,6 +27,7 @@ from scipy.stats import qmc
 
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import states
 from experiments.calibration.methods import WORDS
 from experiments.classification.sim_to_real_sets import make, store_of
 from rcbht_jax.encoding.batch import encode_batch
@@ -35,7 +36,7 @@ from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.kernels import cost_scores, predict_kernel, rank_kernel
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.types import Recordings
 
 OCTAVES = 3.0  # the three numbers vary by a factor of 2 ** -OCTAVES ... 2 ** OCTAVES
@@ -77,7 +78,7 @@ def simulated_transfer(folder: Path, limits: Floats) -> dict[tuple[str, str], Fl
         make(folder, "mild", name)
         store = read_recordings(store_of(folder, "mild", name))
         recordings = store.take(np.arange(min(SIMULATED_TRIALS, len(store))))
-        items = labelled_intervals(recordings, TaskSpec())
+        items = labelled_intervals(recordings, states())
         parts[name] = words(recordings, items, limits), items.y
     out = {}
     for one, other in itertools.permutations(SIMULATED, 2):
@@ -190,7 +191,7 @@ def main() -> None:
     def near(source: str) -> tuple[Near, LabelledIntervals]:
         if source not in known:
             recordings = of_sources(store, (source,))
-            items = labelled_intervals(recordings, TaskSpec())
+            items = labelled_intervals(recordings, states())
             known[source] = Near(words(recordings, items, limits), items.y, items.trial, distance), items
         return known[source]
 

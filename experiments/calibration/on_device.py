@@ -23,6 +23,7 @@ import jax
 import numpy as np
 
 from experiments._lib.results_io import write_result
+from experiments._lib.tasks import task
 from rcbht_jax.calibration import contextual, gradient
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.objective import SCORES, Objective
@@ -34,10 +35,10 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
-from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import extract_features, labelled_intervals
+from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, STATES, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.scene import one_arm
@@ -244,11 +245,11 @@ def _recordings(data: CalibrationData, name: str) -> Recordings:
     def text(value: str) -> np.ndarray:
         return np.full(count, value)
 
-    return Recordings(
-        wrench, edges[:, -1], CONTROL_PERIOD, onset, onset, np.array([f"sim-{name}-{i:06d}" for i in range(count)]),
-        text("R"), text(f"SIM_MJX_{name}"), text(f"sim-{name}"),
-        text("failure" if failed else "success"), np.array(data.classes)[y[:, 0]] if failed else text(""),
-        np.full((count, 3), np.nan), text(""),
+    return snap_recordings(
+        wrench, edges[:, -1], CONTROL_PERIOD, onset=onset, onset_harmonised=onset,
+        failure_type=np.array(data.classes)[y[:, 0]] if failed else text(""), deviation=np.full((count, 3), np.nan),
+        trial=np.array([f"sim-{name}-{i:06d}" for i in range(count)]), arm=text("R"), source=text(f"SIM_MJX_{name}"),
+        session=text(f"sim-{name}"), outcome=text("failure" if failed else "success"), note=text(""),
     )  # fmt: skip
 
 
@@ -256,9 +257,8 @@ def svm(run: Run) -> dict[str, Any]:
     """Support vector machines on the words of each method, on as many trials as one can wait for."""
     count = run.given.svm_trials
     some = np.r_[np.arange(run.training)[:count], np.arange(run.training, len(run.data))[:count]]
-    names = [name for name in Recordings.__dataclass_fields__ if name != "dt"]
-    recordings = replace(run.recordings, **{name: getattr(run.recordings, name)[some] for name in names})
-    items = labelled_intervals(recordings, TaskSpec(run.given.task))
+    recordings = run.recordings.take(some)
+    items = labelled_intervals(recordings, task(run.given.task))
     inside = np.isin(items.trial, run.recordings.trial[: run.training])
     split = np.flatnonzero(inside), np.flatnonzero(~inside)
     out: dict[str, Any] = {"trials": len(some), "training": len(np.unique(items.trial[inside]))}

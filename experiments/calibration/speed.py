@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 from experiments._lib.results_io import write_result
+from experiments._lib.tasks import states
 from rcbht_jax import reference
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import Windows
@@ -32,10 +33,10 @@ SEED = 0
 def from_store(path: Path) -> CalibrationData:
     from rcbht_jax.calibration.dataset import calibration_data
     from rcbht_jax.io.store import read_recordings
-    from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+    from rcbht_jax.learning.tasks import labelled_intervals
 
     recordings = read_recordings(path)
-    return calibration_data(recordings, labelled_intervals(recordings, TaskSpec(sources=SOURCES)), EncoderConfig(5, DT))
+    return calibration_data(recordings, labelled_intervals(recordings, states(sources=SOURCES)), EncoderConfig(5, DT))
 
 
 def save(data: CalibrationData, path: Path) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from experiments._lib.benchmarks import FAILURES, of_sources
 from experiments._lib.checkpointed_rows import Rows
 from experiments._lib.results_io import committed
+from experiments._lib.tasks import failure_types
 from experiments.calibration.methods import WORDS, folds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -27,7 +28,7 @@ from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import extract_features, labelled_intervals
 
 SOURCE = "calibration_device_warp_failure_type"
 COSTS = (0.1, 1.0, 10.0, 100.0)
@@ -43,7 +44,7 @@ def main() -> None:
     limits = {"preset": np.asarray(preset().limits)}
     limits |= {f"simulated, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
     recordings = of_sources(read_recordings(given.store), (FAILURES,))
-    items = labelled_intervals(recordings, TaskSpec("failure-type"))
+    items = labelled_intervals(recordings, failure_types())
     config, measure = EncoderConfig(5, recordings.dt), folds(given.repeats)
 
     def row(which: np.ndarray, ranks: bool) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
 from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.tasks import failure_types
 from experiments.classification.sim_to_real_sets import TARE_SECONDS
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -32,7 +33,7 @@ from rcbht_jax.features.recipes import ALL, LEVELS, PLAIN, RICHER
 from rcbht_jax.io.tare import tare
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
 from rcbht_jax.types import LabelTracks, Recordings
 
 # Window in samples and factor on the preset's thresholds.
@@ -88,7 +89,7 @@ class Experiment:
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed
         self.recordings: Recordings = by_batch(recorded())
-        failures = TaskSpec("failure-type", sources=(FAILURES,))
+        failures = failure_types(sources=(FAILURES,))
         apart = {name: Benchmark(failures, (train,), (test,)) for name, (train, test) in BATCHES.items()}
         self.benchmarks: Mapping[str, Benchmark] = BENCHMARKS | apart
 

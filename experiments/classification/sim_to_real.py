@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners
 from experiments._lib.benchmarks import recorded, rounded, segments
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
@@ -40,7 +41,7 @@ from rcbht_jax.calibration.search import SearchOptions, search
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Grid, SvmSpec, predictions, select
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
 SEED = 0
@@ -161,7 +162,7 @@ class Experiment:
             few = np.random.default_rng(SEED).permutation(rows)[:SEARCHING]
             parts.append(trials.take(np.sort(few)))
         together = Recordings.join(parts)
-        return together, labelled_intervals(together, TaskSpec(outcomes=()))
+        return together, labelled_intervals(together, states(outcomes=()))
 
     def shift(self, boundaries: str = "harmonised") -> dict[str, Any]:
         """How far features of recorded states lie from those of simulated ones, in deviations of the simulated.

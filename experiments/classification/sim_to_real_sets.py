@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments._lib.tasks import states
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FAMILIES, Features, FeatureSpec
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.io.tare import tare
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.presets import ONE_ARM as PRESETS
 from sim_mjx.randomization.trials import DomainRandomization
@@ -51,10 +52,10 @@ class SimulatedSet:
 
 # The recorded sessions; C's trials are failures, of which those count that reached every state.
 RECORDED = {
-    "A": TaskSpec(sessions=("A",)),
-    "B": TaskSpec(sessions=("B",)),
-    "C": TaskSpec(sessions=("C",), outcomes=("failure",)),
-    "SIM1": TaskSpec(sessions=("SIM1",)),
+    "A": states(sessions=("A",)),
+    "B": states(sessions=("B",)),
+    "C": states(sessions=("C",), outcomes=("failure",)),
+    "SIM1": states(sessions=("SIM1",)),
 }
 TARE_SECONDS = 1.0  # of free space at the beginning of every trial
 SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
@@ -99,7 +100,7 @@ class Sets:
     @cache  # noqa: B019
     def items(self, name: str, boundaries: str) -> LabelledIntervals:
         """One sentence per state of the trials that reached every state."""
-        spec = RECORDED.get(name, TaskSpec(outcomes=()))
+        spec = RECORDED.get(name, states(outcomes=()))
         return labelled_intervals(self.recordings(name, True), replace(spec, boundaries=boundaries))
 
     @cache  # noqa: B019

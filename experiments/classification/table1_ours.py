@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments._lib import tasks
 from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
 from experiments._lib.checkpointed_rows import Rows, arguments
 from rcbht_jax.encoding.batch import encode_batch
@@ -64,7 +65,7 @@ class Row:
 
 
 def states(boundaries: str = "recorded", arms: str = "R") -> TaskSpec:
-    return TaskSpec(boundaries=boundaries, arms=arms)
+    return tasks.states(boundaries=boundaries, arms=arms)
 
 
 ROWS = {

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
-from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm
+from rcbht_jax.robots.snap_assembly import STATES
 
 FIXED = Grid(kernels=("poly",), costs=(1.0,), scalings=(False,))
 NESTED = Grid(scalings=(False,))  # the authors' grid: three kernels, ten costs, no scaling

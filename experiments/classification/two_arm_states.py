@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments._lib import tasks
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
 from experiments.classification.two_arm import SOURCE, as_recordings, simulated
@@ -48,10 +49,10 @@ def states(recorded: Recordings, sets: dict[str, Recordings]) -> dict[str, Any]:
         forth = {"train_on": (name,), "test_on": ("SIM2",)}
         back = {"train_on": ("SIM2",), "test_on": (name,)}
         ways: dict[str, tuple[TaskSpec, dict[str, Any]]] = {
-            "recorded, cross-validated": (TaskSpec(arms="both", sessions=("SIM2",)), {}),
-            f"{name}, cross-validated": (TaskSpec(arms="both", sessions=(name,)), {}),
-            f"trained on {name}, tested on recorded": (TaskSpec(arms="both"), forth),
-            f"trained on recorded, tested on {name}": (TaskSpec(arms="both"), back),
+            "recorded, cross-validated": (tasks.states(arms="both", sessions=("SIM2",)), {}),
+            f"{name}, cross-validated": (tasks.states(arms="both", sessions=(name,)), {}),
+            f"trained on {name}, tested on recorded": (tasks.states(arms="both"), forth),
+            f"trained on recorded, tested on {name}": (tasks.states(arms="both"), back),
         }
         for title, (task, split) in ways.items():
             if title in out:

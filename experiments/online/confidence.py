@@ -19,11 +19,12 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import states
 from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.features.recipes import SUBTASK
 from rcbht_jax.introspection.training import Snapshots
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
 PARTS = 20  # of a sub-task
@@ -36,7 +37,7 @@ def beliefs(x: dict[str, Any], items: LabelledIntervals, seed: int) -> tuple[Sna
 
 
 def measure(recordings: Recordings, name: str, repeats: int, seed: int) -> dict[str, Any]:
-    items = labelled_intervals(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, EncoderConfig(dt=recordings.dt), MAIN_RATE)
     length = items.intervals[0].end - items.intervals[0].start
     parts = []

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
+from experiments._lib.tasks import states
 from experiments.online.table2 import SETS, halves
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -40,12 +41,12 @@ from rcbht_jax.introspection.training import (
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # snapshots per second
-HEADS = {name: HeadSpec(TaskSpec(), phase=name == "phase") for name in ("state", "phase")}
+HEADS = {name: HeadSpec(states(), phase=name == "phase") for name in ("state", "phase")}
 NEAR = 0.5  # s, within which a start counts as detected
 
 Floats = NDArray[np.float64]
@@ -177,7 +178,7 @@ def main() -> None:
     data, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
     rows = {}
     for name in args.sets:
-        items = labelled_intervals(data, TaskSpec(sources=(SETS[name],), arms="R"))
+        items = labelled_intervals(data, states(sources=(SETS[name],), arms="R"))
         views = views_of(data, items)
         seeds = tqdm(range(args.seed, args.seed + args.repeats), desc=name, file=sys.stderr, disable=None)
         runs = [repeat(data, items, views, s) for s in seeds]

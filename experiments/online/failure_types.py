@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.tasks import failure_types
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FeatureSpec
@@ -39,7 +40,7 @@ from rcbht_jax.introspection.training import (
 )
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 from rcbht_jax.types import Recordings
 
@@ -158,7 +159,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     recordings = recorded()
-    items = labelled_intervals(recordings, TaskSpec("failure-type"))
+    items = labelled_intervals(recordings, failure_types())
     snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
     about = {
         "what": "failure type of simulated failures from the stream; folds grouped by trial",

@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments._lib.results_io import write_result
+from experiments._lib.tasks import task
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, EventHub, FailureType
 from rcbht_jax.introspection.introspector import FAILURE_TYPE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_model
-from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, stack
 from sim_mjx.assembly.scene import one_arm
@@ -64,7 +65,7 @@ def as_recordings(run: Rollouts, offsets: Floats, kinds: list[str]) -> Recording
     """Simulated trials as the training data of an introspector."""
     count = len(run.length)
     outcome = np.where(run.seated.all(1), "success", "failure")
-    return Recordings(
+    return snap_recordings(
         wrench=run.wrench,
         length=run.length,
         dt=CONTROL_PERIOD,
@@ -89,7 +90,7 @@ def learn(per_kind: int, seed: int) -> tuple[IntrospectionModel, dict[str, Any]]
     offsets = np.array([np.array(DIRECTIONS.get(kind, (0, 0))) * size for kind, size in zip(kinds, sizes, strict=True)])
     run = simulate(offsets, seed, 0)
     recordings = as_recordings(run, offsets, kinds)
-    heads = tuple(HeadSpec(TaskSpec(task)) for task in ("outcome", FAILURE_TYPE))
+    heads = tuple(HeadSpec(task(name)) for name in ("outcome", FAILURE_TYPE))
     failed = {
         kind or "nominal": int((recordings.outcome[np.array(kinds) == kind] == "failure").sum()) for kind in {*kinds}
     }

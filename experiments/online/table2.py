@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.results_io import RESULTS, write_result
+from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
@@ -44,7 +45,7 @@ from rcbht_jax.introspection.training import (
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 
 KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
@@ -193,7 +194,7 @@ def watched(recordings: Any, items: LabelledIntervals, config: EncoderConfig, ra
 
 def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, relative: bool) -> dict[str, Any]:
     config = EncoderConfig(dt=recordings.dt)
-    items = labelled_intervals(recordings, TaskSpec(sources=(SETS[name],), arms="R"))
+    items = labelled_intervals(recordings, states(sources=(SETS[name],), arms="R"))
     x = watched(recordings, items, config, rate)
     result: dict[str, Any] = {
         "trials": len(np.unique(items.trial)),

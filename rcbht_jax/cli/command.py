@@ -48,11 +48,10 @@ Tracks = Annotated[str, option("Label tracks to use, if the store has several.",
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
 SourcePrefix = Annotated[str, option("Data set, or the start of its name, if several have a trial of this name.", "")]
 Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for example A B.", "all")]
-Arm = Annotated[Literal["R", "L"], option("Arm whose wrench to use.")]
-Task = Literal["states", "outcome", "failure-type"]
+Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
+Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.")]
 Boundaries = Annotated[
-    Literal["recorded", "harmonised", "merged"],
-    option("End of the rotation, for the task states; merged joins rotation and insertion."),
+    str, option("Variant of the track: TASK-BOUNDARIES is used where it exists, for example states-merged.")
 ]
 Window = Annotated[int, option("Samples per linear fit.")]
 NewWindow = Annotated[

@@ -47,12 +47,11 @@ Family = Literal[
 class _Learning(Command):
     store: LabelledStore
     task: Task = "states"
-    """Classes to distinguish."""
     tracks: tuple[str, ...] = ()
     """Label tracks to use; A+B concatenates the features of two, and of several choices one is cross-validated."""
     boundaries: Boundaries = "harmonised"
-    arm: Literal["R", "L", "both"] = "R"
-    """Arm whose labels to use."""
+    arm: str = "R"
+    """Arm whose labels to use, if the store has several; both = side by side."""
     source: Sources = ()
     session: Sessions = ()
     features: tuple[Family, ...] = ("histogram", "ngram", "attributes")
@@ -207,7 +206,7 @@ class Classify(Command):
     """Label tracks to use in place of those of the training; A+B where the model uses two."""
     source: Sources = ()
     session: Sessions = ()
-    outcome: tuple[Literal["success", "failure", "unknown"], ...] = ()
+    outcome: tuple[str, ...] = ()
     """Outcomes of the trials to classify; default those of the training, and unknown ones."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
     """Table to write: .csv, or .jsonl for JSON lines."""

@@ -109,8 +109,9 @@ class PlotBeliefs(Command):
     out: OutFigure
     model: Model = Path("online.model")
     arm: Arm = "R"
-    starts: Literal["harmonised", "recorded", "detected"] = "harmonised"
-    """Onsets of the sub-tasks; detected = found by the model (train-online --detect)."""
+    starts: str = "harmonised"
+    """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
+    variant where there is one, detected = found by the model (train-online --detect)."""
     rate: float = 10.0
     """Beliefs per second."""
 
@@ -120,7 +121,6 @@ class PlotBeliefs(Command):
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
         from rcbht_jax.io.playback import read_store
-        from rcbht_jax.labels import STATES
         from rcbht_jax.plots import save
         from rcbht_jax.plots.beliefs import belief_map
 
@@ -129,12 +129,27 @@ class PlotBeliefs(Command):
         messages = read_store(self.store, (self.trial,), self.arm, "none" if self.starts == "detected" else self.starts)
         events = list(session.run(messages))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        names = () if detect else STATES[1:]  # no event announces the first sub-task, which begins with the trial
+        # No event announces the first sub-task, which begins with the trial.
+        names = () if detect else _names(self.store, self.trial, self.starts)[1:]
         save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:
         return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
+
+
+def _names(store: Path, trial: str, starts: str) -> tuple[str, ...]:
+    """Labels of the intervals of a trial, in order of time."""
+    from rcbht_jax.io.store import read_recordings
+
+    recordings = read_recordings(store)
+    known = recordings.annotations
+    track = known.choose() if starts == "harmonised" else next(iter(known.labels), "")
+    if not track:
+        return ()
+    marks = known.of(track if starts in ("harmonised", "recorded") else known.choose(starts))
+    rows = np.flatnonzero(marks.recording == np.flatnonzero(recordings.trial == trial)[0])
+    return tuple(marks.names()[rows[np.argsort(marks.start[rows])]].tolist())
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -11,7 +11,6 @@ import numpy as np
 import tyro
 
 from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
-from rcbht_jax.robots.snap_assembly import RECORDED
 
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
@@ -60,7 +59,7 @@ def _sentence(path: str, reason: str) -> str:
 
 @dataclass(frozen=True)
 class Info(Command):
-    """Summarise a store: recordings by source, session and outcome, missing state times, label tracks.
+    """Summarise a store: recordings by source, session and outcome, annotations, columns, tasks, label tracks.
 
     Reads the whole store and verifies its checksum.
 
@@ -85,7 +84,10 @@ class Info(Command):
             "store": str(self.store),
             "recordings": len(recordings),
             "dt": recordings.dt,
+            "axes": dict(zip(recordings.axes, recordings.units, strict=True)),
             "groups": groups,
+            "annotations": _annotations(recordings),
+            "columns": {name: _column(values) for name, values in recordings.columns.items()},
             "notes": dict(sorted(flags.items())),
             "label_tracks": list_tracks(self.store),
             "created": attrs["created"],
@@ -94,16 +96,18 @@ class Info(Command):
         }
 
     def text(self, result: dict[str, Any]) -> str:
-        head = f"{result['store']}: {result['recordings']} recordings at {1 / result['dt']:g} Hz"
-        columns = f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)  onsets missing"
+        axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
+        head = f"{result['store']}: {result['recordings']} recordings of {axes} at {1 / result['dt']:g} Hz"
+        columns = f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)"
         lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", "", columns]
         for group in result["groups"]:
             low, middle, high = group["seconds"]
             lines.append(
                 f"{group['source']:34} {group['session']:9} {group['outcome']:8} {group['arm']:3} "
-                f"{group['recordings']:6d}  {low:7.2f} {middle:7.2f} {high:7.2f}   "
-                f"{'/'.join(str(count) for count in group['onsets_missing'])}"
+                f"{group['recordings']:6d}  {low:7.2f} {middle:7.2f} {high:7.2f}"
             )
+        lines += [f"annotations {track}: {_counts(labels)}" for track, labels in result["annotations"].items()]
+        lines += [f"column {name}: {values}" for name, values in result["columns"].items()]
         notes = ", ".join(f"{flag} {count}" for flag, count in result["notes"].items())
         tracks = ", ".join(result["label_tracks"]) or f'none; make them with "rcbht encode {result["store"]}"'
         return "\n".join([*lines, "", f"notes: {notes or 'none'}", f"label tracks: {tracks}"])
@@ -117,5 +121,30 @@ def _describe(recordings: Recordings, key: tuple[str, ...], member: np.ndarray) 
         **dict(zip(("source", "session", "outcome", "arm"), key, strict=True)),
         "recordings": int(member.sum()),
         "seconds": [round(float(value), 6) for value in np.quantile(seconds, (0.0, 0.5, 1.0))],
-        "onsets_missing": np.isnan(recordings.starts(RECORDED)[member]).sum(0).tolist(),
     }
+
+
+def _annotations(recordings: Recordings) -> dict[str, dict[str, list[int]]]:
+    """By track and label: intervals, and recordings that have one."""
+    return {
+        track: {
+            label: [int((marks.code == code).sum()), len(np.unique(marks.recording[marks.code == code]))]
+            for code, label in enumerate(marks.labels[track])
+        }
+        for track in recordings.annotations.tracks
+        for marks in [recordings.annotations.of(track)]
+    }
+
+
+def _counts(labels: dict[str, list[int]]) -> str:
+    return ", ".join(f"{label} {count} (in {recordings} recordings)" for label, (count, recordings) in labels.items())
+
+
+def _column(values: np.ndarray) -> str:
+    """Values of a column in a few words."""
+    if values.dtype.kind != "U":
+        finite = values[np.isfinite(values)]
+        return f"{len(finite)} numbers" + (f", {finite.min():g} to {finite.max():g}" if len(finite) else "")
+    counts = Counter(text for text in values.tolist() if text)
+    shown = ", ".join(f"{text} {count}" for text, count in counts.most_common(8))
+    return (shown or "empty") + (f", {len(counts) - 8} more" if len(counts) > 8 else "")

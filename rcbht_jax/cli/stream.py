@@ -133,8 +133,10 @@ class Source(Command):
     trial: tuple[str, ...] = ()
     """Trials of a store; default all, one after the other."""
     arm: Arm = "R"
-    starts: Literal["harmonised", "recorded", "none", "detected"] = "harmonised"
-    """Onsets of the sub-tasks of a recorded trial; detected = found by the model (train-online --detect)."""
+    starts: str = "harmonised"
+    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first one,
+    harmonised = its corrected variant where there is one, none, detected = found by the model (train-online
+    --detect)."""
     topic: str = ""
     """Topic of a bag, if several have wrenches."""
     rate: float = 10.0

@@ -20,7 +20,7 @@ from rcbht_jax.introspection.introspector import PHASE
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
-from rcbht_jax.learning.tasks import OUTCOMES, LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
 from rcbht_jax.types import Recordings
 
 # A sub-task: ranks, because attributes have long tails; the radial kernel alone, because what a force means depends on
@@ -116,11 +116,13 @@ class HeadSpec:
     phase: bool = False  # states from the features of the whole trial, to find out when a sub-task begins
     false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
+    subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
 
     @property
     def scope(self) -> Scope:
-        """The sub-task for states unless its start is to be detected, the trial for everything else."""
-        return "subtask" if self.task.task == "states" and not self.phase else "trial"
+        """The sub-task for a track unless its start is to be detected, the trial for everything else."""
+        track = self.task.task == TaskSpec().task if self.subtask is None else self.subtask
+        return "subtask" if track and not self.phase else "trial"
 
     @property
     def view(self) -> FeatureView:
@@ -187,14 +189,15 @@ def train_head(
         InputError: fewer than two classes, a class with a single trial, or too few nominal trials for ``false_alarms``.
     """
     items = labelled_intervals(recordings, spec.task)
-    snapshots = training_snapshots(items, _every(spec, config), early=spec.task.task == "states")
+    spec = replace(spec, subtask=bool(track_of(recordings, spec.task)))
+    snapshots = training_snapshots(items, _every(spec, config), early=bool(spec.subtask))
     snapshots = since_trial_start(snapshots) if spec.phase else snapshots
     view, total = spec.view, len(snapshots)
     x = snapshot_features(
         recordings, snapshots, view, config, thresholds, progress and (lambda done: progress(done, total))
     )
     machine = learn(x, snapshots, items, view.spec, *spec.learning, seed)
-    alarm = OUTCOMES[0] if spec.task.task == "outcome" else ""
+    alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
     level = 0.0
     if alarm and spec.false_alarms:
         training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
@@ -218,7 +221,7 @@ def _alarm_level(
     seed: int,
 ) -> float:
     """Level of the alarm from the successes, each streamed through a classifier that was not trained on it."""
-    alarm = items.classes.index(OUTCOMES[0])
+    alarm = items.classes.index(FAILURE)
     snapshots = regular_snapshots(items, _every(spec, config))
     snapshots = snapshots.take(np.flatnonzero(items.y[snapshots.interval] != alarm))
     x = snapshot_features(recordings, snapshots, spec.view, config, thresholds)

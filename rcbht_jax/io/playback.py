@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
 from rcbht_jax.io.store import read_recordings
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 
-Starts = Literal["harmonised", "recorded", "none"]
+NONE, RECORDED = "none", "recorded"
 
 
 def read_store(
-    path: Path, trials: tuple[str, ...] = (), arm: str = "R", starts: Starts = "harmonised"
+    path: Path, trials: tuple[str, ...] = (), arm: str = "R", starts: str = "harmonised"
 ) -> Iterator[Message]:
     """Trials of a store one after the other, each after a reset.
 
     Args:
         path: store of recordings.
         trials: names; default all.
-        arm: "R" or "L".
-        starts: sub-tasks begin at the harmonised or the recorded starts, or not at all.
+        arm: for example "R"; where the store has one only, that one.
+        starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
+            of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
 
     Raises:
         InputError: ``path`` is not a store, or has no such trial or arm.
@@ -36,18 +36,28 @@ def read_store(
     unknown = set(trials) - set(recordings.trial.tolist())
     if unknown:
         raise InputError(f"{path} has no trial {', '.join(sorted(unknown))}.")
-    chosen = (recordings.arm == arm) & (np.isin(recordings.trial, trials) if trials else True)
+    arms = sorted(set(recordings.arm.tolist()))
+    chosen = (recordings.arm == (arms[0] if len(arms) == 1 else arm)) & (
+        np.isin(recordings.trial, trials) if trials else True
+    )
     if not chosen.any():
-        raise InputError(f"{path} has no recording of arm {arm} among the chosen trials.")
-    onsets = recordings.starts(HARMONISED) if starts == "harmonised" else recordings.starts(RECORDED)
-    for row in np.flatnonzero(chosen):
+        raise InputError(f"{path} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
+    track = _track(recordings.annotations, starts)
+    for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
         yield Reset()
-        yield from _trial(time, wrench, onsets[row], recordings.dt, starts)
+        begins = recordings.annotations.begins(row, track) if starts != NONE else np.zeros(0)
+        yield from _trial(time, wrench, begins, recordings.dt)
 
 
-def read_folder(path: Path, arm: str = "R", starts: Starts = "harmonised") -> Iterator[Message]:
+def _track(annotations: Annotations, starts: str) -> str:
+    if starts == RECORDED:
+        return next(iter(annotations.labels), "")
+    return "" if starts in ("harmonised", NONE) else annotations.choose(starts)
+
+
+def read_folder(path: Path, arm: str = "R", starts: str = "harmonised") -> Iterator[Message]:
     """One trial folder in HIRO's layout (``R_Torques.dat`` and so on).
 
     Raises:
@@ -64,18 +74,17 @@ def read_folder(path: Path, arm: str = "R", starts: Starts = "harmonised") -> It
     record = records[0]
     table = record.table
     onset = record.onset_harmonised if starts == "harmonised" else record.onset
-    yield from _trial(table.time, table.values.astype(np.float64), onset, float(np.median(np.diff(table.time))), starts)
+    begins = onset[np.isfinite(onset)] if starts != NONE else onset[:0]
+    yield from _trial(table.time, table.values.astype(np.float64), begins, float(np.median(np.diff(table.time))))
 
 
 def _trial(
     time: Float[np.ndarray, " time"],
-    wrench: Float[np.ndarray, "time 6"],
-    onset: Float[np.ndarray, " state"],
+    wrench: Float[np.ndarray, "time axis"],
+    starts: Float[np.ndarray, " interval"],
     dt: float,
-    starts: Starts,
 ) -> Iterator[Message]:
-    finite = onset[np.isfinite(onset)] if starts != "none" else onset[:0]
-    begins = set(np.rint(finite / dt).astype(int).tolist()) - {0}
+    begins = set(np.rint(starts / dt).astype(int).tolist()) - {0}
     for index, (stamp, row) in enumerate(zip(time.tolist(), wrench.tolist(), strict=True)):
         if index in begins:
             yield Begin()

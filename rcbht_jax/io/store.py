@@ -272,7 +272,9 @@ def validate(recordings: Recordings) -> None:
         raise InputError(f"dt is {recordings.dt}; expected a positive number of seconds.")
     axes = (recordings.axes, recordings.units)
     if any(len(names) != wrench.shape[2] for names in axes) or len(set(recordings.axes)) < wrench.shape[2]:
-        raise InputError(f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units.")
+        raise InputError(
+            f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units."
+        )
     for row, samples in enumerate(recordings.length):
         where = f"recording {row} ({recordings.trial[row]})"
         if not 1 <= samples <= wrench.shape[1]:
@@ -286,7 +288,7 @@ def validate(recordings: Recordings) -> None:
 
 def _check_annotations(recordings: Recordings) -> None:
     marks = recordings.annotations
-    if len(marks) and not (0 <= marks.recording.min() and marks.recording.max() < len(recordings)):
+    if len(marks) and not (marks.recording.min() >= 0 and marks.recording.max() < len(recordings)):
         raise InputError(
             f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
             f"{len(recordings)}, from 0."
@@ -304,6 +306,8 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
     for name, values in recordings.columns.items():
         if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
-            raise InputError(f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}].")
+            raise InputError(
+                f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}]."
+            )
         if not NAME.fullmatch(name) or name in VARIABLES:
             raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")

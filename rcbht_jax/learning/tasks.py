@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from rcbht_jax.features import (
 )
 from rcbht_jax.types import LabelTracks, Recordings
 
-SUCCESS, UNKNOWN = "success", "unknown"  # outcomes: seated as planned; a trial that nobody judged
+SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: nobody judged the trial
 BOTH = "both"  # arms, side by side
 
 
@@ -44,7 +43,7 @@ class TaskSpec:
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
     outcomes: tuple[str, ...] | None = None  # None = successes of a track if there are some; of a column all
-    classes: tuple[str, ...] = ()  # in this order; empty = all, tracks in their own order, columns in that of the alphabet
+    classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
     complete: bool = False  # only recordings that have every label of the track, each after the one before
 
 
@@ -123,8 +122,8 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     classes = tuple(name for name in spec.classes or order if name in present)
     if len(classes) < 2:
         raise InputError(
-            f"the task {spec.task} finds {_listed('class', classes)} in the {len(rows)} trials that pass the filters; it "
-            f"needs two.{_reasons(dropped)}"
+            f"the task {spec.task} finds {_listed('class', classes)} in the {len(rows)} trials that pass the filters; "
+            f"it needs two.{_reasons(dropped)}"
         )
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
@@ -271,9 +270,10 @@ def _of_track(
     order = order[usable[order]]
     bounds = np.searchsorted(marks.recording[order], np.arange(len(recordings) + 1))
     of_trials = [[order[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
-    same = [arms for arms in of_trials if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]
-    _count(dropped, "its arms are annotated differently", len(of_trials) - len(same))
-    _count(dropped, "a state is missing" if spec.complete else "no annotation", sum(not len(arms[0]) for arms in same))
+    there = [arms for arms in of_trials if all(len(arm) for arm in arms)]
+    _count(dropped, "a state is missing" if spec.complete else "no annotation", len(of_trials) - len(there))
+    same = [arms for arms in there if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]
+    _count(dropped, "its arms are annotated differently", len(there) - len(same))
     items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
     left = np.isin(marks.recording, rows[:, 0]) & ~usable
     if not spec.complete and not spec.classes and left.any():

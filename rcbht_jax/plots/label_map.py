@@ -139,9 +139,7 @@ def _states(recordings: Recordings, track: str) -> tuple[str, ...]:
     return recordings.annotations.labels[name]
 
 
-def _by_state(
-    track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str, states: tuple[str, ...]
-) -> Codes:
+def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str, states: tuple[str, ...]) -> Codes:
     """Codes by state, ``POINTS_PER_STATE`` columns each, 0 where a state is missing; the first of several."""
     starts = recordings.starts(recordings.annotations.choose(annotated)) / recordings.dt
     axes = len(recordings.axes)

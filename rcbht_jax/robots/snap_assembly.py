@@ -16,6 +16,10 @@ STATES = ("approach", "rotation", "insertion", "mating")  # sub-tasks, in order
 MERGED_STATES = ("approach", "rotation+insertion", "mating")
 # Tracks: start times as logged; with the corrected end of rotation; with rotation and insertion as one sub-task.
 RECORDED, HARMONISED, MERGED = "states", "states-harmonised", "states-merged"
+FRAMES = (
+    "One-arm trials are in the robot's base frame (x forward, y left, z up), two-arm trials in the frame of each "
+    "wrist; moments are about a point of the wrist."
+)
 DEVIATIONS = ("deviation_x", "deviation_y", "deviation_roll")  # columns: m, m, rad
 # The sign patterns with at least nine trials in the full set (evaluation notes).
 FAILURE_TYPES = (
@@ -24,7 +28,9 @@ FAILURE_TYPES = (
 
 
 def state_tracks(
-    onset: Float[np.ndarray, "recording 4"], harmonised: Float[np.ndarray, "recording 4"], end: Float[np.ndarray, " recording"]
+    onset: Float[np.ndarray, "recording 4"],
+    harmonised: Float[np.ndarray, "recording 4"],
+    end: Float[np.ndarray, " recording"],
 ) -> Annotations:
     """The three tracks of sub-tasks.
 

@@ -174,7 +174,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
 
 
 def _title(replay: Replay, recordings: Recordings, row: int) -> str:
-    kind = f" ({recordings.column("failure_type")[row]})" if recordings.column("failure_type")[row] else ""
+    kind = f" ({recordings.column('failure_type')[row]})" if recordings.column("failure_type")[row] else ""
     facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
     past = [TABS[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
     return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}\n{replay.how}"

@@ -29,6 +29,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
@@ -247,7 +248,7 @@ def _assemble(
     plain = [name for name in parts[0] if name != "wrench" and "." not in name]
     rows = {name: np.concatenate([part[name] for part in parts])[stored] for name in plain}
     recordings = _recordings(job.preset, scenario.arms, rows, _wrench(parts, stored, rows["length"]), stored, faults)
-    attrs = {"simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
+    attrs = {"frames": FRAMES, "simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
     draft = folder / "store.zarr"
     store.write_recordings(
         draft, recordings, attrs, overwrite=True, created=CREATED,
@@ -324,7 +325,7 @@ def _recordings(
     def each(values: Any) -> NDArray[Any]:
         return np.repeat(np.asarray(values), len(arms), axis=0)
 
-    return Recordings(
+    return snap_recordings(
         wrench=wrench.reshape(count, samples, len(arms), 6).swapaxes(1, 2).reshape(-1, samples, 6),
         length=each(rows["length"]),
         dt=CONTROL_PERIOD,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import onsets
 from rcbht_jax.robots import kinematics
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
 from sim_mjx.assembly.scene import one_arm
@@ -109,7 +109,7 @@ def profiles(run: Rollouts, rows: Sequence[int] | NDArray[np.integer] | None = N
 def _as_recordings(run: Rollouts, onset: Floats) -> Recordings:
     count = len(run.length)
     blank, unknown = np.full(count, ""), np.full(count, "unknown")
-    return Recordings(
+    return snap_recordings(
         wrench=run.wrench, length=run.length, dt=CONTROL_PERIOD, onset=run.onset, onset_harmonised=onset,
         trial=np.array([f"simulated {row}" for row in range(count)]), arm=np.full(count, "R"), source=blank,
         session=blank, outcome=unknown, failure_type=blank, deviation=np.zeros((count, 3)), note=blank,

@@ -20,7 +20,9 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import nested_svm
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import LabelTrack, Recordings
+from tests.support.snaps import marked
 
 DT = 0.005
 CONFIG = EncoderConfig(window=5, dt=DT)
@@ -91,7 +93,7 @@ def recordings(trials: int = 8, seed: int = 0) -> Recordings:
     names = np.array([f"t{k}" for k in range(trials)])
     same = np.full(trials, "S")
     onset = np.tile([0.0, 0.5, 1.0, 1.5], (trials, 1))
-    return Recordings(
+    return snap_recordings(
         wrench=np.cumsum(steps * DT, axis=1).astype(np.float32),
         length=np.full(trials, 400, np.int32),
         dt=DT,
@@ -116,7 +118,7 @@ def test_context_of_recordings_and_of_none():
     assert found.trials[0] == 8
     with pytest.raises(InputError, match="no trial to calibrate"):
         contextual.calibrate(some, np.arange(0), CONFIG)
-    nothing = replace(some, onset_harmonised=np.full((8, 4), np.nan))
+    nothing = marked(some, onset_harmonised=np.full((8, 4), np.nan))
     with pytest.raises(InputError, match="states may be missing"):
         contextual.calibrate(nothing, np.arange(8), CONFIG)
 

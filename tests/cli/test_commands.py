@@ -14,6 +14,7 @@ from rcbht_jax.cli.main import all_commands, main
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning.model_io import load
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 
 TRIALS, SAMPLES = 12, 400
@@ -27,7 +28,7 @@ def synthetic() -> Recordings:
     wrench = np.cumsum(slopes)[None, :, None] + rng.normal(size=(TRIALS, SAMPLES, 6)) * noise
     onset = np.tile([0.0, 0.5, 1.0, 1.5], (TRIALS, 1))
     words = np.full(TRIALS, "R")
-    return Recordings(
+    return snap_recordings(
         wrench=wrench.astype(np.float32), length=np.full(TRIALS, SAMPLES, np.int32), dt=0.005, onset=onset,
         onset_harmonised=onset, trial=np.array([f"trial-{i:02d}" for i in range(TRIALS)]), arm=words,
         source=np.full(TRIALS, "SET"), session=np.array(["A", "B"] * (TRIALS // 2)),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from experiments.calibration.bank import BANK, METHODS, Bank, filled_in
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from tests.calibration.test_contextual import recordings
+from tests.support.snaps import marked
 
 Y = np.repeat(np.arange(3), 10)
 GROUPS = np.tile(np.arange(10), 3).astype(str)
@@ -58,5 +57,5 @@ def test_marks_filled_in_by_hand():
     end = some.length * some.dt
     onset = np.stack([0 * end, 0.1 * end, 0.2 * end, 0.2 * end + [1.0, 0.3, 0.4]], 1)
     onset[1, 3] = end[1] - 1.005
-    found = filled_in(replace(some, onset=onset), items)
+    found = filled_in(marked(some, onset), items)
     assert {str(name) for name in items.trial[found]} == {"t0", "t1"}

@@ -10,6 +10,7 @@ from experiments.online import faults as online
 from experiments.online.fault_trials import GRADES, TAIL, Trials, batches, spec_of
 from experiments.online.fault_watch import APPROACH, INSERTION, MATING, SETTLED, Watched, alarms, monitor, schedule
 from rcbht_jax.introspection.fault_monitor import NOMINAL, SubtaskSnapshots
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.randomization.trials import check
 
@@ -25,7 +26,7 @@ def made_up(nominal: int, jammed: int, stopped: int) -> Trials:
     onset[kind == "early-stop", 3] = np.nan
     onset[:, 3] += np.linspace(0, 0.15, count)  # no two insertions last the same
     text = np.full(count, "")
-    recordings = Recordings(
+    recordings = snap_recordings(
         wrench=np.zeros((count, 80, 6), np.float32), length=np.full(count, 80, np.int32), dt=DT, onset=onset,
         onset_harmonised=onset, trial=np.arange(count).astype(str), arm=np.full(count, "R"), source=text, session=text,
         outcome=np.where(failed, "failure", "success"), failure_type=text, deviation=np.zeros((count, 3)), note=text,

@@ -13,6 +13,7 @@ from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots, regular_snapshots, since_trial_start, training_snapshots
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 
 TRIALS, STATE, DT, EVERY, SEED = 16, 60, 0.005, 20, 3  # STATE: samples in each of the four states
@@ -22,7 +23,7 @@ FAST = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,), inner=2)
 def data() -> Recordings:
     onset = np.tile(np.arange(4) * STATE * DT, (TRIALS, 1))
     text = np.full(TRIALS, "")
-    return Recordings(
+    return snap_recordings(
         wrench=np.zeros((TRIALS, 4 * STATE, 6), np.float32), length=np.full(TRIALS, 4 * STATE, np.int32), dt=DT,
         onset=onset, onset_harmonised=onset, trial=np.array([f"t{k:02d}" for k in range(TRIALS)]),
         arm=np.full(TRIALS, "R"), source=text, session=text, outcome=np.full(TRIALS, "success"), failure_type=text,

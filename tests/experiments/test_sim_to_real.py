@@ -17,6 +17,7 @@ from experiments.figures.sim_to_real import draw, lines
 from rcbht_jax.features import FAMILIES
 from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.presets import ONE_ARM as PRESETS
 
@@ -72,7 +73,7 @@ def trials(samples: tuple[int, ...]) -> Recordings:
     for row, length in enumerate(samples):
         wrench[row, length:] = 0
     words, blank = np.array([f"trial {n}" for n in samples]), np.full(count, "")
-    return Recordings(
+    return snap_recordings(
         wrench=wrench, length=np.array(samples, np.int32), dt=0.005, onset=np.zeros((count, 4)),
         onset_harmonised=np.zeros((count, 4)), trial=words, arm=np.full(count, "R"), source=blank, session=blank,
         outcome=np.full(count, "success"), failure_type=blank, deviation=np.zeros((count, 3)), note=blank,

@@ -19,6 +19,7 @@ from rcbht_jax.introspection.training import HeadSpec, train_head
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.learning.tasks import TaskSpec
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from tests.support.introspection_models import CONFIG, trial
 
@@ -79,7 +80,7 @@ def made_up(kinds: list[int]) -> Recordings:
     """Calm trials succeed, pushed ones fail; half a second each."""
     count = len(kinds)
     text = {name: np.full(count, "") for name in ("failure_type", "note")}
-    return Recordings(
+    return snap_recordings(
         wrench=np.stack([trial(kind, 500 + k, 100) for k, kind in enumerate(kinds)]),
         length=np.full(count, 100, np.int32), dt=CONFIG.dt, onset=np.zeros((count, 4)),
         onset_harmonised=np.zeros((count, 4)), trial=np.array([f"t{k}" for k in range(count)]),

@@ -13,6 +13,7 @@ from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.onsets import fallback, harmonised, needs_harmonising, onsets_from_marks
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
+from tests.support.snaps import deviation
 
 TIME = np.arange(400) * 0.005
 
@@ -94,7 +95,7 @@ def test_contradictory_copies_are_kept_and_flagged(tmp_path: Path) -> None:
         "XX-y0.0094+r0.1901": "contradictory-duplicate:XX+y0.0094+r0.1901",
     }
     assert recordings.column("failure_type").tolist() == ["+x", "", ""]
-    assert np.isnan(recordings.deviation[1:]).all()
+    assert np.isnan(deviation(recordings)[1:]).all()
     assert len(report.warnings) == 2
 
 

@@ -13,8 +13,9 @@ import pytest
 from rcbht_jax.io.hiro import importer
 from rcbht_jax.io.hiro.names import SETS
 from rcbht_jax.io.store import read_attrs
-from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from rcbht_jax.types import Recordings
+from tests.support.snaps import deviation
 
 
 def row(recordings: Recordings, trial: str, arm: str = "R") -> int:
@@ -61,7 +62,7 @@ def test_state_times_and_lengths_match_the_reference_list(golden_dir: Path, hiro
             continue
         end = (entry["n"] - 1) * hiro_recordings.dt
         inside = [time for time in entry["states"] if time <= end + 1e-9]
-        onset = hiro_recordings.onset[index]
+        onset = hiro_recordings.starts(RECORDED)[index]
         # The reference lists a left arm's own file, which holds only the zero.
         known = onset[~np.isnan(onset)][: len(inside) if entry["arm"] == "L" else 4]
         np.testing.assert_allclose(known, inside, atol=1e-9, err_msg=entry["trial"])
@@ -72,10 +73,10 @@ def test_state_times_and_lengths_match_the_reference_list(golden_dir: Path, hiro
 
 def test_onsets_beyond_the_record_are_missing_and_noted(hiro_recordings: Recordings) -> None:
     index = row(hiro_recordings, "XX")
-    np.testing.assert_array_equal(hiro_recordings.onset[index], [0, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(hiro_recordings.starts(RECORDED)[index], [0, np.nan, np.nan, np.nan])
     assert hiro_recordings.note[index] == "onset-beyond-end:S1=52.61"
     end = (hiro_recordings.length - 1) * hiro_recordings.dt
-    assert not (hiro_recordings.onset > end[:, None] + hiro_recordings.dt / 2).any()
+    assert not (hiro_recordings.starts(RECORDED) > end[:, None] + hiro_recordings.dt / 2).any()
     late = np.array(["onset-beyond-end" in note for note in hiro_recordings.note])
     assert set(hiro_recordings.session[late]) == {"SIM1F"}
 
@@ -83,18 +84,18 @@ def test_onsets_beyond_the_record_are_missing_and_noted(hiro_recordings: Recordi
 def test_onset_on_the_last_sample_is_kept_and_noted(hiro_recordings: Recordings) -> None:
     index = row(hiro_recordings, "XX+r0.0399")
     end = (hiro_recordings.length[index] - 1) * hiro_recordings.dt
-    assert hiro_recordings.onset[index, 1] == pytest.approx(end)
+    assert hiro_recordings.starts(RECORDED)[index, 1] == pytest.approx(end)
     assert hiro_recordings.note[index] == "onset-at-end:S1"
 
 
 def test_onsets_increase(hiro_recordings: Recordings) -> None:
-    for onset in (hiro_recordings.onset, hiro_recordings.onset_harmonised):
+    for onset in (hiro_recordings.starts(RECORDED), hiro_recordings.starts(HARMONISED)):
         step = np.diff(onset, axis=1)
         assert (step[~np.isnan(step)] > 0).all()
 
 
 def test_only_single_sample_rotations_are_harmonised(hiro_recordings: Recordings) -> None:
-    old, new = hiro_recordings.onset, hiro_recordings.onset_harmonised
+    old, new = hiro_recordings.starts(RECORDED), hiro_recordings.starts(HARMONISED)
     moved = ~np.isclose(old, new, equal_nan=True).all(1)
     complete = np.isfinite(old).all(1)
     np.testing.assert_array_equal(moved, np.isin(hiro_recordings.session, ("B", "C")) & complete)
@@ -113,7 +114,7 @@ def test_harmonised_states_reproduce_the_signatures(
     golden = np.load(golden_dir / "signatures" / "signatures.npz")[f"{group}__harm__all"]
     late = []
     for index in np.flatnonzero(hiro_recordings.session == session):
-        onset = hiro_recordings.onset_harmonised[index]
+        onset = hiro_recordings.starts(HARMONISED)[index]
         if np.isnan(onset).any() or "other-setup" in hiro_recordings.note[index]:
             continue
         profiles = [resampled(hiro_recordings, int(index), shift) for shift in (0.0, hiro_recordings.dt)]
@@ -147,16 +148,18 @@ def test_left_arm_has_the_right_arms_state_times(hiro_recordings: Recordings) ->
     assert len(left) == 15 or len(left) == 20
     for index in left:
         right = row(hiro_recordings, str(hiro_recordings.trial[index]))
-        assert np.array_equal(hiro_recordings.onset[index], hiro_recordings.onset[right], equal_nan=True)
+        assert np.array_equal(
+            hiro_recordings.starts(RECORDED)[index], hiro_recordings.starts(RECORDED)[right], equal_nan=True
+        )
         assert "state-times-of-right-arm" in hiro_recordings.note[index]
 
 
 def test_failure_types_follow_the_names(hiro_recordings: Recordings) -> None:
     index = row(hiro_recordings, "XX+x0.0073-y0.0078+r0.0342")
-    assert hiro_recordings.failure_type[index] == "+x-y+r"
-    np.testing.assert_allclose(hiro_recordings.deviation[index], [0.0073, -0.0078, 0.0342])
-    assert hiro_recordings.failure_type[row(hiro_recordings, "XX")] == ""
-    assert set(hiro_recordings.session[hiro_recordings.failure_type != ""]) == {"SIM1F"}
+    assert hiro_recordings.column("failure_type")[index] == "+x-y+r"
+    np.testing.assert_allclose(deviation(hiro_recordings)[index], [0.0073, -0.0078, 0.0342])
+    assert hiro_recordings.column("failure_type")[row(hiro_recordings, "XX")] == ""
+    assert set(hiro_recordings.session[hiro_recordings.column("failure_type") != ""]) == {"SIM1F"}
 
 
 def test_contradictory_pair_teaches_no_failure_type(hiro_recordings: Recordings) -> None:
@@ -164,17 +167,17 @@ def test_contradictory_pair_teaches_no_failure_type(hiro_recordings: Recordings)
     for trial, other in ((one, two), (two, one)):
         index = row(hiro_recordings, trial)
         assert f"contradictory-duplicate:{other}" in hiro_recordings.note[index].split(";")
-        assert hiro_recordings.failure_type[index] == ""
-        assert np.isnan(hiro_recordings.deviation[index]).all()
+        assert hiro_recordings.column("failure_type")[index] == ""
+        assert np.isnan(deviation(hiro_recordings)[index]).all()
 
 
 def test_session_b_is_a_millimetre_grid(hiro_recordings: Recordings) -> None:
-    grid = hiro_recordings.deviation[hiro_recordings.session == "B"] * 1e3
+    grid = deviation(hiro_recordings)[hiro_recordings.session == "B"] * 1e3
     np.testing.assert_allclose(grid, np.round(grid), atol=1e-9)
     assert np.abs(grid).max() == pytest.approx(2.0)
     assert len(np.unique(np.round(grid), axis=0)) == len(grid)
     seated = np.array(["off-seat" not in note for note in hiro_recordings.note])
-    low = (hiro_recordings.session == "B") & np.isclose(hiro_recordings.deviation[:, 1], -0.002)
+    low = (hiro_recordings.session == "B") & np.isclose(deviation(hiro_recordings)[:, 1], -0.002)
     assert not seated[low].any()
 
 
@@ -185,7 +188,7 @@ def test_known_defects_are_reported_not_fatal(hiro_store: Path, hiro_recordings:
     assert "REAL_HIRO_ONE_SA_SUCCESS/20121127-HIROSA-S-01/R_Angles.dat" in warned
     assert str(hiro_store.parent) not in json.dumps(report)
     error_05 = row(hiro_recordings, "20160930-HIRO_ERROR-05")
-    assert np.isnan(hiro_recordings.onset[error_05]).all()
+    assert np.isnan(hiro_recordings.starts(RECORDED)[error_05]).all()
     assert "state-times-empty" in hiro_recordings.note[error_05]
     assert "angles-length:2060/3354" in hiro_recordings.note[row(hiro_recordings, "20160930-HIRO_ERROR-02")]
 

@@ -25,6 +25,7 @@ from rcbht_jax.introspection.session import Session, paced
 from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines, read_live
 from rcbht_jax.io.playback import read_folder, read_store
 from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from tests.support.introspection_models import model, trial
 
 DT = 0.005
@@ -247,7 +248,7 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     wrench = np.array([m.wrench for m in from_folder if isinstance(m, Sample)], np.float32)
     np.testing.assert_array_equal(wrench, hiro_recordings.wrench[row, : hiro_recordings.length[row]])
     begins = [k for k, m in enumerate(from_store) if isinstance(m, Begin)]
-    onsets = np.rint(hiro_recordings.onset_harmonised[row, 1:] / DT).astype(int)
+    onsets = np.rint(hiro_recordings.starts(HARMONISED)[row, 1:] / DT).astype(int)
     assert begins == (onsets + np.arange(3)).tolist()
     assert not [m for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none") if m == Begin()]
     for wrong in (lambda: read_store(hiro_store, ("x",)), lambda: read_folder(hiro_dir), lambda: read_store(hiro_dir)):

@@ -15,10 +15,11 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
 from rcbht_jax.learning.svm import Grid, grouped_folds
-from rcbht_jax.learning.tasks import FAILURE_TYPES, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
-from rcbht_jax.robots.snap_assembly import RECORDED
+from rcbht_jax.robots.snap_assembly import FAILURE_TYPES, RECORDED, snap_recordings
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from tests.support.snaps import marked, with_columns
 
 QUICK = Grid(kernels=("linear",), costs=(0.1, 1.0), scalings=(False,), inner=2)
 TRIALS = 12  # per session, two sessions, the last two of each fail; right arm only but for the first four
@@ -36,7 +37,7 @@ def make_recordings() -> Recordings:
     types = np.where(failed, np.where([t % 2 == 0 for _, t, _ in rows], "+x", "-y"), "")
     note = np.full(n, "", dtype="<U40")
     note[TRIALS - 1] = "harmonised;contradictory-duplicate:B3"
-    return Recordings(
+    return snap_recordings(
         wrench=np.zeros((n, 40, 6), np.float32),
         length=np.full(n, 40, np.int32),
         dt=0.1,
@@ -73,7 +74,7 @@ def recordings() -> Recordings:
 
 
 def test_states_cover_the_record_and_incomplete_trials_are_counted(recordings):
-    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded", complete=True))
     assert items.classes == ("approach", "rotation", "insertion", "mating")
     assert items.dropped == {"a state is missing": 1}
     good = 2 * (TRIALS - 2) - 1
@@ -99,23 +100,37 @@ def test_boundaries_can_be_harmonised_or_merged(recordings):
 def test_merging_needs_no_rotation_mark(recordings):
     onset = recordings.starts(RECORDED).copy()
     onset[:, 2] = np.nan
-    without = replace(recordings, onset=onset)
+    without = marked(recordings, onset)
     assert len(labelled_intervals(without, TaskSpec(boundaries="merged")).y) > 0
-    with pytest.raises(InputError, match="finds 0 classes"):
-        labelled_intervals(without, TaskSpec(boundaries="recorded"))
+    with pytest.raises(InputError, match="finds no class"):
+        labelled_intervals(without, TaskSpec(boundaries="recorded", complete=True))
 
 
 @pytest.mark.parametrize("bad", [5.0, 1.0, 0.95])
 def test_marks_beyond_the_record_or_out_of_order_drop_the_trial(recordings, bad):
     onset = recordings.starts(RECORDED).copy()
     onset[0, 2] = bad
-    items = labelled_intervals(replace(recordings, onset=onset), TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(marked(recordings, onset), TaskSpec(boundaries="recorded", complete=True))
     assert items.dropped["a state is missing"] == 2
     assert "A0" not in items.trial
 
 
+def test_a_trial_that_lacks_a_mark_keeps_its_other_intervals(recordings):
+    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded"))
+    (only,) = items.intervals
+    of = only.recording == 3  # A3 has no mating: it ended while inserting
+    assert [items.classes[y] for y in items.y[of]] == ["approach", "rotation", "insertion"]
+    assert only.end[of].tolist() == [10, 12, 40]
+    onset = recordings.starts(RECORDED)
+    onset[0, 1] = np.nan  # approach may have ended anywhere before the insertion
+    items = labelled_intervals(marked(recordings, onset), TaskSpec(boundaries="recorded"))
+    of = items.intervals[0].recording == 0
+    assert [items.classes[y] for y in items.y[of]] == ["insertion", "mating"]
+    assert items.dropped == {"intervals that are empty, end beyond the record or have no known end": 1}
+
+
 def test_two_arms_are_paired_by_trial(recordings):
-    items = labelled_intervals(recordings, TaskSpec(arms="both", sources=("SET_A",)))
+    items = labelled_intervals(recordings, TaskSpec(arms="both", sources=("SET_A",), complete=True))
     assert sorted(set(items.trial.tolist())) == ["A0", "A1", "A2"]  # A3 lacks a state of its right arm
     assert items.dropped == {"no arm R and L": 6, "a state is missing": 1}
     right, left = items.intervals
@@ -125,7 +140,9 @@ def test_two_arms_are_paired_by_trial(recordings):
     tracks = make_tracks(recordings, wrong=0.5)
     made = extract_features(tracks, items, FeatureSpec(families=("histogram",)))
     alone = extract_features(
-        tracks, labelled_intervals(recordings, TaskSpec(arms="L", sources=("SET_A",))), FeatureSpec(("histogram",))
+        tracks,
+        labelled_intervals(recordings, TaskSpec(arms="L", sources=("SET_A",), complete=True)),
+        FeatureSpec(("histogram",)),
     )
     np.testing.assert_array_equal(made.values[:, made.values.shape[1] // 2 :], alone.values[: len(items.y)])
     assert made.names[0].startswith("R.histogram")
@@ -147,11 +164,12 @@ def test_rare_failure_types_are_left_out(recordings):
     types = recordings.column("failure_type").astype("<U8")
     types[20] = "+x-y"  # a listed type, on a success: the outcome filter hides it
     types[TRIALS - 2] = "-r"
+    listed = TaskSpec("failure-type", outcomes=("failure",), classes=FAILURE_TYPES)
     types[2 * TRIALS - 1] = "-y"
-    items = labelled_intervals(replace(recordings, failure_type=types), TaskSpec("failure-type"))
+    items = labelled_intervals(with_columns(recordings, failure_type=types), listed)
     assert items.classes == ("+x", "-y", "-r")
     types[TRIALS - 2] = "+x+y-r"
-    items = labelled_intervals(replace(recordings, failure_type=types), TaskSpec("failure-type"))
+    items = labelled_intervals(with_columns(recordings, failure_type=types), listed)
     assert items.classes == ("+x", "-y")
     assert items.dropped["class not in the list"] == 1
     assert len(FAILURE_TYPES) == 13
@@ -161,7 +179,7 @@ def test_evaluation_finds_what_the_labels_say(recordings):
     made = evaluate(
         recordings,
         make_tracks(recordings),
-        TaskSpec(),
+        TaskSpec(complete=True),
         FeatureSpec(("histogram",)),
         EvaluationProtocol(folds=3, repeats=2, grid=QUICK),
         {"window": 5},
@@ -181,7 +199,7 @@ def test_evaluation_finds_what_the_labels_say(recordings):
 
 def test_the_duration_baseline_sees_durations_only(recordings):
     # Labels are noise, and all durations are equal per state: the baseline is perfect, the labels are not.
-    task, protocol = TaskSpec(boundaries="recorded"), EvaluationProtocol(folds=3, repeats=1, grid=QUICK)
+    task, protocol = TaskSpec(boundaries="recorded", complete=True), EvaluationProtocol(folds=3, repeats=1, grid=QUICK)
     noise = make_tracks(recordings, wrong=1.0)
     made = evaluate(recordings, noise, task, FeatureSpec(("histogram",)), protocol)
     assert made.duration_baseline["accuracy"]["mean"] == 1
@@ -201,13 +219,15 @@ def test_the_same_seed_gives_the_same_result_and_folds_are_shared(recordings):
 def test_the_best_feature_specification_is_chosen_inside_the_folds(recordings):
     tracks = make_tracks(recordings)
     specs = {"levels": FeatureSpec(("offset",)), "words": FeatureSpec(("histogram",))}
-    made = evaluate(recordings, tracks, TaskSpec(), specs, EvaluationProtocol(folds=3, repeats=1, grid=QUICK))
+    made = evaluate(
+        recordings, tracks, TaskSpec(complete=True), specs, EvaluationProtocol(folds=3, repeats=1, grid=QUICK)
+    )
     assert all(line.startswith("words linear") for line in made.chosen)
 
 
 @pytest.mark.filterwarnings("ignore:The groups parameter is ignored")
 def test_a_splitter_replaces_the_folds_and_must_keep_trials_together(recordings):
-    tracks, task, spec = make_tracks(recordings), TaskSpec(), FeatureSpec(("histogram",))
+    tracks, task, spec = make_tracks(recordings), TaskSpec(complete=True), FeatureSpec(("histogram",))
     made = evaluate(recordings, tracks, task, spec, EvaluationProtocol(grid=QUICK), splitter=LeaveOneGroupOut())
     assert np.shape(made.fold_accuracy) == (1, 19)
     assert made.protocol["splitter"] == "LeaveOneGroupOut()"
@@ -249,8 +269,8 @@ def test_bad_protocols_and_filters_are_refused(recordings):
         evaluate(recordings, tracks, TaskSpec("failure-type"), spec, EvaluationProtocol())
     with pytest.raises(InputError, match="source"):
         labelled_intervals(recordings, TaskSpec(sources=("SET_Z",)))
-    with pytest.raises(InputError, match="not a choice"):
-        TaskSpec("weather")
+    with pytest.raises(InputError, match="no track or column 'weather'"):
+        labelled_intervals(recordings, TaskSpec("weather"))
     only_one = EvaluationProtocol(train_on=("A",), test_on=("B",))
     alike = replace(recordings, outcome=np.where(recordings.session == "A", "success", recordings.outcome))
     with pytest.raises(InputError, match="only one class"):
@@ -282,7 +302,7 @@ def test_the_data_hash_notices_a_single_sample_or_name(recordings):
 
 
 def test_any_features_can_be_scored_beside_the_baselines(recordings):
-    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded"))
+    items = labelled_intervals(recordings, TaskSpec(boundaries="recorded", complete=True))
     known = np.eye(4)[items.y]
     made = score(items, {"raw": known}, EvaluationProtocol(folds=3, repeats=1, grid=QUICK), {"task": "states"}, {})
     assert made.score["accuracy"]["mean"] == 1

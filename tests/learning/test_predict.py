@@ -20,6 +20,7 @@ from rcbht_jax.learning.model_io import load, save
 from rcbht_jax.learning.predict import classify, task_of
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, unlabelled_intervals
 from tests.cli.test_commands import synthetic
+from tests.support.snaps import marked, with_columns
 
 RICH = ("--features", "histogram", "parts", "levels", "--ranks", "--balance", "--kernels", "linear", "--costs", "1")
 STATES = ["approach", "rotation", "insertion", "mating"]
@@ -102,9 +103,9 @@ def test_spans_are_the_sentences_where_all_is_known() -> None:
 
 def test_whole_trials_need_no_class() -> None:
     outcome = np.array(["success", "failure", "unknown"] * 4)
-    kind = np.array(["", "+x", "elsewhere"] * 4)
+    kind = np.array(["", "+x", ""] * 4)
     note = np.where(np.arange(12) == 1, "contradictory-duplicate", "")
-    recordings = replace(synthetic(), outcome=outcome, failure_type=kind, note=note)
+    recordings = replace(with_columns(synthetic(), failure_type=kind), outcome=outcome, note=note)
     found = unlabelled_intervals(recordings, TaskSpec("outcome"))
     assert found.name.tolist() == ["success", "failure", ""] * 4
     assert (found.intervals[0].end == recordings.length).all()
@@ -115,9 +116,9 @@ def test_whole_trials_need_no_class() -> None:
 
 def test_without_any_sentence(place: Path) -> None:
     missing = np.full((12, 4), np.nan)
-    unmarked = replace(synthetic(), onset=missing, onset_harmonised=missing)
+    unmarked = marked(synthetic(), missing, missing)
     model = load(place / "one.model")
-    with pytest.raises(InputError, match="12 trials: a state is missing"):
+    with pytest.raises(InputError, match="12 trials: no annotation"):
         classify(model, unmarked, {}, task_of(model))
 
 

@@ -15,7 +15,7 @@ from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.plots.beliefs import belief_map
-from rcbht_jax.types import Recordings
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from tests.support.introspection_models import model, trial
 
 
@@ -44,7 +44,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     wrench = np.concatenate([trial(0, 52, 150), trial(2, 53, 150)])[None]
     onset = np.array([[0.0, 0.75, np.nan, np.nan]])
     text = {name: np.array([name]) for name in ("source", "session", "failure_type", "note")}
-    one = Recordings(
+    one = snap_recordings(
         wrench=wrench, length=np.array([300], np.int32), dt=0.005, onset=onset, onset_harmonised=onset,
         trial=np.array(["t"]), arm=np.array(["R"]), outcome=np.array(["success"]), deviation=np.full((1, 3), np.nan),
         **text,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import threading
 from pathlib import Path
@@ -26,6 +25,7 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES, COLORS, LAYER_SIZES, LAYERS, name
 from rcbht_jax.plots import label_map, save, trial_figure
 from rcbht_jax.plots.label_map import POINTS_PER_STATE
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 DT = 0.005
@@ -43,7 +43,7 @@ def recordings() -> Recordings:
     onset = np.array([[0, 1, 2, 3], [0, 1, 1.005, 2], [0, 1, np.nan, np.nan]])
     harmonised = onset.copy()
     harmonised[1, 2] = 1.8
-    return Recordings(
+    return snap_recordings(
         wrench=wrench,
         length=np.array(SAMPLES, np.int32),
         dt=DT,
@@ -367,8 +367,7 @@ def test_commands_ask_for_labels(
 
 def test_a_recorded_trial(hiro_recordings: Recordings, tmp_path: Path) -> None:
     keep = np.flatnonzero(hiro_recordings.session == "B")[:2]
-    per_row = [field.name for field in dataclasses.fields(Recordings) if field.name != "dt"]
-    few = dataclasses.replace(hiro_recordings, **{key: getattr(hiro_recordings, key)[keep] for key in per_row})
+    few = hiro_recordings.take(keep)
     labels = encode_batch(EncoderConfig(), preset(), few.wrench, few.length)
     figure = trial_figure(few, labels, 0, window=5)
     _check_bands(figure, labels, 0)

@@ -7,7 +7,6 @@ import re
 import shlex
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ import rcbht_jax as rj
 from rcbht_jax.cli.main import command_name, main, parse
 from rcbht_jax.errors import InputError
 from tests.support.pages import NOTEBOOKS, PAGES, ROOT, notebook_cells, python_blocks, run
+from tests.support.snaps import marked
 from tests.support.store_cases import simple
 
 
@@ -47,7 +47,7 @@ def trials_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The store ``trials.zarr`` that pages read, in the current folder."""
     monkeypatch.chdir(tmp_path)
     onset = np.tile([0.0, 0.5, 1.0, 1.5], (12, 1))
-    rj.write_recordings(tmp_path / "trials.zarr", replace(simple(12, 400), onset=onset, onset_harmonised=onset), {})
+    rj.write_recordings(tmp_path / "trials.zarr", marked(simple(12, 400), onset, onset), {})
 
 
 @pytest.mark.usefixtures("trials_store")

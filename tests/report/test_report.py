@@ -39,6 +39,7 @@ from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
 from tests.support.introspection_models import CONFIG, head
+from tests.support.snaps import marked
 
 RESULTS = Path(__file__).resolve().parents[2] / "experiments" / "results"
 NASTY = "</script><b>Ü'\"&"
@@ -352,7 +353,7 @@ def test_mouse_words_and_print(report: Path, data: DataSet) -> None:
 
 def test_a_hundred_long_trials_open_within_two_seconds(data: DataSet, tmp_path: Path) -> None:
     """33 s each, as long as the longest recorded session, of noise that hardly deflates."""
-    long = dataclasses.replace(signals(6600), onset=data.recordings.starts(RECORDED), onset_harmonised=data.recordings.starts(RECORDED))
+    long = marked(signals(6600), data.recordings.starts(RECORDED), data.recordings.starts(RECORDED))
     write_recordings(tmp_path / "long.zarr", long, {})
     few = load(tmp_path / "long.zarr", window=5)
     rows = np.arange(100) % 4

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from rcbht_jax._util.digest import content_hash
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
+
+INTERVALS = ("recording", "track", "code", "start", "end")
 
 
 def simple(count: int = 3, samples: int = 50) -> Recordings:
     """Recordings with random wrenches, all of full length."""
     name = np.array([f"t{k}" for k in range(count)])
-    return Recordings(
+    return snap_recordings(
         wrench=np.random.default_rng(0).normal(size=(count, samples, 6)).astype(np.float32),
         length=np.full(count, samples, np.int32),
         dt=0.005,
@@ -33,12 +35,16 @@ def simple(count: int = 3, samples: int = 50) -> Recordings:
 
 
 def same(one: Recordings, two: Recordings) -> None:
-    for field in dataclasses.fields(Recordings):
-        left, right = np.asarray(getattr(one, field.name)), np.asarray(getattr(two, field.name))
+    assert one.annotations.labels == two.annotations.labels
+    assert sorted(one.columns) == sorted(two.columns)
+    pairs = [(getattr(one, name), getattr(two, name)) for name in vars(one) if name not in ("annotations", "columns")]
+    pairs += [(one.columns[name], two.columns[name]) for name in one.columns]
+    pairs += [(getattr(one.annotations, name), getattr(two.annotations, name)) for name in INTERVALS]
+    for left, right in ((np.asarray(left), np.asarray(right)) for left, right in pairs):
         assert left.dtype.kind == right.dtype.kind
         assert left.shape == right.shape
         # Bit for bit: the sign of zero counts, the width of a string's dtype does not.
-        assert content_hash([left]) == content_hash([right]), field.name
+        assert content_hash([left]) == content_hash([right])
 
 
 def folder_is_clean(folder: Path, *expected: str) -> None:

@@ -76,7 +76,9 @@ def _features(labelled: bool, axes: list[str]) -> dict[str, dict[str, Any]]:
         "observation.state_index": {"dtype": "int64", **scalar},
     }
     if labelled:
-        features |= {f"observation.label.{layer}": {"dtype": "int64", "shape": shape, "names": axes} for layer in LAYERS}
+        features |= {
+            f"observation.label.{layer}": {"dtype": "int64", "shape": shape, "names": axes} for layer in LAYERS
+        }
     features |= {"next.done": {"dtype": "bool", **scalar}, "timestamp": {"dtype": "float32", **scalar}}
     return features | {
         key: {"dtype": "int64", **scalar} for key in ("frame_index", "episode_index", "index", "task_index")

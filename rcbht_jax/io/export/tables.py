@@ -51,7 +51,7 @@ def trials(recordings: Recordings) -> Table:
     return table | dict(recordings.columns)
 
 
-def annotations(recordings: Recordings) -> Table:
+def intervals(recordings: Recordings) -> Table:
     """One row per annotated interval; empty without annotations."""
     marks = recordings.annotations
     if not len(marks):

@@ -105,7 +105,7 @@ def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
 
 def _optional(data: DataSet) -> list[tuple[str, Table]]:
     """Tables that not every data set has, with their names."""
-    both = (("annotations", tables.annotations(data.recordings)), ("simulation", tables.simulation(data)))
+    both = (("annotations", tables.intervals(data.recordings)), ("simulation", tables.simulation(data)))
     return [(title, table) for title, table in both if table]
 
 

@@ -27,15 +27,11 @@ from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
-from rcbht_jax.robots.snap_assembly import snap_recordings
+from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
 from rcbht_jax.types import Recordings
 
 Progress = Callable[[list[Path]], Iterable[Path]]
-FRAMES = (
-    "The wrench is as the robot logged it: not tared, filtered, resampled or rotated. One-arm trials are in the robot's "
-    "base frame (x forward, y left, z up), two-arm trials in the frame of each wrist; moments are about a point of the "
-    "wrist."
-)
+LOGGED = "The wrench is as the robot logged it: not tared, filtered, resampled or rotated."
 DT_EQUAL = 1e-3  # relative difference below which two time steps are the same
 
 
@@ -124,7 +120,12 @@ def import_hiro(directory: Path, path: Path, overwrite: bool = False, progress: 
     """
     store.check_target(path, overwrite)
     recordings, report = read_hiro(directory, progress)
-    attrs = {"importer": "hiro", "frames": FRAMES, "source_sha256": report.content_sha256, "import_report": report.to_dict()}
+    attrs = {
+        "importer": "hiro",
+        "frames": f"{LOGGED} {FRAMES}",
+        "source_sha256": report.content_sha256,
+        "import_report": report.to_dict(),
+    }
     store.write_recordings(path, recordings, attrs, overwrite)
     return report
 

@@ -18,7 +18,7 @@ from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.robots import kinematics
-from rcbht_jax.types import Recordings
+from rcbht_jax.robots.snap_assembly import snap_recordings
 from sim_mjx.assembly import task, two_arm_program
 from sim_mjx.assembly.controllers import approach
 from sim_mjx.assembly.rollout import Rollouts, as_float32
@@ -280,7 +280,7 @@ def test_grammar_of_both_arms(whole: dict[str, Rollouts]) -> None:
     count = len(run.length)
     rows = np.repeat(np.arange(count), 2)
     blank = np.full(2 * count, "")
-    both = Recordings(
+    both = snap_recordings(
         wrench=run.wrench.reshape(count, -1, 2, 6).swapaxes(1, 2).reshape(2 * count, -1, 6), length=run.length[rows],
         dt=CONTROL_PERIOD, onset=run.onset[rows], onset_harmonised=run.onset[rows],
         trial=np.array([f"trial {row}" for row in rows]), arm=np.tile(["R", "L"], count), source=blank, session=blank,

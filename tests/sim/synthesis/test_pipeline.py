@@ -22,6 +22,7 @@ from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_attrs, read_recordings, read_simulation, write_recordings
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots import kinematics
+from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
@@ -29,7 +30,7 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
-from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED
+from tests.support.snaps import deviation
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_store_holds_what_was_simulated(whole: Path) -> None:
     assert set(recordings.outcome) == {"success", "failure"}
     assert simulation["fault"].tolist() == [fault.kind for fault in faults]
     assert recordings.column("failure_type").tolist() == [fault.failure_type for fault in faults]
-    assert np.array_equal(recordings.deviation, [fault.deviation for fault in faults])
+    assert np.array_equal(deviation(recordings), [fault.deviation for fault in faults])
     assert np.array_equal(simulation["hook_overlap"], params.parts.hook_overlap)
     assert np.array_equal(simulation["seated"], out.seated)
     assert set(recordings.source) == {"SIM_MJX_B"}
@@ -93,7 +94,7 @@ def test_states_after_an_early_stop_were_never_entered(tmp_path: Path) -> None:
         out.seated[:] = False
 
     synthesise(tmp_path / "t.zarr", SMALL, simulate=changed(stop))
-    onset = read_recordings(tmp_path / "t.zarr").onset
+    onset = read_recordings(tmp_path / "t.zarr").starts(RECORDED)
     assert np.isfinite(onset[:, :2]).all()
     assert np.isnan(onset[:, 2:]).all()
     assert set(read_simulation(tmp_path / "t.zarr")["failed_in"]) == {"rotation"}

@@ -13,6 +13,7 @@ import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
+from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
@@ -180,7 +181,7 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     report = json.loads((out / "report.json").read_text())
     assert (
         report["session C"]["recorded_trials"]
-        == (np.isfinite(hiro_recordings.onset).all(1) & (hiro_recordings.session == "C")).sum()
+        == (np.isfinite(hiro_recordings.starts(RECORDED)).all(1) & (hiro_recordings.session == "C")).sum()
     )
     assert (out / "session-C.png").stat().st_size > 10_000
     assert (out / "report.txt").read_text().rstrip() in text

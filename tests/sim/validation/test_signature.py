@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.robots.snap_assembly import HARMONISED, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.validation.signature import Similarity, _warping, _wasserstein, compare, profiles, signature_figure
+from tests.support.snaps import marked
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def test_published_halves(golden: dict[str, Floats]) -> None:
 def test_profiles_equal_golden(golden: dict[str, Floats], hiro_recordings: Recordings, group: str) -> None:
     source, session, first = GROUPS[group]
     usable = (hiro_recordings.source == source) & (hiro_recordings.session == session)
-    usable &= np.isfinite(hiro_recordings.onset_harmonised).all(axis=1)
+    usable &= np.isfinite(hiro_recordings.starts(HARMONISED)).all(axis=1)
     usable &= np.char.find(hiro_recordings.note.astype(str), "other-setup") < 0
     rows = np.flatnonzero(usable)
     assert len(rows) >= 8
@@ -91,7 +92,7 @@ def ramp() -> Recordings:
     wrench = np.repeat((time[:, None] * np.arange(1, 7))[None], 2, axis=0).astype(np.float32)
     text = np.array(["one", "two"], np.str_)
     onset = np.array([[0.0, 0.3, 0.31, 0.8], [0.0, 0.3, 0.31, 1.5]])
-    return Recordings(
+    return snap_recordings(
         wrench=wrench,
         length=np.array([401, 401], np.int32),
         dt=0.005,
@@ -118,9 +119,9 @@ def test_profiles_of_ramps(ramp: Recordings) -> None:
 
 
 def test_profiles_mistakes(ramp: Recordings) -> None:
-    onset = ramp.onset_harmonised.copy()
+    onset = ramp.starts(HARMONISED)
     onset[1, 3] = np.nan
-    broken = dataclasses.replace(ramp, onset_harmonised=onset)
+    broken = marked(ramp, onset_harmonised=onset)
     with pytest.raises(InputError, match=r"insertion state of recording 1 \(two\)"):
         profiles(broken)
     assert profiles(broken, [0]).shape == (1, 4, 100, 6)
