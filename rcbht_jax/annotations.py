@@ -92,7 +92,7 @@ class Annotations:
         try:
             pairs = [codes[row] for row in zip(table["track"].tolist(), table["label"].tolist(), strict=True)]
         except KeyError as error:
-            raise InputError(f"The annotation {error.args[0]} is not among the labels of its track.") from None
+            raise InputError(f"the annotation {error.args[0]} is not among the labels of its track.") from None
         track, code = np.array(pairs, np.int32).reshape(-1, 2).T
         order = {name: tuple(map(str, names)) for name, names in labels.items()}
         return Annotations(table["recording"], track.astype(np.int16), code, table["start"], table["end"], order)

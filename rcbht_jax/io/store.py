@@ -158,9 +158,13 @@ def _read(group: zarr.Group) -> tuple[Recordings, str]:
     }
     sub = zarr_io.subgroup(group, ANNOTATIONS)
     intervals = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in INTERVALS.items()}
+    try:
+        marks = Annotations.from_table(intervals, dict(group.attrs["annotation_labels"]))  # type: ignore[arg-type]
+    except InputError as error:
+        raise InputError(f"{group.store_path} is damaged: {error} Import or copy it again.") from error
     recordings = Recordings(
         dt=float(zarr_io.read_array(group, "dt", "float64")[()]),
-        annotations=Annotations.from_table(intervals, dict(group.attrs["annotation_labels"])),  # type: ignore[arg-type]
+        annotations=marks,
         columns=columns,
         axes=tuple(zarr_io.read_array(group, "axis", "string").tolist()),
         units=tuple(map(str, group.attrs["axis_units"])),  # type: ignore[arg-type]

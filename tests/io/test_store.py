@@ -48,21 +48,21 @@ def some_fields(draw: st.DrawFn) -> dict[str, Any]:
         return np.array(draw(st.lists(elements, min_size=count, max_size=count)), np.str_)
 
     onset, better, deviation = (draw(hnp.arrays(np.float64, (count, width), elements=numbers)) for width in (4, 4, 3))
-    return dict(
-        wrench=wrench,
-        length=length,
-        dt=draw(st.floats(1e-4, 1.0)),
-        onset=onset,
-        onset_harmonised=better,
-        trial=words(WORDS),
-        arm=words(st.sampled_from(["R", "L"])),
-        source=words(WORDS),
-        session=words(WORDS),
-        outcome=words(st.sampled_from(["success", "failure", "unknown"])),
-        failure_type=words(WORDS),
-        deviation=deviation,
-        note=words(WORDS),
-    )
+    return {
+        "wrench": wrench,
+        "length": length,
+        "dt": draw(st.floats(1e-4, 1.0)),
+        "onset": onset,
+        "onset_harmonised": better,
+        "trial": words(WORDS),
+        "arm": words(st.sampled_from(["R", "L"])),
+        "source": words(WORDS),
+        "session": words(WORDS),
+        "outcome": words(st.sampled_from(["success", "failure", "unknown"])),
+        "failure_type": words(WORDS),
+        "deviation": deviation,
+        "note": words(WORDS),
+    }
 
 
 @pytest.fixture
