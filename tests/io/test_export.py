@@ -28,9 +28,10 @@ from rcbht_jax.io.rosbags import read_bag
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES, LAYERS, name
 from rcbht_jax.reference.dataset import encode_dataset
-from rcbht_jax.robots.snap_assembly import RECORDED
+from rcbht_jax.robots.snap_assembly import RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
-from tests.io.test_store import folder_is_clean, simple, some_recordings
+from tests.io.test_store import folder_is_clean, simple, some_fields
+from tests.support.snaps import marked
 
 pd = pytest.importorskip("pandas")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -47,10 +48,10 @@ def signals() -> Recordings:
     for row, end in zip(wrench, length, strict=True):
         row[end:] = 0
     onset = np.tile(ONSETS, (3, 1))
-    return dataclasses.replace(
-        simple(3, 400), wrench=wrench, length=length, trial=np.array(NAMES), onset=onset, onset_harmonised=onset,
+    return marked(dataclasses.replace(
+        simple(3, 400), wrench=wrench, length=length, trial=np.array(NAMES),
         outcome=np.array(["success", "failure", "unknown"]), arm=np.array(["R", "L", "R"]),
-    )  # fmt: skip
+    ), onset, onset)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +96,9 @@ def all_labels(data: DataSet) -> tables.Table:
 def test_tables_say_what_the_store_says(data: DataSet) -> None:
     trials, labels = tables.trials(data.recordings), all_labels(data)
     assert trials["trial"].tolist() == NAMES
-    np.testing.assert_array_equal(trials["onset_rotation"], data.recordings.starts(RECORDED)[:, 1])
+    marks = tables.intervals(data.recordings)
+    rotation = (marks["track"] == RECORDED) & (marks["label"] == "rotation")
+    np.testing.assert_array_equal(marks["start"][rotation], data.recordings.starts(RECORDED)[:, 1])
     assert data.tracks is not None
     assert len(labels["code"]) == sum(np.count_nonzero(getattr(data.tracks, layer).label) for layer in LAYERS)
     chosen = (labels["recording"] == 1) & (labels["layer"] == "llb") & (labels["axis"] == "My")
@@ -128,6 +131,7 @@ def test_parquet_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export(data, out, "parquet")
     same_columns(pd.read_parquet(out / "trials.parquet"), tables.trials(data.recordings))
+    same_columns(pd.read_parquet(out / "annotations.parquet"), tables.intervals(data.recordings))
     same_columns(pd.read_parquet(out / "wrench.parquet"), whole_wrench(data.recordings))
     same_columns(pd.read_parquet(out / "labels.parquet"), all_labels(data))
     file = pq.ParquetFile(out / "wrench.parquet")
@@ -137,8 +141,9 @@ def test_parquet_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
 
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow])
-@given(some_recordings())
-def test_any_recordings_survive_parquet_and_csv(recordings: Recordings) -> None:
+@given(some_fields())
+def test_any_recordings_survive_parquet_and_csv(fields: dict[str, Any]) -> None:
+    recordings = snap_recordings(**fields)
     with tempfile.TemporaryDirectory() as folder:
         export(bare(recordings), Path(folder) / "p", "parquet")
         same_columns(pd.read_parquet(Path(folder) / "p/trials.parquet"), tables.trials(recordings))
@@ -164,9 +169,10 @@ def same_text(path: Path, expected: tables.Table) -> None:
 
 def test_csv_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
     export(data, tmp_path / "out", "csv")
-    trials = pd.read_csv(tmp_path / "out/trials.csv", keep_default_na=False, na_values={"onset_mating": [""]})
+    trials = pd.read_csv(tmp_path / "out/trials.csv", keep_default_na=False)
     assert trials["trial"].tolist() == NAMES
-    assert trials["onset_mating"].isna().all()
+    marks = pd.read_csv(tmp_path / "out/annotations.csv")
+    assert marks["label"].tolist() == tables.intervals(data.recordings)["label"].tolist()
     assert pd.read_csv(tmp_path / "out/wrench/000001.csv").shape == (250, 9)
     assert pd.read_csv(tmp_path / "out/labels.csv")["label"].tolist() == all_labels(data)["label"].tolist()
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcbht_jax.labels import AXES, STATES
+from rcbht_jax.labels import AXES
 from rcbht_jax.reference import OfflineLabels
 from rcbht_jax.reference import published_features as pub
+from rcbht_jax.robots.snap_assembly import STATES
 from tests.support.reference_cases import TWO_ARMS, encode_all, job, onset
 
 # A trial of another set-up, which is not among the published ones.
