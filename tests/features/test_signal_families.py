@@ -7,7 +7,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from rcbht_jax.encoding.batch import encode_batch
@@ -98,19 +98,29 @@ def changed(tracks: LabelTracks, factor: float, bias: float) -> LabelTracks:
     """What the encoder says when wrench and thresholds are multiplied and a constant is added to the wrench."""
 
     def one(track: LabelTrack) -> LabelTrack:
-        # In double precision: rounded to single, two lines that end level may change places as the highest.
-        exact = {name: getattr(track, name).astype(np.float64) for name in ("avg", "vmax", "vmin", "grad")}
-        moved = {name: exact[name] * factor + bias for name in ("avg", "vmax", "vmin")}
-        return replace(track, grad=exact["grad"] * factor, **moved)
+        moved = {name: getattr(track, name) * factor + bias for name in ("avg", "vmax", "vmin")}
+        return replace(track, grad=track.grad * factor, **moved)
 
     return LabelTracks(one(tracks.primitive), one(tracks.mc), one(tracks.llb))
+
+
+def tied(tracks: LabelTracks, row: tuple[int, int, int]) -> bool:
+    """Whether rounding decides which moment of an axis is an extreme, or lies beyond a quarter of the range."""
+    for axis in range(6):
+        level = np.array([level for _, level, _ in read(tracks, axis, row, 0.005)])
+        gaps = np.concatenate([level - level.min(), level.max() - level])
+        limits = level.mean() + np.ptp(level) / 4 * np.array([[-1], [0], [1]])
+        if ((gaps > 0) & (gaps < 1e-4)).any() or (np.ptp(level) and (abs(level - limits) < 1e-4).any()):
+            return True
+    return False
 
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-50, 50))
 def test_a_constant_bias_changes_levels_only(seed, bias):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
-    plain, moved = (interval_features(changed(tracks, 1, x), rows, SPEC) for x in (0, bias))
+    assume(not tied(tracks, (0, 0, 40)) and not tied(tracks, (1, 3, 29)))
+    plain, moved = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, 1, bias)))
     for family in FREE_OF_OFFSET:
         a, b = (x.select([family]).values for x in (plain, moved))
         np.testing.assert_allclose(a, b, atol=1e-4, err_msg=family)
@@ -119,10 +129,10 @@ def test_a_constant_bias_changes_levels_only(seed, bias):
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
+@given(st.integers(0, 2**32 - 1), st.integers(-7, 7).map(lambda power: 2.0**power))  # exact: no tie is broken
 def test_scaling_wrench_and_thresholds_changes_no_order_and_nothing_between_axes(seed, factor):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
-    plain, scaled = (interval_features(changed(tracks, x, 0), rows, SPEC) for x in (1, factor))
+    plain, scaled = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, factor, 0)))
     free = [i for i, name in enumerate(plain.names) if ".share." in name or plain.families[i] in FREE_OF_SCALE]
     np.testing.assert_allclose(plain.values[:, free], scaled.values[:, free], atol=1e-5)
     assert sum(".share." in plain.names[i] for i in free) == 6 * (3 + 8 + 11)
