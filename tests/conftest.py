@@ -9,8 +9,8 @@ from jaxtyping import install_import_hook
 
 import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
 
-# Shapes and types are checked at run time under pytest only; must come before any import of the package.
-install_import_hook("rcbht_jax", "tests.support.typechecking.check")
+# Shapes and types are checked at run time under pytest only; must come before any import of the packages.
+install_import_hook(["rcbht_jax", "sim_mjx"], "tests.support.typechecking.check")
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402

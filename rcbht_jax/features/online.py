@@ -30,7 +30,7 @@ from rcbht_jax.features import (
     online_signal,
 )
 from rcbht_jax.features.signal_families import FAMILIES as LINES
-from rcbht_jax.features.word_families import UNIT
+from rcbht_jax.features.word_families import compressed
 from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
@@ -252,7 +252,7 @@ def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Ar
             "attributes": lambda: _attributes(spec, stats, values),
             "offset": lambda: _offset(spec, stats, values),
             "course": lambda: _course(spec, stats, values),
-            "edges": lambda: [_compressed(_edges(stats, values))],
+            "edges": lambda: [compressed(_edges(stats, values))],
         }
     wide = [block for family in blocks if family in spec.families for block in blocks[family]()]
     flat = [jnp.concatenate(wide, axis=-1).reshape(-1)] if wide else []
@@ -272,12 +272,6 @@ def _share(counts: Array) -> Array:
     return _ratio(counts, jnp.broadcast_to(jnp.sum(counts, axis=-1, keepdims=True), counts.shape))
 
 
-def _compressed(value: Array) -> Array:
-    """Signed logarithm of ``[layer, axis, column]``, as on the host."""
-    unit = jnp.asarray(UNIT, jnp.float32)[None, :, None]
-    return jnp.sign(value) * jnp.log1p(jnp.abs(value) / unit)
-
-
 def _means(spec: FeatureSpec, stats: RunningStats, values: Values) -> tuple[Array, Array, Array]:
     """Duration-weighted means: ``[layer, axis, group, 3]``, where the group occurs, and the level of the interval."""
     groups = jnp.asarray(_groups(spec)[:, 1:, None] == np.arange(1, CODES + 1))  # [layer, code, group]
@@ -293,12 +287,12 @@ def _attributes(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[
     labelled = jnp.any(stats.count > 0, axis=-1)
     span = jnp.where(labelled, values.top - values.bottom, 0)[..., None]
     relative = jnp.where(occurs, mean[..., 2] - level, 0)
-    return [_compressed(x) for x in (mean[..., 0], mean[..., 1], relative, span)]
+    return [compressed(x) for x in (mean[..., 0], mean[..., 1], relative, span)]
 
 
 def _offset(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Array]:
     mean, _, level = _means(spec, stats, values)
-    return [_compressed(mean[..., 2]), _compressed(level)]
+    return [compressed(mean[..., 2]), compressed(level)]
 
 
 def _edges(stats: RunningStats, values: Values) -> Array:
@@ -308,7 +302,7 @@ def _edges(stats: RunningStats, values: Values) -> Array:
 
 def _course(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Array]:
     edges, level = _edges(stats, values), _means(spec, stats, values)[2]
-    return [_compressed(edges - level), _compressed(edges[..., 1:2] - edges[..., :1])]
+    return [compressed(edges - level), compressed(edges[..., 1:2] - edges[..., :1])]
 
 
 def _columns(spec: FeatureSpec) -> NDArray[np.int32]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from rcbht_jax.labels import LAYER_SIZES, LAYERS
-from rcbht_jax.types import LabelTrack
+from rcbht_jax.types import Array, LabelTrack
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,11 @@ def weighted_counts(
     return sums.reshape(*code.shape[:2], size + 1)[..., 1:]
 
 
-def ratio(a: Float[np.ndarray, "*_"], b: Float[np.ndarray, "*_"]) -> Float[np.ndarray, "*_"]:
-    """a / b, and 0 where b is 0."""
-    return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b != 0)
+def ratio(a: Float[Array, "*_"], b: Float[Array, "*_"]) -> Float[Array, "*_"]:
+    """a / b, and 0 where b is 0; NumPy or JAX."""
+    xp = a.__array_namespace__()
+    b = xp.broadcast_to(b, a.shape)  # first, so that XLA divides rather than multiplies by a reciprocal
+    return xp.where(b != 0, a / xp.where(b != 0, b, 1), 0)
 
 
 def share(sums: Float[np.ndarray, "*lanes label"]) -> Float[np.ndarray, "*lanes label"]:

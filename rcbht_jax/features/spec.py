@@ -211,7 +211,8 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
     signals = [signal_families.read_back(words, intervals.dt) for words in chunks if of_signal]
     for family in of_signal:
         lanes = signal_families.axis_pairs(axes) if family == "together" else axes
-        parts.append(_flat([signal_families.FAMILIES[family](signal) for signal in signals], family, layer, lanes))
+        make, columns = signal_families.FAMILIES[family], signal_families.COLUMNS[family]
+        parts.append(_flat([(make(signal), columns) for signal in signals], family, layer, lanes))
     return parts
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, Num
 
 from rcbht_jax.features.spans import ClippedSpans, ratio, share, weighted_counts
 from rcbht_jax.labels import ALPHABETS, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group, name
+from rcbht_jax.types import Array
 
 # Values are compressed as sign(v) log(1 + |v| / unit); the unit is about five times the noise of the sensor.
 UNIT = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])  # N or Nm of a wrench (slopes: per second)
@@ -119,13 +120,13 @@ def _groups(words: ClippedSpans) -> tuple[Int[np.ndarray, "interval axis word"],
     return words.code, [label.name for label in ALPHABETS[LAYERS.index(words.layer)]]
 
 
-def compressed(x: Columns) -> Columns:
-    """Signed logarithm of N or Nm (per second) in units of UNIT, so that peaks do not dominate.
+def compressed(x: Float[Array, "*lanes axis column"]) -> Float[Array, "*lanes axis column"]:
+    """Signed logarithm of N or Nm (per second) in units of UNIT, so that peaks do not dominate; NumPy or JAX.
 
     Unless there are six axes, the unit of forces is used for all of them.
     """
-    scaled = x / (UNIT if x.shape[1] == UNIT.size else UNIT[:1])[:, None]
-    return np.asarray(np.sign(scaled) * np.log1p(np.abs(scaled)), np.float64)
+    xp, unit = x.__array_namespace__(), UNIT if x.shape[-2] == UNIT.size else UNIT[:1]
+    return xp.sign(x) * xp.log1p(abs(x) / xp.broadcast_to(xp.asarray(unit, x.dtype)[:, None], x.shape))
 
 
 def _mean_per_group(words: ClippedSpans, value: Float[np.ndarray, "interval axis word"]) -> Columns:

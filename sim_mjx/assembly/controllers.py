@@ -7,37 +7,44 @@ R^2 >= 0.998.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
 from rcbht_jax.robots import kinematics
+from rcbht_jax.types import Array
 
-Array = Any
+Joints = Float[Array, " 6"]  # rad
+Wrench = Float[Array, " 6"]  # N and Nm
+Vector = Float[Array, " 3"]
+Rotation = Float[Array, "3 3"]  # columns are the wrist's axes in the world
+Gain = Float[Array, ""] | float
+Times = Float[Array, " way"]
+Places = Float[Array, "way 3"]
 
 
 def force_law(
-    command: Array,
-    wrench: Array,
-    force_goal: Array,
-    moment_goal: Array,
-    force_gain: Array,
-    moment_gain: Array,
+    command: Joints,
+    wrench: Wrench,
+    force_goal: Vector,
+    moment_goal: Vector,
+    force_gain: Gain,
+    moment_gain: Gain,
     arm: str = "R",
-) -> Array:
+) -> Joints:
     """One period of the law: q[0:3] += Jv^T kf (F - F*), q[3:6] += Jw^T km (M - M*).
 
     The paper's null-space projection does nothing: the two updates act on different joints.
 
     Args:
-        command: joint references [6], rad.
-        wrench: measured [6], N and Nm, world frame, positive when the part pushes the hand up.
-        force_goal: [3] N, world frame. moment_goal: [3] Nm, world frame.
+        command: joint references, rad.
+        wrench: measured, N and Nm, world frame, positive when the part pushes the hand up.
+        force_goal: N, world frame. moment_goal: Nm, world frame.
         force_gain: rad/(Nm). moment_gain: rad/(Nm).
         arm: "R" or "L".
 
     Returns:
-        the new joint references [6].
+        the new joint references.
     """
     velocity, angular = kinematics.jacobian(command, arm)
     shoulder = force_gain * (velocity[:, :3].T @ (wrench[:3] - force_goal))
@@ -45,21 +52,23 @@ def force_law(
     return command + jnp.concatenate([shoulder, wrist])
 
 
-def goals_in_world(goal: Array, rotation: Array, in_world: Array) -> Array:
-    """A set-point [3] in world coordinates; it is given in the wrist's unless ``in_world``."""
+def goals_in_world(goal: Vector, rotation: Rotation, in_world: Bool[Array, ""]) -> Vector:
+    """A set-point in world coordinates; it is given in the wrist's unless ``in_world``."""
     return jnp.where(in_world, goal, rotation @ goal)
 
 
-def half_cosine(times: Array, poses: Array, t: Array) -> Array:
+def half_cosine(
+    times: Times, poses: Float[Array, "way coordinate"], t: Float[Array, "*batch"]
+) -> Float[Array, "*batch coordinate"]:
     """Interpolation that starts and stops at every waypoint: s = (1 - cos(pi tau)) / 2 of each segment.
 
     Args:
-        times: of the waypoints [k], s, increasing.
-        poses: [k, d], any coordinates.
-        t: time [...], s.
+        times: of the waypoints, s, increasing.
+        poses: any coordinates.
+        t: time, s.
 
     Returns:
-        [..., d]; the first pose before the first waypoint, the last one after the last.
+        the first pose before the first waypoint, the last one after the last.
     """
     xp = poses.__array_namespace__()
     lead = (None,) * t.ndim
@@ -69,19 +78,21 @@ def half_cosine(times: Array, poses: Array, t: Array) -> Array:
     return poses[0][lead] + xp.sum(share[..., None] * steps, axis=-2)
 
 
-def approach(home: Array, way_time: Array, way_position: Array, way_rpy: Array, t: Array, arm: str = "R") -> Array:
+def approach(
+    home: Joints, way_time: Times, way_position: Places, way_rpy: Places, t: Float[Array, "*batch"], arm: str = "R"
+) -> Float[Array, "*batch 6"]:
     """Joint angles along the approach, which leaves home at time zero.
 
     Args:
-        home: joint angles [6] at the start, rad; they also choose among the inverse's solutions.
-        way_time: when each waypoint is reached [k], s, increasing and positive.
-        way_position: of the TCP [k, 3], m.
-        way_rpy: [k, 3] roll, pitch, yaw, rad.
-        t: time [...], s.
+        home: joint angles at the start, rad; they also choose among the inverse's solutions.
+        way_time: when each waypoint is reached, s, increasing and positive.
+        way_position: of the TCP, m.
+        way_rpy: roll, pitch, yaw, rad.
+        t: time, s.
         arm: "R" or "L".
 
     Returns:
-        joint angles [..., 6]; NaN where the interpolated pose is out of reach.
+        joint angles; NaN where the interpolated pose is out of reach.
 
     Raises:
         InputError: ``arm`` is neither "R" nor "L".

@@ -17,12 +17,14 @@ from typing import Any
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import Float, Float64
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.types import Array
 
-Array = Any
 Vector = tuple[float, float, float]
+Fields = dict[str, Float64[np.ndarray, "..."]]  # of a compiled model, by MjModel attribute name
 TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
@@ -37,22 +39,22 @@ BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PartParams:
-    """What may differ from trial to trial; all arrays, so that it is a pytree."""
+    """What may differ from trial to trial; leaves of a batch lead with the trial."""
 
-    tab_stiffness: Array  # [4] N/m, order of TABS
-    tab_damping: Array  # [4] Ns/m
-    hook_overlap: Array  # [4] m, how far a lip reaches over its tab; negative = the tab is missing
-    slot_play: Array  # m, between a tip and the blocks on each side
-    seat_depth: Array  # m, below first touch, where the part sits on the seat
-    foot_spread: Array  # m, from the middle of the male part to its feet on the right and on the left
-    foot_offset: Array  # [2] m, of the front and the rear feet's middle to the left
-    rear_rise: Array  # [2] m, rear lips above the front ones and rear feet above the front ones
-    foot_contact: Array  # [4] MuJoCo's time constant, s, least and most impedance and, m, the depth between them
-    friction: Array  # sliding friction of all contacts
-    mount_stiffness: Array  # [3] N/m, x y z of the female part's mount
-    mount_damping: Array  # [3] Ns/m
-    position: Array  # [3] m, shift of the female part from its nominal place, world
-    roll: Array  # rad, turn of the female part about the vertical
+    tab_stiffness: Float[Array, "*batch 4"]  # N/m, order of TABS
+    tab_damping: Float[Array, "*batch 4"]  # Ns/m
+    hook_overlap: Float[Array, "*batch 4"]  # m, how far a lip reaches over its tab; negative = the tab is missing
+    slot_play: Float[Array, "*batch"]  # m, between a tip and the blocks on each side
+    seat_depth: Float[Array, "*batch"]  # m, below first touch, where the part sits on the seat
+    foot_spread: Float[Array, "*batch"]  # m, from the middle of the male part to its feet on the right and on the left
+    foot_offset: Float[Array, "*batch 2"]  # m, of the front and the rear feet's middle to the left
+    rear_rise: Float[Array, "*batch 2"]  # m, rear lips above the front ones and rear feet above the front ones
+    foot_contact: Float[Array, "*batch 4"]  # time constant, s, least and most impedance, depth between them, m
+    friction: Float[Array, "*batch"]  # sliding friction of all contacts
+    mount_stiffness: Float[Array, "*batch 3"]  # N/m, x y z of the female part's mount
+    mount_damping: Float[Array, "*batch 3"]  # Ns/m
+    position: Float[Array, "*batch 3"]  # m, shift of the female part from its nominal place, world
+    roll: Float[Array, "*batch"]  # rad, turn of the female part about the vertical
 
 
 TIP_RADIUS = 0.002  # m
@@ -120,15 +122,15 @@ def add_female(
     spec: mujoco.MjSpec,
     arm: str,
     holder: mujoco.MjsBody | None = None,
-    place: NDArray[np.float64] = FIRST_TOUCH,
-    turn: NDArray[np.float64] = UNTURNED,
+    place: Float64[np.ndarray, " 3"] = FIRST_TOUCH,
+    turn: Float64[np.ndarray, " 4"] = UNTURNED,
 ) -> None:
     """Put the female part on its mount: per tab a lip and two blocks, and one seat for all feet.
 
     Args:
         spec: of the scene. arm: that holds the male part.
         holder: body that carries the mount; None = the world.
-        place: [3] m, of the front tips' first touch in the holder's frame.
+        place: m, of the front tips' first touch in the holder's frame.
         turn: quaternion of the mount in that frame; its z axis points from the female part to the male one.
     """
     mount = (holder or spec.worldbody).add_body(name="MOUNT", pos=place, quat=turn)
@@ -161,8 +163,8 @@ def _add_pair(spec: mujoco.MjSpec, first: str, second: str) -> None:
     pair.solref, pair.solimp = (0.005, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
 
 
-def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> dict[str, np.ndarray]:
-    """Fields of the compiled model that hold these parameters; keys are MjModel attribute names.
+def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> Fields:
+    """Fields of the compiled model that hold these parameters.
 
     Args:
         model: of a scene with both parts.

@@ -12,15 +12,16 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt32
 
 from rcbht_jax.robots import kinematics
+from rcbht_jax.types import Array
 from sim_mjx.assembly import sensor, task
+from sim_mjx.assembly.controllers import Joints, Wrench
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
 from sim_mjx.assembly.task import TaskParams, TaskState
 
-Array = Any
 Params = TypeVar("Params")
 
 
@@ -32,18 +33,18 @@ class TrialParams:
     task: TaskParams
     sensor: SensorParams
     parts: PartParams
-    command_delay: Array  # int32, control periods between reference and servo
-    seed: Array  # uint32 [2], key of the sensor's noise
+    command_delay: Int[Array, "*batch"]  # control periods between reference and servo
+    seed: UInt32[Array, "*batch 2"]  # key of the sensor's noise
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ControllerState:
-    """What the controller remembers between control periods."""
+    """What the controller remembers between control periods; ``delay`` is ``LONGEST_DELAY``."""
 
     task: TaskState
     sensor: SensorState
-    commands: Array  # [LONGEST_DELAY, 6] rad, joint references, newest first
+    commands: Float[Array, "*batch delay 6"]  # rad, joint references, newest first
 
 
 @jax.tree_util.register_dataclass
@@ -51,9 +52,9 @@ class ControllerState:
 class LogRow:
     """What is logged each control period."""
 
-    wrench: Array  # [6K] N and Nm, world frame, as the robot logs it; K = wrist sensors
-    joints: Array  # [J] rad, measured
-    phase: Array  # int32, numbered as in ``sim_mjx.assembly.task``
+    wrench: Float[Array, "*batch reading"]  # N and Nm, world frame, as the robot logs it; six readings per wrist
+    joints: Float[Array, "*batch joint"]  # rad, measured
+    phase: Int[Array, "*batch"]  # numbered as in ``sim_mjx.assembly.task``
 
 
 @dataclass(frozen=True)
@@ -71,35 +72,35 @@ class Program:
 
 @dataclass(frozen=True)
 class Rollouts:
-    """Simulated trials on the host, padded to the longest; rows beyond ``length`` are zero."""
+    """Simulated trials on the host, padded to the longest; rows beyond ``length`` are zero. Six readings per wrist."""
 
-    wrench: NDArray[np.float32]  # [trial, time, 6K] N and Nm, world frame
-    joints: NDArray[np.float32]  # [trial, time, J] rad
-    length: NDArray[np.int32]  # [trial] control periods until the trial ended
-    onset: NDArray[np.float64]  # [trial, 4] s, NaN = state never reached
-    seated: NDArray[np.bool_]  # [trial, tab] tabs past their lips at the end, order of parts.TABS
-    diverged: NDArray[np.bool_]  # [trial] the physics gave a value that is not finite; not data
+    wrench: Float32[np.ndarray, "trial time reading"]  # N and Nm, world frame
+    joints: Float32[np.ndarray, "trial time joint"]  # rad
+    length: Int32[np.ndarray, " trial"]  # control periods until the trial ended
+    onset: Float64[np.ndarray, "trial 4"]  # s, NaN = state never reached
+    seated: Bool[np.ndarray, "trial tab"]  # tabs past their lips at the end, order of parts.TABS
+    diverged: Bool[np.ndarray, " trial"]  # the physics gave a value that is not finite; not data
 
 
-def begin(params: TrialParams, raw: Array) -> ControllerState:
-    """Loop state before the first period; ``raw`` [6] is the first sensor reading, wrist frame."""
+def begin(params: TrialParams, raw: Wrench) -> ControllerState:
+    """Loop state before the first period; ``raw`` is the first sensor reading, wrist frame."""
     commands = jnp.broadcast_to(params.task.home, (LONGEST_DELAY, 6))
     return ControllerState(task.start(params.task), sensor.begin(params.sensor, raw), commands)
 
 
 def control(
-    params: TrialParams, loop: ControllerState, joints: Array, raw: Array
-) -> tuple[ControllerState, Array, LogRow]:
+    params: TrialParams, loop: ControllerState, joints: Joints, raw: Wrench
+) -> tuple[ControllerState, Float[Array, "2 6"], LogRow]:
     """One control period.
 
     Args:
         params: one trial.
         loop: before.
-        joints: measured angles [6], rad.
-        raw: force and moment of the part on the hand [6], wrist frame.
+        joints: measured angles, rad.
+        raw: force and moment of the part on the hand, wrist frame.
 
     Returns:
-        the loop after it, the servo references [2, 6] that the coming physics steps go between, and what is logged.
+        the loop after it, the servo references that the coming physics steps go between, and what is logged.
     """
     _, rotation, _ = kinematics.fk(joints)
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (6,), raw.dtype)

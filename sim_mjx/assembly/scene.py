@@ -9,9 +9,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Int32
 
 from sim_mjx.assembly import parts
+from sim_mjx.assembly.parts import Fields
 from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.rollout import ONE_ARM, Program
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -29,11 +30,11 @@ class Scene:
 
     model: mujoco.MjModel
     program: Program
-    joints: NDArray[np.int32]  # [J] addresses in qpos
-    forces: NDArray[np.int32]  # [K] addresses of the wrists' forces in sensordata; each is followed by its torque
-    tips: NDArray[np.int32]  # [tab] geoms; a tab is seated when its tip is past its lip
-    lips: NDArray[np.int32]  # [tab] geoms
-    fields: Callable[[Any], dict[str, NDArray[Any]]]  # parts of a trial or a batch -> fields of the model
+    joints: Int32[np.ndarray, " joint"]  # addresses in qpos
+    forces: Int32[np.ndarray, " wrist"]  # of the wrists' forces in sensordata; each is followed by its torque
+    tips: Int32[np.ndarray, " tab"]  # geoms; a tab is seated when its tip is past its lip
+    lips: Int32[np.ndarray, " tab"]  # geoms
+    fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
 
 

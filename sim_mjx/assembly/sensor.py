@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int
 
-Array = Any
+from rcbht_jax.types import Array
+from sim_mjx.assembly.controllers import Rotation, Wrench
+
 LONGEST_DELAY = 12  # control periods that the buffers can hold
 
 
@@ -21,51 +23,51 @@ class SensorParams:
     took d = b; ``d`` = 0.0730 would be right.
     """
 
-    a: Array
-    b: Array
-    c: Array
-    d: Array
-    delay: Array  # int32, control periods between contact and reading
-    noise: Array  # [6] standard deviation before the filter, N and Nm
-    step: Array  # [6] quantisation, N and Nm
-    bias: Array  # [6] drift since the tare, N and Nm, world frame, after the filter
-    tared: Array  # 1 = the weight at the start is subtracted
-    reference: Array  # [3] m, wrist frame, the point that moments refer to
+    a: Float[Array, "*batch"]
+    b: Float[Array, "*batch"]
+    c: Float[Array, "*batch"]
+    d: Float[Array, "*batch"]
+    delay: Int[Array, "*batch"]  # control periods between contact and reading
+    noise: Float[Array, "*batch 6"]  # standard deviation before the filter, N and Nm
+    step: Float[Array, "*batch 6"]  # quantisation, N and Nm
+    bias: Float[Array, "*batch 6"]  # drift since the tare, N and Nm, world frame, after the filter
+    tared: Float[Array, "*batch"]  # 1 = the weight at the start is subtracted
+    reference: Float[Array, "*batch 3"]  # m, wrist frame, the point that moments refer to
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SensorState:
-    """Memory of the chain."""
+    """Memory of the chain; ``delay`` is ``LONGEST_DELAY``."""
 
-    filtered: Array  # [6] filter state
-    buffer: Array  # [LONGEST_DELAY, 6] readings, newest first
-    tare: Array  # [6] first reading
+    filtered: Float[Array, "*batch 6"]  # filter state
+    buffer: Float[Array, "*batch delay 6"]  # readings, newest first
+    tare: Float[Array, "*batch 6"]  # first reading
 
 
-def begin(params: SensorParams, first: Array) -> SensorState:
-    """State after the first raw reading [6], wrist frame, about the wrist point."""
+def begin(params: SensorParams, first: Wrench) -> SensorState:
+    """State after the first raw reading, wrist frame, about the wrist point."""
     first = jnp.concatenate([first[:3], first[3:] - jnp.cross(params.reference, first[:3])])
     return SensorState(jnp.zeros_like(first), jnp.broadcast_to(first, (LONGEST_DELAY, 6)), first)
 
 
 def read(
-    params: SensorParams, state: SensorState, raw: Array, noise: Array, rotation: Array
-) -> tuple[SensorState, Array]:
+    params: SensorParams, state: SensorState, raw: Wrench, noise: Float[Array, " 6"], rotation: Rotation
+) -> tuple[SensorState, Wrench]:
     """One control period.
 
     Args:
         params: one trial's sensor.
         state: before.
-        raw: force and moment of the part on the hand [6], N and Nm, wrist frame, about the wrist point.
-        noise: standard normal numbers [6].
-        rotation: of the wrist [3, 3], columns are its axes in the world.
+        raw: force and moment of the part on the hand, N and Nm, wrist frame, about the wrist point.
+        noise: standard normal numbers.
+        rotation: of the wrist, columns are its axes in the world.
 
     Returns:
-        the new state and the logged wrench [6], N and Nm, world frame.
+        the new state and the logged wrench, N and Nm, world frame.
     """
-    about = raw[3:] - jnp.cross(params.reference, raw[:3])
-    buffer = jnp.concatenate([jnp.concatenate([raw[:3], about])[None], state.buffer[:-1]])
+    moment = raw[3:] - jnp.cross(params.reference, raw[:3])
+    buffer = jnp.concatenate([jnp.concatenate([raw[:3], moment])[None], state.buffer[:-1]])
     late = buffer[params.delay] - params.tared * state.tare + noise * params.noise
     u = jnp.round(late / params.step) * params.step
     y = params.c * state.filtered + params.d * u

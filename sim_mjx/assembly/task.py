@@ -7,17 +7,16 @@ loop; batches by ``jax.vmap``. Identified from the recorded joint references and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float64, Int
 
 from rcbht_jax.robots import kinematics
-from sim_mjx.assembly.controllers import approach, force_law, goals_in_world
+from rcbht_jax.types import Array
+from sim_mjx.assembly.controllers import Joints, Wrench, approach, force_law, goals_in_world
 
-Array = Any
 CONTROL_PERIOD = 0.005  # s, the robot's and the sensor's
 STATES = ("approach", "rotation", "insertion", "mating")
 WRIST, WORLD = 0.0, 1.0  # frames of set-points
@@ -35,25 +34,25 @@ class TaskParams:
     recorded state marks name approach, rotation, insertion, mating; pre-mating counts as insertion.
     """
 
-    home: Array  # [6] rad, joint angles at time zero
-    way_time: Array  # [2] s, when the two waypoints are reached
-    way_position: Array  # [2, 3] m, TCP
-    way_rpy: Array  # [2, 3] rad
-    contact_force: Array  # N, wrist-frame Fx that ends the approach
-    contact_after: Array  # s, not before
-    frame: Array  # 0 = set-points in the wrist frame, 1 = in the world frame
-    force: Array  # [4, 3] N, set-point F*
-    moment: Array  # [4, 3] Nm, set-point M*
-    force_gain: Array  # rad/(Nm) per control period
-    moment_gain: Array  # [4] rad/(Nm) per control period
-    leave_after: Array  # [4] s, shortest stay in a phase
-    leave_wrist: Array  # [4] rad, leave when joint 4 (wrist pitch) is below ...
-    leave_pitch: Array  # [4] rad, ... or the hand's pitch is below
-    leave_moment: Array  # [4] Nm, and the measured My is above
-    mating_time: Array  # s, recorded after mating begins
-    timeout: Array  # s, the trial ends unfinished
-    stop: Array  # s, from then on the robot keeps still in whatever phase it is, and its logger goes on
-    rest: Array  # s, recorded after mating, the robot keeping still
+    home: Float[Array, "*batch 6"]  # rad, joint angles at time zero
+    way_time: Float[Array, "*batch 2"]  # s, when the two waypoints are reached
+    way_position: Float[Array, "*batch 2 3"]  # m, TCP
+    way_rpy: Float[Array, "*batch 2 3"]  # rad
+    contact_force: Float[Array, "*batch"]  # N, wrist-frame Fx that ends the approach
+    contact_after: Float[Array, "*batch"]  # s, not before
+    frame: Float[Array, "*batch"]  # 0 = set-points in the wrist frame, 1 = in the world frame
+    force: Float[Array, "*batch 4 3"]  # N, set-point F*
+    moment: Float[Array, "*batch 4 3"]  # Nm, set-point M*
+    force_gain: Float[Array, "*batch"]  # rad/(Nm) per control period
+    moment_gain: Float[Array, "*batch 4"]  # rad/(Nm) per control period
+    leave_after: Float[Array, "*batch 4"]  # s, shortest stay in a phase
+    leave_wrist: Float[Array, "*batch 4"]  # rad, leave when joint 4 (wrist pitch) is below ...
+    leave_pitch: Float[Array, "*batch 4"]  # rad, ... or the hand's pitch is below
+    leave_moment: Float[Array, "*batch 4"]  # Nm, and the measured My is above
+    mating_time: Float[Array, "*batch"]  # s, recorded after mating begins
+    timeout: Float[Array, "*batch"]  # s, the trial ends unfinished
+    stop: Float[Array, "*batch"]  # s, from then on the robot keeps still in any phase, and its logger goes on
+    rest: Float[Array, "*batch"]  # s, recorded after mating, the robot keeping still
 
 
 @jax.tree_util.register_dataclass
@@ -61,10 +60,10 @@ class TaskParams:
 class TaskState:
     """State of one trial."""
 
-    tick: Array  # int32, control periods since the start
-    phase: Array  # int32, APPROACH ... ENDED
-    entered: Array  # int32 [6], tick at which each phase began, -1 = not yet
-    command: Array  # [6] rad, joint references
+    tick: Int[Array, "*batch"]  # control periods since the start
+    phase: Int[Array, "*batch"]  # APPROACH ... ENDED
+    entered: Int[Array, "*batch 6"]  # tick at which each phase began, -1 = not yet
+    command: Float[Array, "*batch 6"]  # rad, joint references
 
 
 def start(params: TaskParams) -> TaskState:
@@ -73,14 +72,14 @@ def start(params: TaskParams) -> TaskState:
     return TaskState(jnp.int32(0), jnp.int32(APPROACH), entered, params.home)
 
 
-def advance(params: TaskParams, state: TaskState, joints: Array, wrench: Array) -> TaskState:
+def advance(params: TaskParams, state: TaskState, joints: Joints, wrench: Wrench) -> TaskState:
     """One control period.
 
     Args:
         params: one trial's task.
         state: before the period.
-        joints: measured angles [6], rad.
-        wrench: measured and filtered [6], N and Nm, world frame.
+        joints: measured angles, rad.
+        wrench: measured and filtered, N and Nm, world frame.
 
     Returns:
         the state after it; ``command`` holds the new joint references. A stopped, resting or ended robot keeps still.
@@ -135,11 +134,11 @@ def _command(params: TaskParams, state: TaskState, phase: Array, wrench: Array, 
     return jnp.where(phase == APPROACH, planned, pressed)
 
 
-def onsets(entered: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Start of approach, rotation, insertion and mating [..., 4] in seconds; NaN for a state never reached.
+def onsets(entered: Int[np.ndarray, "*batch phase"]) -> Float64[np.ndarray, "*batch 4"]:
+    """Start of approach, rotation, insertion and mating in seconds; NaN for a state never reached.
 
     Args:
-        entered: int [..., 6] of the final state, on the host; pre-mating counts as insertion.
+        entered: control periods, of the final state, on the host, -1 = never; pre-mating counts as insertion.
     """
     marks = entered[..., [APPROACH, ROTATION, INSERTION, MATING]].astype(np.float64)
     return np.where(marks >= 0, marks * CONTROL_PERIOD, np.nan)

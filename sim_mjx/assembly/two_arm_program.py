@@ -6,20 +6,19 @@ Pure functions of one trial, batched by the engines.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Int, UInt32
 
 from rcbht_jax.robots import kinematics
+from rcbht_jax.types import Array
 from sim_mjx.assembly import sensor, task
-from sim_mjx.assembly.controllers import force_law
+from sim_mjx.assembly.controllers import Joints, Wrench, force_law
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams, SensorState
 from sim_mjx.assembly.task import TaskParams, TaskState
-
-Array = Any
 
 
 @jax.tree_util.register_dataclass
@@ -31,11 +30,11 @@ class HoldParams:
     rotation, insertion, pre-mating, mating.
     """
 
-    home: Array  # [6] rad
-    force: Array  # [4, 3] N, set-point
-    moment: Array  # [4, 3] Nm, set-point
-    force_gain: Array  # rad/(Nm) per control period; 0 = force control off
-    moment_gain: Array  # rad/(Nm) per control period; 0 = force control off
+    home: Float[Array, "*batch 6"]  # rad
+    force: Float[Array, "*batch 4 3"]  # N, set-point
+    moment: Float[Array, "*batch 4 3"]  # Nm, set-point
+    force_gain: Float[Array, "*batch"]  # rad/(Nm) per control period; 0 = force control off
+    moment_gain: Float[Array, "*batch"]  # rad/(Nm) per control period; 0 = force control off
 
 
 @jax.tree_util.register_dataclass
@@ -47,43 +46,45 @@ class TwoArmParams:
     hold: HoldParams  # of the left arm
     sensor: SensorParams  # of the right wrist
     left_sensor: SensorParams
-    offset: Array  # [12] N and Nm, what right and left wrist log in free space
-    chatter: Array  # standard deviation of the force between the parts from tick to tick, as a share of itself
+    offset: Float[Array, "*batch 12"]  # N and Nm, what right and left wrist log in free space
+    chatter: Float[Array, "*batch"]  # sd of the force between the parts from tick to tick, as a share of itself
     parts: PartParams
-    command_delay: Array  # int32, control periods between reference and servo, both arms
-    seed: Array  # uint32 [2], key of the sensors' noise
+    command_delay: Int[Array, "*batch"]  # control periods between reference and servo, both arms
+    seed: UInt32[Array, "*batch 2"]  # key of the sensors' noise
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TwoArmLoop:
-    """What the controller remembers between control periods."""
+    """What the controller remembers between control periods; ``delay`` is ``LONGEST_DELAY``."""
 
     task: TaskState
     sensor: SensorState
     left_sensor: SensorState
-    rest: Array  # [12] first readings
-    commands: Array  # [LONGEST_DELAY, 12] rad, joint references right and left, newest first
+    rest: Float[Array, "*batch 12"]  # first readings
+    commands: Float[Array, "*batch delay 12"]  # rad, joint references right and left, newest first
 
 
-def begin(params: TwoArmParams, raw: Array) -> TwoArmLoop:
-    """Loop state before the first period; ``raw`` [12] are the first readings, right and left wrist frame."""
+def begin(params: TwoArmParams, raw: Float[Array, " 12"]) -> TwoArmLoop:
+    """Loop state before the first period; ``raw`` are the first readings, right and left wrist frame."""
     commands = jnp.broadcast_to(_home(params), (LONGEST_DELAY, 12))
     right, left = sensor.begin(params.sensor, raw[:6]), sensor.begin(params.left_sensor, raw[6:])
     return TwoArmLoop(task.start(params.task), right, left, raw, commands)
 
 
-def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -> tuple[TwoArmLoop, Array, LogRow]:
+def control(
+    params: TwoArmParams, loop: TwoArmLoop, joints: Float[Array, " 12"], raw: Float[Array, " 12"]
+) -> tuple[TwoArmLoop, Float[Array, "2 12"], LogRow]:
     """One control period.
 
     Args:
         params: one trial.
         loop: before.
-        joints: measured angles [12], rad, right and left.
-        raw: force and moment of the parts on the hands [12], right and left, each in its wrist's frame.
+        joints: measured angles, rad, right and left.
+        raw: force and moment of the parts on the hands, right and left, each in its wrist's frame.
 
     Returns:
-        the loop after it, the servo references [2, 12] that the coming physics steps go between, and what is
+        the loop after it, the servo references that the coming physics steps go between, and what is
         logged: wrenches in the wrists' frames.
     """
     noise = jax.random.normal(jax.random.fold_in(params.seed, loop.task.tick), (13,), raw.dtype)
@@ -104,18 +105,18 @@ def control(params: TwoArmParams, loop: TwoArmLoop, joints: Array, raw: Array) -
     return TwoArmLoop(state, read, left_read, loop.rest, commands), between, log
 
 
-def hold(params: HoldParams, command: Array, joints: Array, wrench: Array, phase: Array) -> Array:
+def hold(params: HoldParams, command: Joints, joints: Joints, wrench: Wrench, phase: Int[Array, ""]) -> Joints:
     """One period of the left arm's force control.
 
     Args:
         params: of the left arm.
-        command: its joint references [6], rad.
-        joints: measured [6], rad.
-        wrench: measured and filtered [6], N and Nm, left wrist frame, without the free-space offset.
+        command: its joint references, rad.
+        joints: measured, rad.
+        wrench: measured and filtered, N and Nm, left wrist frame, without the free-space offset.
         phase: of the right arm.
 
     Returns:
-        the new references [6]: unchanged before the right hand has touched and after the end.
+        the new references: unchanged before the right hand has touched and after the end.
     """
     _, rotation, _ = kinematics.fk(joints, "L")
     row = jnp.clip(phase - task.ROTATION, 0, 3)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_mjx.assembly import parts
-from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.parts import Fields, PartParams
 from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, set_solver
 from sim_mjx.assembly.two_arm_program import TWO_ARM
@@ -46,7 +46,7 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     )  # fmt: skip
 
 
-def model_fields(model: mujoco.MjModel, params: PartParams) -> dict[str, NDArray[Any]]:
+def model_fields(model: mujoco.MjModel, params: PartParams) -> Fields:
     """Fields of the compiled model that hold these parameters; keys are MjModel attribute names.
 
     Args:

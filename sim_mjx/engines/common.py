@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Float32, Int
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly import parts, task
 from sim_mjx.assembly.rollout import Rollouts
 
-Array = Any
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
 # JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
@@ -36,18 +35,20 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
     return _CPU_OPTIONS
 
 
-def sane(values: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Whether sensor readings or wrenches [..., n] come from physics that still holds, [...]."""
+def sane(values: Float[np.ndarray, "*batch reading"]) -> Bool[np.ndarray, "*batch"]:
+    """Whether sensor readings or wrenches come from physics that still holds."""
     return (np.abs(values) < LARGEST).all(-1)  # false for NaN
 
 
-def past_lips(tips: Array, lips: Array, turns: Array) -> Array:
+def past_lips(
+    tips: Float[Array, "*tabs 3"], lips: Float[Array, "*tabs 3"], turns: Float[Array, "*tabs 3 3"]
+) -> Bool[Array, "*tabs"]:
     """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
 
     Args:
-        tips: centres of the tips [..., 3], m, world.
-        lips: centres of their lips [..., 3], m, world.
-        turns: of the lips [..., 3, 3], columns are their axes in the world.
+        tips: centres of the tips, m, world.
+        lips: centres of their lips, m, world.
+        turns: of the lips, columns are their axes in the world.
     """
     local = (turns * (tips - lips)[..., None]).sum(-2)
     below = local[..., 2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
@@ -57,16 +58,16 @@ def past_lips(tips: Array, lips: Array, turns: Array) -> Array:
 
 
 def collect(
-    wrench: NDArray[np.float32],
-    joints: NDArray[np.float32],
-    phases: NDArray[np.int32],
-    seated: NDArray[np.bool_],
+    wrench: Float32[np.ndarray, "trial time reading"],
+    joints: Float32[np.ndarray, "trial time joint"],
+    phases: Int[np.ndarray, "trial time"],
+    seated: Bool[np.ndarray, "trial tab"],
 ) -> Rollouts:
     """Cut the logs where the trials ended and mark those whose physics diverged.
 
     Args:
-        wrench: [trial, time, 6K]. joints: [trial, time, J]. phases: [trial, time], as logged.
-        seated: [trial, tab].
+        wrench: N and Nm. joints: rad. phases: as logged.
+        seated: tabs past their lips at the end.
     """
     # a phase is logged one period after the measurement that began it
     at = phases[:, :, None] == np.arange(task.ENDED)

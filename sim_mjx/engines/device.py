@@ -18,16 +18,17 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from mujoco import mjx
 from numpy.typing import NDArray
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly import task
 from sim_mjx.assembly.rollout import LogRow, Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
 
-Array = Any
 LANES = 16
 STRETCH = 200  # control periods that run without asking whether all trials have ended
 # Most iterations of the solver and of its line search, which MJX goes through to the last one. Single precision
@@ -80,7 +81,7 @@ class _State:
 
     body: Any
     loop: Any  # of the scene's program
-    tick: Array  # int32, control periods since time zero; negative while settling
+    tick: Int[Array, ""]  # control periods since time zero; negative while settling
 
 
 @jax.tree_util.register_dataclass
@@ -88,14 +89,14 @@ class _State:
 class Outcome:
     """A batch of trials that all have ended, on the device; values after a trial's end mean nothing."""
 
-    wrench: Array  # [trial, time, 6K] N and Nm, world frame
-    joints: Array  # [trial, time, J] rad
-    phase: Array  # int32 [trial, time]
-    seated: Array  # [trial, tab]
+    wrench: Float[Array, "trial time reading"]  # N and Nm, world frame
+    joints: Float[Array, "trial time joint"]  # rad
+    phase: Int[Array, "trial time"]  # numbered as in ``sim_mjx.assembly.task``
+    seated: Bool[Array, "trial tab"]  # tabs past their lips at the end
 
     @property
-    def length(self) -> Array:
-        """Control periods until each trial ended, int32 [trial]."""
+    def length(self) -> Int[Array, " trial"]:
+        """Control periods until each trial ended."""
         return (self.phase < task.ENDED).sum(1, dtype=jnp.int32)
 
 

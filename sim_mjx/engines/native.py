@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int, Int32
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
@@ -32,9 +33,12 @@ from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lip
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
-# Trials that were stepped, their states before [row, ...] (which begin with the trial's time), references
-# [row, substep, J] and sensor readings [row, substep, ...] of one control period.
-Watch = Callable[[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], None]
+# One control period: trials that were stepped, their states before (which begin with the trial's time), references
+# in rad, and sensor readings.
+Rows = Int[np.ndarray, " row"]
+States = Float64[np.ndarray, "row state"]
+Steps = Float64[np.ndarray, "row substep _"]
+Watch = Callable[[Rows, States, Steps, Steps], None]
 
 
 def simulate(
@@ -72,10 +76,10 @@ class _Run:
     """One trial as it was logged, up to and including the period in which it had ended."""
 
     trial: int
-    wrench: NDArray[np.float32]
-    joints: NDArray[np.float32]
-    phase: NDArray[np.int32]
-    seated: NDArray[np.bool_]
+    wrench: Float32[np.ndarray, "time reading"]
+    joints: Float32[np.ndarray, "time joint"]
+    phase: Int32[np.ndarray, " time"]
+    seated: Bool[np.ndarray, " tab"]
 
 
 def _gathered(runs: list[_Run]) -> Rollouts:
@@ -277,8 +281,10 @@ def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     return model
 
 
-def tips_past_lips(scene: Scene, model: mujoco.MjModel, state: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which tabs have snapped [tab] in a full physics state."""
+def tips_past_lips(
+    scene: Scene, model: mujoco.MjModel, state: Float64[np.ndarray, " state"]
+) -> Bool[np.ndarray, " tab"]:
+    """Which tabs have snapped in a full physics state."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, STATE)
     mujoco.mj_kinematics(model, data)

@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float64
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from numpy.typing import NDArray
@@ -36,8 +37,8 @@ SIDE = View(0, 2, 1.0)  # from the robot's right: x to the right, z up
 ABOVE = View(0, 1, -1.0)  # from above: x to the right, y up
 
 
-def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Floats:
-    """The silhouette of one geom [corner, 2], m: sphere, capsule or box; empty for any other shape."""
+def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Float64[np.ndarray, "corner 2"]:
+    """The silhouette of one geom, m: sphere, capsule or box; empty for any other shape."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     center, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     plane = [view.right, view.up]
@@ -83,8 +84,8 @@ class Drawing:
         ax.add_collection(self._collection, autolim=False)
         ax.set_aspect("equal")
 
-    def show(self, qpos: Floats, past: NDArray[np.bool_]) -> None:
-        """Draw the scene at positions [nq]; tips [tab] of tabs that are past their lips turn green."""
+    def show(self, qpos: Float64[np.ndarray, " nq"], past: Bool[np.ndarray, " tab"]) -> None:
+        """Draw the scene at positions; tips of tabs that are past their lips turn green."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         depth = self._data.geom_xpos[self._geoms, self._view.depth] * self._view.away
@@ -98,8 +99,8 @@ class Drawing:
         self._collection.set_facecolor(colors)
         self._collection.set_edgecolor("0.25")
 
-    def place(self, body: str) -> Floats:
-        """Where a body is in the picture [2], m, as last shown."""
+    def place(self, body: str) -> Float64[np.ndarray, " 2"]:
+        """Where a body is in the picture, m, as last shown."""
         return self._data.body(body).xpos[[self._view.right, self._view.up]]
 
     def _name(self, geom: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
@@ -13,9 +13,10 @@ from sim_mjx.assembly.task import TaskParams
 
 Vector = tuple[float, float, float]
 Range = tuple[float, float]  # lowest and highest
+Plane = Float64[np.ndarray, "2 3"]
 
 
-def _x_and_y() -> NDArray[np.float64]:
+def _x_and_y() -> Plane:
     return np.eye(3)[:2]
 
 
@@ -29,9 +30,8 @@ class SessionPreset:
     sensor: SensorParams
     mating_begins: float  # s, median of the recordings
     real: bool = True  # a robot, whose servos lag and whose sensor drifts; False = the OpenHRP simulation
-    across: NDArray[np.float64] = field(default_factory=_x_and_y)  # [2, 3] world directions of the part's x and y
-    # [2, 3] roll, pitch, yaw per radian of the hand's turn about itself and of its tilt
-    turns: NDArray[np.float64] = field(default_factory=_x_and_y)
+    across: Plane = field(default_factory=_x_and_y)  # world directions of the part's x and y
+    turns: Plane = field(default_factory=_x_and_y)  # roll, pitch, yaw per radian of the hand's turn and of its tilt
 
     # The recordings.
     recorded_as: str = ""  # session in the imported store

@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
-from sim_mjx.assembly.task import NEVER, NO_STOP, WRIST, Array, TaskParams
+from sim_mjx.assembly.task import NEVER, NO_STOP, WRIST, TaskParams
 from sim_mjx.assembly.two_arm_program import HoldParams
 from sim_mjx.presets.session import SessionPreset, openhrp_sensor
 
@@ -79,7 +80,7 @@ class TwoArmPreset(SessionPreset):
 
     hold: HoldParams
     left_sensor: SensorParams
-    offset: Array  # [12] N and Nm, what right and left wrist read in free space
+    offset: Float64[np.ndarray, " 12"]  # N and Nm, what right and left wrist read in free space
     chatter: float  # standard deviation of the contact force from tick to tick, as a share of itself
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import parts
@@ -92,19 +92,19 @@ class Fault:
 
     kind: str  # "none" or one of FAULTS
     failure_type: str  # sign pattern of a pose fault or a moved part, such as "+x-y+r"; else ""
-    deviation: NDArray[np.float64]  # [3] m, m, rad: hand from part in x, y, about the vertical
+    deviation: Float64[np.ndarray, " 3"]  # m, m, rad: hand from part in x, y, about the vertical
 
 
 @dataclass
 class _Values:
     """Drawn numbers of one trial, before they become parameters; factors unless a unit is given."""
 
-    hand: NDArray[np.float64]  # [3] m, m, rad
-    part: NDArray[np.float64]  # [2] m
+    hand: Float64[np.ndarray, " 3"]  # m, m, rad
+    part: Float64[np.ndarray, " 2"]  # m
     tilt: float  # rad
-    overlap: NDArray[np.float64]  # [4], negative = missing
+    overlap: Float64[np.ndarray, " 4"]  # negative = missing
     friction: float
-    hooks: NDArray[np.float64] | None = None  # [4] m, overlaps in place of the nominal ones
+    hooks: Float64[np.ndarray, " 4"] | None = None  # m, overlaps in place of the nominal ones
     stop: float | None = None  # share of the time to mating
     failure_type: str = ""
 

@@ -9,18 +9,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float32, Int
 
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import score_candidates
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
+from rcbht_jax.types import Array
 from sim_mjx.assembly import task
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.engines import device
 
-Array = Any
 MOST_WRENCH = 2000.0  # N or Nm; a larger wrench means that the physics diverged
 
 
@@ -29,10 +29,10 @@ def simulated_scores(
     params: Any,
     impl: str,
     config: EncoderConfig,
-    limits: NDArray[np.float64],
+    limits: Float[np.ndarray, "candidate 6 4"],
     *,
     progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float32]:
+) -> Float32[np.ndarray, "candidate score"]:
     """Simulate trials and score thresholds by how well their labels separate the states.
 
     Only parameters and candidates are copied to the device, and only scores and a few counts back.
@@ -42,11 +42,11 @@ def simulated_scores(
         params: batch of trials of the scene's program.
         impl: "jax" or "warp".
         config: of the encoder.
-        limits: candidates ``[candidate, 6, 4]``, N/s and Nm/s.
+        limits: candidates, N/s and Nm/s.
         progress: called with the number of control periods done since the last call, summed over trials.
 
     Returns:
-        ``[candidate, score]`` in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
+        scores in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
 
     Raises:
         InputError: no trial was completed.
@@ -67,13 +67,13 @@ def states_corpus(out: device.Outcome, config: EncoderConfig) -> CalibrationData
 
 
 def whole_corpus(
-    out: device.Outcome, y: NDArray[np.integer], classes: tuple[str, ...], config: EncoderConfig
+    out: device.Outcome, y: Int[np.ndarray, " trial"], classes: tuple[str, ...], config: EncoderConfig
 ) -> CalibrationData:
     """The trials that did not seat all tabs and did not diverge, one interval each, on the device.
 
     Args:
         out: of :func:`sim_mjx.engines.device.run`.
-        y: int ``[trial]``, index into ``classes``; -1 leaves a trial out.
+        y: index into ``classes``; -1 leaves a trial out.
         classes: their names.
         config: of the encoder.
 

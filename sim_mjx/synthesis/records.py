@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_on_device
@@ -113,7 +114,7 @@ def simulate_labelled(
     params: Any,
     engine: str,
     config: EncoderConfig,
-    limits: Array,
+    limits: Float[Array, "6 4"],
     *,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Rollouts, LabelTracks]:
@@ -124,7 +125,7 @@ def simulate_labelled(
         params: batch of trials of the scene's program.
         engine: one of ``engines.ENGINES``.
         config: of the encoder.
-        limits: thresholds [6, 4], N/s and Nm/s.
+        limits: thresholds, N/s and Nm/s.
         progress: called with the number of control periods done since the last call, summed over trials.
 
     Returns:
@@ -145,7 +146,7 @@ def simulate_labelled(
     return device.to_host(there), jax.device_get(tracks)
 
 
-def label(out: Rollouts, config: EncoderConfig, limits: Array) -> LabelTracks:
+def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> LabelTracks:
     """Labels of trials on the host; see :func:`simulate_labelled`."""
     return jax.device_get(
         encode_on_device(config, limits, *_by_wrist(jnp.asarray(out.wrench), jnp.asarray(out.length)))

@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Shaped
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax.errors import InputError
 
 MANIFEST, LOCK, PARTIAL = "manifest.json", "lock", ".*.partial-*"
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 
 
 def folder_of(target: Path) -> Path:

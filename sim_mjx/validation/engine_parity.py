@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Int64
 
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -22,12 +22,15 @@ from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
+from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.synthesis.records import label
 
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm, until the first contact
 LABELS_LIMIT, OUTCOME_LIMIT = 0.95, 0.98  # shares of time and of trials
 WINDOW = 5  # samples per window of the labels that are compared
 NEVER = np.iinfo(np.int64).max
+Contacts = Int64[np.ndarray, " trial"]  # control periods of the first contacts, ``NEVER`` without one
+Codes = Int64[np.ndarray, "lane 6 time"]  # label of each sample of a wrist of a trial, 0 = none
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class _FirstContact:
         self._data = mujoco.MjData(scene.model)
         self.period = np.full(len(self._models), NEVER)
 
-    def watch(self, trials: NDArray[np.intp], state: NDArray[np.float64], *_: NDArray[np.float64]) -> None:
+    def watch(self, trials: Rows, state: States, *_: Steps) -> None:
         """See ``native.Watch``."""
         for row in np.flatnonzero(self.period[trials] == NEVER).tolist():
             model = self._models[trials[row]]
@@ -75,24 +78,24 @@ class _FirstContact:
                 self.period[trials[row]] = round(state[row, 0] / CONTROL_PERIOD)
 
 
-def reference(scene: Scene, params: Any) -> tuple[Rollouts, NDArray[np.int64]]:
-    """A batch of native trials, and the control period [trial] of the first contact, ``NEVER`` without one."""
+def reference(scene: Scene, params: Any) -> tuple[Rollouts, Contacts]:
+    """A batch of native trials, and their first contacts."""
     contact = _FirstContact(scene, params)
     return native.simulate(scene, params, watch=contact.watch), contact.period
 
 
-def parity(expected: Rollouts, contact: NDArray[np.int64], found: Rollouts) -> Parity:
+def parity(expected: Rollouts, contact: Contacts, other: Rollouts) -> Parity:
     """Compare trials.
 
     Args:
         expected: native trials. contact: their first contacts; both of :func:`reference`.
-        found: the same trials in another engine.
+        other: the same trials in another engine.
     """
-    samples = min(expected.wrench.shape[1], found.wrench.shape[1])
+    samples = min(expected.wrench.shape[1], other.wrench.shape[1])
     period = np.arange(samples)[None]
-    shared = period < np.minimum(expected.length, found.length)[:, None]
+    shared = period < np.minimum(expected.length, other.length)[:, None]
     free = shared & (period < contact[:, None])
-    error = np.abs(expected.wrench[:, :samples] - found.wrench[:, :samples])
+    error = np.abs(expected.wrench[:, :samples] - other.wrench[:, :samples])
     force, moment = np.moveaxis(error.reshape(*error.shape[:2], -1, 2, 3).max((2, 4)), 2, 0)
     touching = shared & ~free
     return Parity(
@@ -101,24 +104,24 @@ def parity(expected: Rollouts, contact: NDArray[np.int64], found: Rollouts) -> P
         force_until_contact=float(force[free].max()),
         moment_until_contact=float(moment[free].max()),
         force_after_contact=float(np.median(force[touching])) if touching.any() else 0.0,
-        labels=_label_agreement(expected, found, shared),
-        states=float((_states(expected, samples) == _states(found, samples))[shared].mean()),
-        same_outcome=float((expected.seated.all(1) == found.seated.all(1)).mean()),
-        onset_difference=float(np.nanpercentile(np.abs(expected.onset - found.onset), 95)),
-        diverged=int(found.diverged.sum()),
+        labels=_label_agreement(expected, other, shared),
+        states=float((_states(expected, samples) == _states(other, samples))[shared].mean()),
+        same_outcome=float((expected.seated.all(1) == other.seated.all(1)).mean()),
+        onset_difference=float(np.nanpercentile(np.abs(expected.onset - other.onset), 95)),
+        diverged=int(other.diverged.sum()),
     )
 
 
-def _label_agreement(expected: Rollouts, found: Rollouts, shared: NDArray[np.bool_]) -> dict[str, float]:
+def _label_agreement(expected: Rollouts, other: Rollouts, shared: Bool[np.ndarray, "trial time"]) -> dict[str, float]:
     """Share of time, over all trials and axes, in which both wrenches have the same label; layer by layer."""
-    first, second = _labels(expected, shared.shape[1]), _labels(found, shared.shape[1])
+    first, second = _labels(expected, shared.shape[1]), _labels(other, shared.shape[1])
     wrists = expected.wrench.shape[2] // 6
     wide = np.repeat(shared, wrists * 6, axis=0).reshape(-1, 6, shared.shape[1])
     return {layer: float((first[layer] == second[layer])[wide].mean()) for layer in LAYERS}
 
 
-def _labels(out: Rollouts, samples: int) -> dict[str, NDArray[np.int64]]:
-    """Label of every sample [trial * wrist, axis, time], 0 = none; layer by layer."""
+def _labels(out: Rollouts, samples: int) -> dict[str, Codes]:
+    """Label of every sample, layer by layer."""
     config = EncoderConfig(window=WINDOW, dt=CONTROL_PERIOD)
     tracks = label(out, config, jnp.asarray(preset("hiro").limits, jnp.float32))
     labels = {}
@@ -134,6 +137,6 @@ def _labels(out: Rollouts, samples: int) -> dict[str, NDArray[np.int64]]:
     return labels
 
 
-def _states(out: Rollouts, samples: int) -> NDArray[np.int64]:
+def _states(out: Rollouts, samples: int) -> Int64[np.ndarray, "trial time"]:
     ticks = np.nan_to_num(np.round(out.onset / CONTROL_PERIOD), nan=np.inf)
     return (np.arange(samples)[None, :, None] >= ticks[:, None, :]).sum(2)

@@ -11,8 +11,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float64, Int32
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat
@@ -37,7 +37,8 @@ from sim_mjx.validation.sessions import Target
 from sim_mjx.validation.signature import Similarity
 from sim_mjx.validation.solver_convergence import FORCE_LIMIT, MOMENT_LIMIT, certify
 
-Floats = NDArray[np.float64]
+Errors = Float64[np.ndarray, "_sample 2"]  # mm and degrees
+Poses = Float64[np.ndarray, "sample 6"]  # joint angles, rad; or place and roll, pitch, yaw of the tool, m and rad
 COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # the similarity of session A to session B
 # Folders whose poses are of another point of the hand or of another base height.
 OTHER_POSE = ("ERROR-14", "20120426")
@@ -88,7 +89,7 @@ def kinematics(folder: Path) -> dict[str, Any]:
     """
     scene = one_arm()
     data, site = mujoco.MjData(scene.model), scene.model.site("RARM_TCP").id
-    errors: dict[str, list[Floats]] = {name: [] for name in ONE_ARM}
+    errors: dict[str, list[Errors]] = {name: [] for name in ONE_ARM}
     by_recording = {preset.recorded_as: preset for preset in ONE_ARM.values()}
     for source, trial in find_trials(folder):
         name = parse_trial(source, trial.name)
@@ -112,8 +113,8 @@ def kinematics(folder: Path) -> dict[str, Any]:
     return out
 
 
-def _approach(trial: Path, session: SessionPreset) -> tuple[Floats, Floats] | None:
-    """Joint angles [n, 6] and tool poses [n, 6] before contact; None where a file or the mark is missing."""
+def _approach(trial: Path, session: SessionPreset) -> tuple[Poses, Poses] | None:
+    """Joint angles and tool poses before contact; None where a file or the mark is missing."""
     paths = [data_file(trial, "R", kind) for kind in ("Angles", "CartPos", "State")]
     if None in paths:
         return None
@@ -134,9 +135,9 @@ def _approach(trial: Path, session: SessionPreset) -> tuple[Floats, Floats] | No
 
 
 def _pose_errors(
-    model: mujoco.MjModel, data: mujoco.MjData, site: int, address: NDArray[np.int32], joints: Floats, poses: Floats
-) -> Floats:
-    """Distance (mm) and turn (degrees) [n, 2]."""
+    model: mujoco.MjModel, data: mujoco.MjData, site: int, address: Int32[np.ndarray, " 6"], joints: Poses, poses: Poses
+) -> Errors:
+    """Distance and turn."""
     place, turn = np.zeros((len(joints), 3)), np.zeros((len(joints), 3, 3))
     for row, now in enumerate(joints):
         data.qpos[address] = now

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
@@ -26,12 +27,15 @@ from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
+from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario, get_scenario
 from sim_mjx.validation import snaps
 
 Floats = NDArray[np.float64]
+Positions = Float64[np.ndarray, "time nq"]  # of the model, m and rad
+Past = Bool[np.ndarray, "time tab"]  # tabs past their lips, order of parts.TABS
 PASSES = " past lip"  # follows a tab's name in the names of events
 
 
@@ -40,10 +44,10 @@ class Replay:
     """A trial's motion, one row per sample of its wrench."""
 
     model: mujoco.MjModel  # with the trial's own parts
-    qpos: Floats  # [time, nq]
+    qpos: Positions
     dt: float  # s between rows
-    past: NDArray[np.bool_]  # [time, tab] tabs past their lips, order of parts.TABS
-    height: Floats  # [time, tab] m, tips above the height at which they count as past their lips
+    past: Past
+    height: Float64[np.ndarray, "time tab"]  # m, tips above the height at which they count as past their lips
     how: str  # the origin of the motion, one sentence
 
 
@@ -54,7 +58,7 @@ class Recorder:
         self._scene = scene
         self._rows: list[list[tuple[Floats, Floats]]] = [[] for _ in range(trials)]
 
-    def watch(self, trials: NDArray[np.intp], state: Floats, wanted: Floats, sensors: Floats) -> None:
+    def watch(self, trials: Rows, state: States, wanted: Steps, sensors: Steps) -> None:
         """Called by the engine once per control period of some trials."""
         del wanted
         qpos = state[:, 1 : 1 + self._scene.model.nq]  # a full physics state begins with the time
@@ -62,17 +66,17 @@ class Recorder:
         for trial, now, raw in zip(trials.tolist(), qpos.copy(), -sensors[:, 0, wrench], strict=True):
             self._rows[trial].append((now, raw))
 
-    def qpos(self, trial: int) -> Floats:
-        """Positions [period, nq] at the beginning of each control period."""
+    def qpos(self, trial: int) -> Positions:
+        """Positions at the beginning of each control period."""
         return np.stack([now for now, _ in self._rows[trial]])
 
-    def raw(self, trial: int) -> Floats:
-        """Wrench of the parts on the hands [period, 6K], N and Nm, wrist frames, before the sensor."""
+    def raw(self, trial: int) -> Float64[np.ndarray, "time reading"]:
+        """Wrench of the parts on the hands, six readings per wrist, N and Nm, wrist frames, before the sensor."""
         return np.stack([raw for _, raw in self._rows[trial]])
 
 
-def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Floats:
-    """Right hand's force [period, 3], N, world axes, before the sensor, without the tool's weight at the start."""
+def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Float64[np.ndarray, "time 3"]:
+    """Right hand's force, N, world axes, before the sensor, without the tool's weight at the start."""
     force = recorder.raw(trial)[:, :3]
     _, rotation, _ = kinematics.fk(run.joints[trial, : len(force), :6].astype(np.float64))
     return ((force - force[0])[:, None, :] * rotation).sum(-1)
@@ -185,8 +189,8 @@ def _angles(trial: Path, arm: str, last_joint_offset: float) -> Floats:
     return angles
 
 
-def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """Per row of positions [time, nq]: tabs past their lips [time, tab], and their heights above that, m."""
+def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Positions) -> tuple[Past, Float64[np.ndarray, "time tab"]]:
+    """Per row of positions: tabs past their lips, and their heights above that, m."""
     data = mujoco.MjData(model)
     places = np.zeros((len(qpos), len(scene.tips), 3))
     lips, turns = np.zeros_like(places), np.zeros((*places.shape, 3))
@@ -200,12 +204,12 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Floats) -> tuple[NDArr
     return past, local[..., 2] - (parts.LIP[2] - parts.TIP_RADIUS * 0.2)
 
 
-def moments(replay: Replay, onset: Floats) -> dict[str, float]:
+def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float]:
     """Key events of a trial, name -> s, in order: the states it entered, and when tabs passed their lips for good.
 
     Args:
         replay: of the trial.
-        onset: of its states [4], s, NaN = never reached.
+        onset: of its states, s, NaN = never reached.
     """
     touch, turned, mating = (float(at) for at in onset[1:])
     events = {"before touch": max(touch - 0.6, 0.0) if np.isfinite(touch) else 0.0}

@@ -6,12 +6,12 @@ simulation only a mild variation between trials is known.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float, Float64, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
@@ -31,7 +31,8 @@ from sim_mjx.randomization.overrides import Physical
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.validation import signature, snaps
 from sim_mjx.validation.replay import Recorder, seated_snaps
-from sim_mjx.validation.system_id import Values
+from sim_mjx.validation.signature import Profiles, Rows
+from sim_mjx.validation.system_id import Losses, Values
 
 Floats = NDArray[np.float64]
 
@@ -76,8 +77,8 @@ def _moved(trial: TrialParams, dx: float, dy: float) -> TrialParams:
     return replace(trial, task=replace(trial.task, way_position=way))
 
 
-def harmonised(run: Rollouts) -> Floats:
-    """State onsets [trial, 4], s, with the harmonised end of a rotation that lasts one period."""
+def harmonised(run: Rollouts) -> Float64[np.ndarray, "trial 4"]:
+    """State onsets, s, with the harmonised end of a rotation that lasts one period."""
     out = run.onset.copy()
     for row, samples in enumerate(run.length):
         if onsets.needs_harmonising(run.onset[row], CONTROL_PERIOD):
@@ -88,8 +89,8 @@ def harmonised(run: Rollouts) -> Floats:
     return out
 
 
-def profiles(run: Rollouts, rows: Sequence[int] | NDArray[np.integer] | None = None) -> Floats:
-    """Wrench profiles [n, 4, 100, 6] of the trials that mated for a second; n may be 0.
+def profiles(run: Rollouts, rows: Rows = None) -> Profiles:
+    """Wrench profiles of the trials that mated for a second, maybe none.
 
     Args:
         run: simulated trials.
@@ -100,10 +101,10 @@ def profiles(run: Rollouts, rows: Sequence[int] | NDArray[np.integer] | None = N
     end = (run.length - 1) * CONTROL_PERIOD
     # a trial that was stopped has "entered" later states all at once, at its end
     mated = (np.diff(onset, axis=1) > 0).all(1) & (onset[:, 3] + signature.MATING <= end + 1e-9) & ~run.diverged
-    kept = chosen[mated[chosen]]
-    if len(kept) == 0:
+    complete = chosen[mated[chosen]]
+    if len(complete) == 0:
         return np.zeros((0, len(signature.STATES), signature.POINTS, 6))
-    return signature.profiles(_as_recordings(run, onset), kept)
+    return signature.profiles(_as_recordings(run, onset), complete)
 
 
 def _as_recordings(run: Rollouts, onset: Floats) -> Recordings:
@@ -121,8 +122,8 @@ class Target:
     """Recorded reference of a session's simulation."""
 
     session: SessionPreset
-    profiles: Floats  # [n, 4, 100, 6] N and Nm
-    onset: Floats  # [3] s, median start of rotation, insertion (harmonised) and mating
+    profiles: Profiles
+    onset: Float64[np.ndarray, " 3"]  # s, median start of rotation, insertion (harmonised) and mating
     ring: dict[str, float] | None  # of Fz in mating; see rings
     snaps: dict[str, Any] | None  # in the unfiltered force of seated trials; see snaps.summary
 
@@ -147,8 +148,8 @@ def recorded(recordings: Recordings, session: str) -> Target:
         raise InputError(f"The store holds no trial of session {session} that reached every state.")
     onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
     ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.starts(RECORDED)[rows, 3])
-    found_snaps = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
-    return Target(constants, signature.profiles(recordings, rows), onset, ring, found_snaps)
+    summary = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
+    return Target(constants, signature.profiles(recordings, rows), onset, ring, summary)
 
 
 def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
@@ -159,11 +160,13 @@ def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
     return snaps.summary([snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)])
 
 
-def rings(force: NDArray[np.floating], length: NDArray[np.integer], mating: Floats) -> dict[str, float] | None:
+def rings(
+    force: Float[np.ndarray, "trial time"], length: Int[np.ndarray, " trial"], mating: Float[np.ndarray, " trial"]
+) -> dict[str, float] | None:
     """Ringing of Fz after the push that begins mating: medians over the trials that last long enough.
 
     Args:
-        force: Fz [trial, time], N. length: samples [trial]. mating: its onset [trial], s, NaN = never.
+        force: Fz, N. length: samples. mating: its onset, s, NaN = never.
 
     Returns:
         "hertz", the strongest frequency between 1 and 6 Hz in the first 4 s after the onset, and "peak", N, in the
@@ -237,7 +240,7 @@ class SessionObjective:
     snaps: bool = False  # simulate whole trials and add a loss for snaps that the recorded ones have
     fixed: Physical = ()  # parameters that are not searched
 
-    def __call__(self, candidates: list[Values]) -> Floats:
+    def __call__(self, candidates: list[Values]) -> Losses:
         session, whole = self.target.session, self.outcomes or self.snaps
         losses = np.full(len(candidates), np.nan)
         batches: list[TrialParams] = []

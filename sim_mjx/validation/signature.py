@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64, Int
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -27,6 +28,10 @@ MARGIN = 0.1  # of the larger of band width and sd: widens the band on both side
 WARP = 15  # points by which time warping may shift
 
 Floats = NDArray[np.float64]
+Profiles = Float64[np.ndarray, "_trial 4 100 6"]  # state, point, axis; N and Nm
+Given = Float64[np.ndarray, "_trial _state _point _axis"]  # what should be profiles
+Table = Float64[np.ndarray, "4 6"]  # state, axis
+Rows = Sequence[int] | Int[np.ndarray, " _row"] | None  # which trials, in this order; None = all
 
 
 @dataclass(frozen=True)
@@ -36,13 +41,13 @@ class Similarity:
     coverage: float  # share of the test's points inside the reference's widened band; 1 = all, mean of its table
     w1_over_sd: float  # Wasserstein-1 distance of the pooled values in sd; 0 = equal, median of its table
     dtw_over_sd: float  # time-warping distance of the median profiles in sd; 0 = equal, median of its table
-    coverage_table: Floats  # [4 states, 6 axes]
-    w1_table: Floats  # [4 states, 6 axes]
-    dtw_table: Floats  # [4 states, 6 axes]
+    coverage_table: Table
+    w1_table: Table
+    dtw_table: Table
 
 
-def profiles(recordings: Recordings, rows: Sequence[int] | NDArray[np.integer] | None = None) -> Floats:
-    """Wrench profiles [n, 4 states, 100 points, 6 axes] of recordings, N and Nm.
+def profiles(recordings: Recordings, rows: Rows = None) -> Profiles:
+    """Wrench profiles of recordings.
 
     Args:
         recordings: trials whose ``onset_harmonised`` holds the harmonised rotation boundary.
@@ -86,7 +91,7 @@ def _edges(recordings: Recordings, rows: NDArray[np.integer]) -> Floats:
     return edges
 
 
-def compare(reference: Floats, test: Floats) -> Similarity:
+def compare(reference: Given, test: Given) -> Similarity:
     """Compare two sets of wrench profiles, [n, 4, 100, 6] and [m, 4, 100, 6]; not symmetric.
 
     Coverage is the share of the test's points inside the reference's 5-95 % band (over trials, point by point),
@@ -119,7 +124,7 @@ def compare(reference: Floats, test: Floats) -> Similarity:
     )
 
 
-def _check(name: str, values: Floats) -> None:
+def _check(name: str, values: Given) -> None:
     if values.ndim != 4 or values.shape[1:] != (len(STATES), POINTS, len(AXES)) or len(values) == 0:
         raise InputError(f"The {name} profiles have shape {values.shape}; expected [trials, 4, {POINTS}, 6].")
     if not np.isfinite(values).all():
@@ -158,13 +163,12 @@ def _warping(a: Floats, b: Floats) -> Floats:
 
 
 def signature_figure(
-    reference: Floats, test: Floats, title: str, names: tuple[str, str] = ("reference", "test")
+    reference: Given, test: Given, title: str, names: tuple[str, str] = ("reference", "test")
 ) -> Figure:
     """Median profiles and 5-95 % bands of two sets of profiles, a panel per axis and state.
 
     Args:
-        reference: profiles [n, 4, 100, 6], N and Nm.
-        test: profiles [m, 4, 100, 6], N and Nm.
+        reference: profiles [n, 4, 100, 6], N and Nm. test: likewise.
         title: heading; the three figures of :func:`compare` follow it.
         names: of the two sets, for the legend.
 

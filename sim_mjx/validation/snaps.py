@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float, Float64
 
 from sim_mjx.assembly.sensor import SensorParams
 from sim_mjx.assembly.task import CONTROL_PERIOD
 
-Floats = NDArray[np.float64]
 LEAST_DROP = 5.0  # N
 FALL = 12  # control periods in which a snap falls
 BEFORE, LEVEL = 20, 200  # control periods: the level before a snap is the median from LEVEL to BEFORE of it
@@ -29,11 +28,11 @@ class Snap(NamedTuple):
     drop: float  # N, to the lowest force after it
 
 
-def unfiltered(force: NDArray[np.floating], sensor: SensorParams) -> Floats:
+def unfiltered(force: Float[np.ndarray, "*batch time"], sensor: SensorParams) -> Float64[np.ndarray, "*batch time"]:
     """Force at the input of the sensor's low-pass filter, which is inverted exactly.
 
     Args:
-        force: logged [..., time], N.
+        force: logged, N.
         sensor: of one trial; its ``d`` must not be zero.
     """
     a, b, c, d = (float(value) for value in (sensor.a, sensor.b, sensor.c, sensor.d))
@@ -45,15 +44,15 @@ def unfiltered(force: NDArray[np.floating], sensor: SensorParams) -> Floats:
     return out
 
 
-def find(force: Floats, touch: float = 0.0, least: float = LEAST_DROP) -> list[Snap]:
+def find(force: Float64[np.ndarray, " time"], touch: float = 0.0, least: float = LEAST_DROP) -> list[Snap]:
     """Snaps in one force.
 
     Args:
-        force: unfiltered [time], N, at the control period.
+        force: unfiltered, N, at the control period.
         touch: when the parts first met, s; the bouncing just after it is left out.
         least: smallest drop, N.
     """
-    found: list[Snap] = []
+    snaps: list[Snap] = []
     fall = force[:-FALL] - force[FALL:]
     earliest = max(LEVEL + FALL, round((touch + SETTLED) / CONTROL_PERIOD))
     for start in (earliest + np.argsort(-fall[earliest:], kind="stable")).tolist():
@@ -61,27 +60,27 @@ def find(force: Floats, touch: float = 0.0, least: float = LEAST_DROP) -> list[S
             break
         around = force[start - FALL : start + FALL]
         first = start + FALL - 1 - int(np.argmax(around[::-1]))  # the last maximum, where a level held
-        if any(abs(first * CONTROL_PERIOD - snap.time) < APART * CONTROL_PERIOD for snap in found):
+        if any(abs(first * CONTROL_PERIOD - snap.time) < APART * CONTROL_PERIOD for snap in snaps):
             continue
         release, bottom = float(force[first]), float(force[first : first + 3 * FALL].min())
         level = float(np.median(force[first - LEVEL + BEFORE : first - BEFORE + 1]))
         if release - bottom >= least and bottom < BELOW * level:
-            found.append(Snap(first * CONTROL_PERIOD, release, release - bottom))
-    return sorted(found)
+            snaps.append(Snap(first * CONTROL_PERIOD, release, release - bottom))
+    return sorted(snaps)
 
 
-def summary(found: Sequence[Sequence[Snap]]) -> dict[str, Any]:
+def summary(trials: Sequence[Sequence[Snap]]) -> dict[str, Any]:
     """Numbers of the snaps of several trials, JSON values: how many, how strong, how many as recorded."""
-    every = [snap for trial in found for snap in trial]
+    snaps = [snap for trial in trials for snap in trial]
     shares = {
-        name: np.round(np.percentile([getattr(snap, name) for snap in every], (5, 50, 95)), 1).tolist() if every else []
+        name: np.round(np.percentile([getattr(snap, name) for snap in snaps], (5, 50, 95)), 1).tolist() if snaps else []
         for name in ("release", "drop")
     }
     return {
-        "trials": len(found),
-        "trials_with_0_1_2_more": [sum(min(len(trial), 3) == count for trial in found) for count in range(4)],
+        "trials": len(trials),
+        "trials_with_0_1_2_more": [sum(min(len(trial), 3) == count for trial in trials) for count in range(4)],
         **{f"{name}_N_5_50_95_percent": values for name, values in shares.items()},
-        "trials_with_a_snap_as_recorded": sum(any(map(as_recorded, trial)) for trial in found),
+        "trials_with_a_snap_as_recorded": sum(any(map(as_recorded, trial)) for trial in trials),
     }
 
 

@@ -14,16 +14,19 @@ from typing import Any
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int64
 from mujoco import rollout as mj_rollout
-from numpy.typing import NDArray
 
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
+from sim_mjx.engines.native import Rows, States, Steps
 
 REFERENCE = (100, 50)  # iterations of the solver and of its line search
 FORCE_LIMIT, MOMENT_LIMIT = 0.05, 0.005  # N, Nm
+Periods = Int64[np.ndarray, " trial"]  # control periods
+Errors = Float[np.ndarray, "trial time reading"]  # N and Nm, six readings per wrist
 
 
 @dataclass(frozen=True)
@@ -67,16 +70,16 @@ def certify(
     scene = scene_of(iterations=settings[0], ls_iterations=settings[1])
     exact = scene_of(iterations=REFERENCE[0], ls_iterations=REFERENCE[1])
     with _Probe(exact, params) as probe:
-        found = native.simulate(scene, params, watch=probe.compare)
+        production = native.simulate(scene, params, watch=probe.compare)
     expected = native.simulate(exact, params)
-    alike = _agree_until(found, expected)
-    same = (np.nan_to_num(found.onset, nan=-1.0) == np.nan_to_num(expected.onset, nan=-1.0)).all(1)
+    agreeing = _agree_until(production, expected)
+    same = (np.nan_to_num(production.onset, nan=-1.0) == np.nan_to_num(expected.onset, nan=-1.0)).all(1)
     return Certificate(
         batch_size(params),
         probe.largest(),
-        _largest(_path_errors(found, expected, alike)),
+        _largest(_path_errors(production, expected, agreeing)),
         float(same.mean()),
-        float((found.seated == expected.seated).all(1).mean()),
+        float((production.seated == expected.seated).all(1).mean()),
     )
 
 
@@ -100,13 +103,7 @@ class _Probe:
     def __exit__(self, *error: object) -> None:
         self._pool.__exit__(*error)
 
-    def compare(
-        self,
-        trials: NDArray[np.intp],
-        state: NDArray[np.float64],
-        wanted: NDArray[np.float64],
-        readings: NDArray[np.float64],
-    ) -> None:
+    def compare(self, trials: Rows, state: States, wanted: Steps, readings: Steps) -> None:
         """One control period of some trials; see ``native.Watch``."""
         models = [self._models[trial] for trial in trials]
         _, exact = self._pool.rollout(models, self._datas, state, wanted, nstep=self._exact.substeps)
@@ -121,21 +118,20 @@ class _Probe:
         return self._worst
 
 
-def _agree_until(found: Rollouts, expected: Rollouts) -> NDArray[np.int64]:
-    """Control periods [trial] during which both simulations are in the same state."""
-    first, second = (np.nan_to_num(np.round(out.onset / CONTROL_PERIOD), nan=np.inf) for out in (found, expected))
+def _agree_until(production: Rollouts, expected: Rollouts) -> Periods:
+    """Control periods during which both simulations are in the same state."""
+    first, second = (np.nan_to_num(np.round(out.onset / CONTROL_PERIOD), nan=np.inf) for out in (production, expected))
     differ = np.where(first != second, np.minimum(first, second), np.inf).min(1)
-    return np.minimum(differ, np.minimum(found.length, expected.length)).astype(np.int64)
+    return np.minimum(differ, np.minimum(production.length, expected.length)).astype(np.int64)
 
 
-def _path_errors(found: Rollouts, expected: Rollouts, periods: NDArray[np.int64]) -> NDArray[np.float64]:
-    longest = min(found.wrench.shape[1], expected.wrench.shape[1])
-    error = np.abs(found.wrench[:, :longest].astype(np.float64) - expected.wrench[:, :longest])
+def _path_errors(production: Rollouts, expected: Rollouts, periods: Periods) -> Errors:
+    longest = min(production.wrench.shape[1], expected.wrench.shape[1])
+    error = np.abs(production.wrench[:, :longest].astype(np.float64) - expected.wrench[:, :longest])
     return np.where((np.arange(longest) < periods[:, None])[..., None], error, 0.0)
 
 
-def _largest(errors: NDArray[np.float64]) -> Difference:
-    """Of errors [trial, time, 6K]."""
+def _largest(errors: Errors) -> Difference:
     by_kind = errors.reshape(*errors.shape[:2], -1, 2, 3).max((2, 4))
     force, moment = by_kind[..., 0], float(by_kind[..., 1].max())
     trial, period = np.unravel_index(force.argmax(), force.shape)

@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from rcbht_jax._util import checkpoint as checkpoint_file
 from rcbht_jax._util import cma
 from rcbht_jax._util.cma import State
 from rcbht_jax.errors import InputError
 
-Floats = NDArray[np.float64]
+Points = Float64[np.ndarray, "_candidate _parameter"]
+Losses = Float64[np.ndarray, " candidate"]  # NaN = worse than any number
 Values = dict[str, float]
-Objective = Callable[[list[Values]], Floats]  # losses [population] of a population; NaN = worse than any number
+Objective = Callable[[list[Values]], Losses]  # of a population
 
 
 class Bound(NamedTuple):
@@ -84,25 +85,25 @@ def fit(
         InputError: impossible settings, or the checkpoint is damaged or belongs to another search.
     """
     check(search)
-    state, found = _begin(search), Fit({}, math.inf, [])
+    state, best = _begin(search), Fit({}, math.inf, [])
     if checkpoint is not None:
-        state, found = _load(checkpoint, search) or (state, found)
-    for number in range(len(found.generations) + 1, search.generations + 1):
+        state, best = _load(checkpoint, search) or (state, best)
+    for number in range(len(best.generations) + 1, search.generations + 1):
         points = _ask(state, search, number)
         candidates = [_values(point, search.bounds) for point in _mirrored(points)]
         losses = np.asarray(objective(candidates), np.float64)
         if losses.shape != (search.population,):
             raise ValueError(f"the objective gave {losses.shape} losses for {search.population} candidates")
         state = cma.update(state, points, losses, number)
-        done = Generation(number, _lowest(losses), _median(losses), state.step)
-        found = _better(found, candidates, losses, done)
+        generation = Generation(number, _lowest(losses), _median(losses), state.step)
+        best = _better(best, candidates, losses, generation)
         if checkpoint is not None:
-            _save(checkpoint, search, state, found)
+            _save(checkpoint, search, state, best)
         if progress is not None:
-            progress(done, found)
-    if not found.values:
+            progress(generation, best)
+    if not best.values:
         raise InputError("No candidate of the search had a finite loss; widen the bounds.")
-    return found
+    return best
 
 
 def check(search: Search) -> None:
@@ -136,7 +137,7 @@ def _share(value: float, bound: Bound) -> float:
     return (at - low) / (high - low)
 
 
-def _values(point: Floats, bounds: Mapping[str, Bound]) -> Values:
+def _values(point: Float64[np.ndarray, " _parameter"], bounds: Mapping[str, Bound]) -> Values:
     """Parameters of a point of the unit cube."""
     out = {}
     for share, (name, (low, high, log)) in zip(point.tolist(), bounds.items(), strict=True):
@@ -145,34 +146,34 @@ def _values(point: Floats, bounds: Mapping[str, Bound]) -> Values:
     return out
 
 
-def _mirrored(points: Floats) -> Floats:
+def _mirrored(points: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
     """Points folded into the unit cube."""
     folded = np.mod(points, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)
 
 
-def _ask(state: State, search: Search, number: int) -> Floats:
-    """A population [population, n], not yet mirrored; each generation has its own random stream."""
+def _ask(state: State, search: Search, number: int) -> Points:
+    """A population, not yet mirrored; each generation has its own random stream."""
     spread, turn = np.linalg.eigh(state.covariance)
     normal = np.random.default_rng((search.seed, number)).normal(size=(search.population, len(state.mean)))
     return state.mean + state.step * (normal * np.sqrt(np.maximum(spread, 0.0))) @ turn.T
 
 
-def _lowest(losses: Floats) -> float:
+def _lowest(losses: Losses) -> float:
     finite = losses[np.isfinite(losses)]
     return float(finite.min()) if finite.size else math.inf
 
 
-def _median(losses: Floats) -> float:
+def _median(losses: Losses) -> float:
     finite = losses[np.isfinite(losses)]
     return float(np.median(finite)) if finite.size else math.inf
 
 
-def _better(found: Fit, candidates: list[Values], losses: Floats, done: Generation) -> Fit:
-    history = [*found.generations, done]
-    if not done.best < found.loss:
-        return Fit(found.values, found.loss, history)
-    return Fit(candidates[int(np.nanargmin(losses))], done.best, history)
+def _better(best: Fit, candidates: list[Values], losses: Losses, generation: Generation) -> Fit:
+    history = [*best.generations, generation]
+    if not generation.best < best.loss:
+        return Fit(best.values, best.loss, history)
+    return Fit(candidates[int(np.nanargmin(losses))], generation.best, history)
 
 
 def _settings(search: Search) -> dict[str, Any]:
@@ -183,9 +184,9 @@ def _settings(search: Search) -> dict[str, Any]:
     return settings
 
 
-def _save(path: Path, search: Search, state: State, found: Fit) -> None:
+def _save(path: Path, search: Search, state: State, best: Fit) -> None:
     arrays = {name: np.asarray(value).tolist() for name, value in state._asdict().items()}
-    checkpoint_file.save(path, _settings(search), {"fit": asdict(found), "state": arrays})
+    checkpoint_file.save(path, _settings(search), {"fit": asdict(best), "state": arrays})
 
 
 def _load(path: Path, search: Search) -> tuple[State, Fit] | None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from rcbht_jax.encoding.batch import encode_batch
@@ -103,10 +104,22 @@ def changed(tracks: LabelTracks, factor: float, bias: float) -> LabelTracks:
     return LabelTracks(one(tracks.primitive), one(tracks.mc), one(tracks.llb))
 
 
+def tied(tracks: LabelTracks, row: tuple[int, int, int]) -> bool:
+    """Whether rounding decides which moment of an axis is an extreme, or lies beyond a quarter of the range."""
+    for axis in range(6):
+        level = np.array([level for _, level, _ in read(tracks, axis, row, 0.005)])
+        gaps = np.concatenate([level - level.min(), level.max() - level])
+        limits = level.mean() + np.ptp(level) / 4 * np.array([[-1], [0], [1]])
+        if ((gaps > 0) & (gaps < 1e-4)).any() or (np.ptp(level) and (abs(level - limits) < 1e-4).any()):
+            return True
+    return False
+
+
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-50, 50))
 def test_a_constant_bias_changes_levels_only(seed, bias):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
+    assume(not tied(tracks, (0, 0, 40)) and not tied(tracks, (1, 3, 29)))
     plain, moved = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, 1, bias)))
     for family in FREE_OF_OFFSET:
         a, b = (x.select([family]).values for x in (plain, moved))
@@ -116,7 +129,7 @@ def test_a_constant_bias_changes_levels_only(seed, bias):
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100))
+@given(st.integers(0, 2**32 - 1), st.integers(-7, 7).map(lambda power: 2.0**power))  # exact: no tie is broken
 def test_scaling_wrench_and_thresholds_changes_no_order_and_nothing_between_axes(seed, factor):
     tracks, rows = make_tracks(seed), intervals((0, 0, 40), (1, 3, 29))
     plain, scaled = (interval_features(t, rows, SPEC) for t in (tracks, changed(tracks, factor, 0)))
@@ -167,6 +180,21 @@ def test_names_are_unique_and_cover_axes_or_pairs():
     assert {name.split(".")[2] for name in made.select(FAMILIES[:2]).names} == set(AXES)
     assert all(name.startswith(f"{family}.primitive.") for name, family in zip(made.names, made.families, strict=True))
     assert not set(FAMILIES) & set(WHOLE)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_numpy_and_jax_agree(family):
+    rng = np.random.default_rng(0)
+    level = rng.normal(size=(6, signal_families.MOMENTS)).cumsum(-1)
+    level[4] = 3.0
+    arrays = rng.integers(-1, 2, level.shape).astype(float), level, rng.normal(size=level.shape)
+    host, stream = (
+        signal_families.FAMILIES[family](signal_families.ResampledSignal.of(*(xp.asarray(x, dtype) for x in arrays)))
+        for xp, dtype in ((np, np.float64), (jnp, np.float32))
+    )
+    assert (host.dtype, stream.dtype, type(host)) == (np.float64, np.float32, np.ndarray)
+    assert host.shape == stream.shape == (15 if family == "together" else 6, len(signal_families.COLUMNS[family]))
+    np.testing.assert_allclose(host, stream, rtol=0, atol=1e-5)
 
 
 def test_absolute_families_weigh_as_much_as_the_others():

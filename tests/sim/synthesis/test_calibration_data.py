@@ -14,6 +14,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import task
+from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, STATES
 from sim_mjx.engines import device
 from sim_mjx.engines.common import collect
@@ -70,7 +71,7 @@ def test_scores_of_rollouts_are_those_of_the_corpus(out: device.Outcome, monkeyp
     many = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * 3), out)
     limits = np.asarray(preset().limits)[None]
     with jax.transfer_guard("disallow"):
-        made = calibration_data.simulated_scores(object(), None, "jax", CONFIG, limits)  # type: ignore[arg-type]
+        made = calibration_data.simulated_scores(one_arm(), None, "jax", CONFIG, limits)
     np.testing.assert_array_equal(made, score_candidates(calibration_data.states_corpus(out, CONFIG), CONFIG, limits))
     assert len(calibration_data.states_corpus(many, CONFIG)) == 6
     with pytest.raises(InputError, match="none of the"):
