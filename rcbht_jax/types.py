@@ -293,6 +293,13 @@ class Recordings:
                 raise InputError(f"Column {name} has {np.size(column)} values for {count} recordings.") from None
         return Recordings(wrench=wrench, length=length, dt=1 / rate, **values)
 
+    @staticmethod
+    def example() -> Recordings:
+        """Eight made-up trials of 1.5 s at 200 Hz, for examples: four failures at rest, four successes with a push."""
+        slope, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
+        wrench = rest + slope[:, None, None] * (np.arange(300) / 200)[:, None]
+        return Recordings.from_arrays(wrench, outcome=np.where(slope > 0, "success", "failure"))
+
     def take(self, rows: ArrayLike) -> Recordings:
         """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""
         names = [field.name for field in fields(self) if field.name != "dt"]
