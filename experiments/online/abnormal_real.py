@@ -17,8 +17,6 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -26,9 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -192,26 +192,21 @@ def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     return Watched(items, snapshots, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    w, columns = streamed(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+def main(repeats: int = 50, seed: int = 0) -> None:
+    w, columns = streamed(DATA)
     rows = {
-        row: {name: measure(w, row, w.x[:, mine], args.repeats, args.seed) for name, mine in columns.items()}
-        for row in SPLITS
+        row: {name: measure(w, row, w.x[:, mine], repeats, seed) for name, mine in columns.items()} for row in SPLITS
     }
     result = {
         "what": "success or failure of real trials from the stream; mean recall of the classes",
         "confound": "all failures are of session C, all successes of A or B: a mixed score is also that of the session",
         "trials": {s: int((w.items.session == s).sum()) for s in "ABC"},
-        "repeats": args.repeats,
+        "repeats": repeats,
         "rows": rows,
     }
-    command = f"python -m experiments.online.abnormal_real --repeats {args.repeats} --seed {args.seed}"
-    write_result("abnormal_real", command, result, args.seed)
+    command = f"python -m experiments.online.abnormal_real --repeats {repeats} --seed {seed}"
+    write_result("abnormal_real", command, result, seed)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)
