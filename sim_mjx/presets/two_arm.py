@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
 from sim_mjx.assembly.task import NEVER
 from sim_mjx.assembly.two_arm_program import HoldParams
-from sim_mjx.presets import session_a
+from sim_mjx.presets import openhrp, session_a
 from sim_mjx.presets.session import SessionPreset, openhrp_sensor
 
 # share of the right arm's gains: the holding hand then stays within 1 mm of its place; with all of them, within 3 mm
@@ -42,20 +41,17 @@ TASK = replace(
     mating_time=np.array(0.57),
     timeout=np.array(20.0),
 )
-# Found by black-box search on both arms' recorded signatures.
-PARTS = PartParams(
+# As in the one-arm simulation but for what a black-box search on both arms' recorded signatures found.
+PARTS = replace(
+    openhrp.PARTS,
     tab_stiffness=np.array([2330.0, 2330.0, 3030.0, 3030.0]),
-    tab_damping=np.full(4, 80.0),
     hook_overlap=np.array([0.296e-3, 0.296e-3, 0.364e-3, 0.364e-3]),
     slot_play=np.array(1.706e-3),
     seat_depth=np.array(7.515e-3),
     foot_spread=np.array(11.3e-3),
-    foot_offset=np.zeros(2),
     rear_rise=np.array([2.84e-3, 1.2e-3]),
-    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
     friction=np.array(0.263),
     mount_stiffness=np.array([873.0, 2300.0, 802.0]),  # the grip of the left hand, softer than a stand
-    mount_damping=np.array([120.0, 120.0, 98.5]),
     position=np.array([-0.1e-3, 0.0, 1.77e-3]),
     roll=np.array(0.0102),
 )

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import rcbht_jax
-from rcbht_jax._util.digest import content_hash
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.labels import LAYERS, MEANING, name
+from rcbht_jax.learning import confounds as learning
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
@@ -82,57 +84,16 @@ def card(data: DataSet, layout: str, front: str = "") -> str:
 
 def confounds(data: DataSet) -> Sequence[str]:
     """What may be mistaken for a result on this data: one sentence each, derived from the data."""
-    recordings = data.recordings
-    sentences = _outcome_confounds(recordings) + _state_confounds(recordings)
-    if copies := _copies(recordings):
-        sentences.append(f"Exact copies of another recording: {copies}; keep copies on one side of every split.")
+    recordings, sentences = data.recordings, list[str]()
+    arm = "R" if "R" in recordings.arm else "L"
+    for task in (TaskSpec("outcome", arms=arm), TaskSpec("states", "recorded", arm, outcomes=())):
+        with suppress(InputError):  # the data has no two classes of this task
+            items = labelled_intervals(recordings, task)
+            sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
+            sentences += [f"Task {task.task}: {count} trials left out: {why}." for why, count in items.dropped.items()]
+    if copies := learning.copies(recordings, np.arange(len(recordings))):
+        sentences.append(copies)
     return sentences or ["None was detected; that does not mean that there is none."]
-
-
-def _outcome_confounds(recordings: Recordings) -> list[str]:
-    if len(set(recordings.outcome.tolist())) < 2:
-        return []
-    sentences = []
-    sessions = (recordings.outcome[recordings.session == session] for session in np.unique(recordings.session))
-    if all(len(set(outcomes)) == 1 for outcomes in sessions):
-        sentences.append("No session has more than one outcome: what separates sessions seems to separate outcomes.")
-    accuracy = _duration_accuracy(recordings)
-    if accuracy > 0.7:
-        sentences.append(
-            f"Duration alone separates success from failure with a balanced accuracy of {accuracy:.0%} at its best "
-            "threshold."
-        )
-    return sentences
-
-
-def _state_confounds(recordings: Recordings) -> list[str]:
-    sentences = []
-    onset, logged = recordings.onset_harmonised, recordings.onset
-    if missing := int(np.isnan(onset).any(1).sum()):
-        sentences.append(f"Recordings that lack the start of a state: {missing}.")
-    durations = [column[np.isfinite(column)] for column in np.diff(onset, axis=1).T]
-    medians = [float(np.median(column)) for column in durations if len(column)]
-    if medians and max(medians) > 2 * min(medians):
-        sentences.append("The states differ in length: compare scores of states with those of duration alone.")
-    if single := int((logged[:, 2] - logged[:, 1] < 1.5 * recordings.dt).sum()):
-        sentences.append(f"Recordings whose logged rotation lasts one sample: {single}; use the harmonised boundaries.")
-    return sentences
-
-
-def _duration_accuracy(recordings: Recordings) -> float:
-    """Balanced accuracy of the best threshold on duration; NaN without successes or without failures."""
-    success, failure = (recordings.length[recordings.outcome == outcome] for outcome in ("success", "failure"))
-    if not (len(success) and len(failure)):
-        return float("nan")
-    thresholds = np.unique(recordings.length)[:, None]
-    balanced = ((success >= thresholds).mean(1) + (failure < thresholds).mean(1)) / 2
-    return float(np.maximum(balanced, 1 - balanced).max())
-
-
-def _copies(recordings: Recordings) -> int:
-    rows = zip(recordings.wrench, recordings.length, strict=True)
-    hashes = Counter(content_hash([wrench[:length]]) for wrench, length in rows)
-    return sum(count - 1 for count in hashes.values())
 
 
 def _labels(data: DataSet) -> str:
