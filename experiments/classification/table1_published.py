@@ -22,10 +22,10 @@ import numpy as np
 import sklearn
 from numpy.typing import NDArray
 
+from experiments._lib.benchmarks import with_interval
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from rcbht_jax.labels import STATES
-from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm
 
@@ -92,10 +92,8 @@ def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int
         folds = grouped_folds(y, groups, FOLDS, one_seed)
         runs.append(cross_validate(nested_svm({"": x}, y, groups, grid), y, [folds], one_seed))
     scores = np.concatenate([r.accuracy for r in runs])
-    mean, low, high = corrected_interval(scores, 1 / (FOLDS - 1))
     return {
-        "mean": round(mean, 4),
-        "interval": [round(low, 4), round(high, 4)],
+        **with_interval(scores, 1 / (FOLDS - 1), places=4),
         "fold_min_mean_max": [round(float(f(scores, axis=1).mean()), 4) for f in (np.min, np.mean, np.max)],
         "seconds": round(time.perf_counter() - began, 1),
     }

@@ -20,7 +20,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.catalogue import DATA
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -42,7 +41,6 @@ from rcbht_jax.introspection.training import (
     regular_snapshots,
     snapshot_features,
 )
-from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
@@ -166,16 +164,12 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     for s in tqdm(range(seed, seed + repeats), desc=row, file=sys.stderr, disable=None):
         for train, test in SPLITS[row](session, np.random.default_rng(s)):
             runs.append(score(w, x, y, train, test, s))
-    summary = {}
-    for name in runs[0]:
-        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
-        summary[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
-    return summary
+    return {name: with_interval([run[name] for run in runs]) for name in runs[0]}
 
 
-def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
+def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     """All snapshots, and the columns of each choice of features; the time that has passed is the last column."""
-    recordings, _ = read_hiro(data)
+    recordings = recorded()
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
     snapshots = regular_snapshots(items, round(1 / (RATE * config.dt)))
@@ -193,7 +187,7 @@ def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
 
 
 def main(repeats: int = 50, seed: int = 0) -> None:
-    w, columns = streamed(DATA)
+    w, columns = streamed()
     rows = {
         row: {name: measure(w, row, w.x[:, mine], repeats, seed) for name, mine in columns.items()} for row in SPLITS
     }

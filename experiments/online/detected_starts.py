@@ -21,7 +21,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import write_result
 from experiments.online.table2 import SETS, SetNames, halves
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -127,10 +127,7 @@ def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], s
 
 def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, Any]:
     """Scores with intervals; errors of the beginnings over all repeats."""
-    out: dict[str, Any] = {}
-    for name in (n for n in runs[0] if n != "errors"):
-        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
-        out[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+    out: dict[str, Any] = {n: with_interval([run[n] for run in runs]) for n in runs[0] if n != "errors"}
     errors = np.concatenate([run["errors"] for run in runs])
     for column, name in enumerate(classes[1:]):
         e = errors[:, column]

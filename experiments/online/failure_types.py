@@ -22,7 +22,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
@@ -121,8 +121,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         if np.ndim(values[0]):
             out[name] = np.sum(values, 0).tolist()
             continue
-        mean, low, high = metrics.corrected_interval(np.array(values), 1 / (FOLDS - 1))
-        out[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+        out[name] = with_interval(values, 1 / (FOLDS - 1))
     return out
 
 

@@ -23,7 +23,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import RESULTS, write_result
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -163,8 +163,7 @@ def summary(runs: list[Any]) -> Any:
         return {word: runs.count(word) for word in sorted(set(runs))}
     stacked = np.asarray(runs, float)
     if stacked.ndim == 1 and len(runs) > 1:
-        mean, low, high = metrics.corrected_interval(stacked, 1.0)
-        return {"mean": round(mean, 4), "interval": [round(low, 4), round(high, 4)]}
+        return with_interval(stacked, places=4)
     # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
     middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
     return np.where(np.isfinite(middle), middle.round(4), None).tolist()
