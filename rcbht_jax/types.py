@@ -340,6 +340,13 @@ class Recordings:
         """
         return self.annotations.starts(track, len(self))
 
+    @staticmethod
+    def example() -> Recordings:
+        """Eight made-up trials of 1.5 s at 200 Hz, for examples: four failures at rest, four successes with a push."""
+        slope, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
+        wrench = rest + slope[:, None, None] * (np.arange(300) / 200)[:, None]
+        return Recordings.from_arrays(wrench, outcome=np.where(slope > 0, "success", "failure"))
+
     def take(self, rows: ArrayLike) -> Recordings:
         """The recordings of some rows: numbers in any order, or a mask ``[recording]``."""
         numbers = np.arange(len(self))[np.asarray(rows)]

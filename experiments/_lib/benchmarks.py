@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from experiments._lib.catalogue import DATA
 from experiments._lib.tasks import failure_types, states
 from rcbht_jax.io.hiro.importer import read_hiro
-from rcbht_jax.learning import validation
+from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Split
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
@@ -117,6 +117,12 @@ def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:
 
 def items_of(recordings: Recordings, benchmark: Benchmark) -> LabelledIntervals:
     return labelled_intervals(recordings, benchmark.task)
+
+
+def with_interval(scores: ArrayLike, test_to_train: float = 1.0, places: int = 3) -> dict[str, Any]:
+    """Mean of the scores of repeated splits and its corrected 95 % interval, rounded."""
+    mean, low, high = metrics.corrected_interval(np.asarray(scores), test_to_train)
+    return {"mean": round(mean, places), "interval": [round(low, places), round(high, places)]}
 
 
 def rounded(value: Any) -> Any:

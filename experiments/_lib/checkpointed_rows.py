@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from tqdm import tqdm
 
 import rcbht_jax
 from experiments._lib.results_io import RESULTS, write_result
 
-
-def arguments(text: str | None, repeats: int, *positional: str) -> argparse.Namespace:
-    """The options that experiments of rows share."""
-    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in positional:
-        parser.add_argument(name, type=Path)
-    parser.add_argument("--repeats", type=int, default=repeats)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", default=[""], help="make the rows whose names contain one of these")
-    return parser.parse_args()
+Only = Annotated[tuple[str, ...], tyro.conf.arg(help="Make the rows whose names contain one of these.")]
+ALL_ROWS = ("",)
 
 
 class Rows:
@@ -48,7 +39,7 @@ class Rows:
         if known == (rcbht_jax.__version__, seed, json.loads(json.dumps(self.about))):
             self.done = rows
 
-    def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Sequence[str] = ("",)) -> None:
+    def fill(self, wanted: Mapping[str, Callable[[], Any]], only: Sequence[str] = ALL_ROWS) -> None:
         """Make the rows that are missing, in order; each is on disk before the next is begun.
 
         Args:

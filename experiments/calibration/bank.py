@@ -12,15 +12,15 @@ Run: python -m experiments.calibration.bank STORE.zarr
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, SIM1, of_sources, rounded
@@ -103,16 +103,14 @@ def filled_in(recordings: Recordings, items: LabelledIntervals) -> NDArray[np.bo
     return np.asarray((np.abs(gaps - 1) < FILLED).any(0))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("--repeats", type=int, default=10, help="of the five outer folds of SIM1")
-    given = parser.parse_args()
-    store = read_recordings(given.store)
+def main(
+    store: tyro.conf.Positional[Path], repeats: Annotated[int, tyro.conf.arg(help="Of SIM1's folds.")] = 10
+) -> None:
+    everything = read_recordings(store)
 
     @cache
     def of(source: str) -> tuple[Recordings, LabelledIntervals, list[LabelTracks]]:
-        recordings = of_sources(store, (source,))
+        recordings = of_sources(everything, (source,))
         return recordings, labelled_intervals(recordings, states()), labelled(recordings)
 
     @cache
@@ -122,7 +120,7 @@ def main() -> None:
     @cache
     def folds(spec: str, method: str) -> tuple[validation.CrossValidation, Counter[int]]:
         items, members, wrong = of(SIM1)[1], learners(SIM1, spec), Counter[int]()
-        splits = validation.repeated_folds(items.y, items.trial, 5, given.repeats, SEED)
+        splits = validation.repeated_folds(items.y, items.trial, 5, repeats, SEED)
 
         def learn(train: NDArray[np.int64], test: NDArray[np.int64], seed: int) -> validation.Prediction:
             predicted, chosen = members.learner(method)(train, test, seed)
@@ -168,7 +166,7 @@ def main() -> None:
     about = {
         "bank": [f"W{w}, forces x {s:g}, moments x {t:g}" for w, s, t in BANK],
         "features": {name: spec.families for name, spec in SPECS.items()},
-        "repeats": given.repeats,
+        "repeats": repeats,
         "SIM1 trials": len(np.unique(items.trial)),
         "SIM1 trials whose S3 was filled in": len(np.unique(items.trial[filled_in(recordings, items)])),
     }
@@ -176,4 +174,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -9,13 +9,13 @@ Run: python -m experiments.calibration.transfer STORE.zarr
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 
 from experiments._lib.benchmarks import FAILURES, of_sources
 from experiments._lib.checkpointed_rows import Rows
@@ -35,17 +35,15 @@ COSTS = (0.1, 1.0, 10.0, 100.0)
 SEED = 0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("--repeats", type=int, default=2, help="of the five folds")
-    given = parser.parse_args()
+def main(
+    store: tyro.conf.Positional[Path], repeats: Annotated[int, tyro.conf.arg(help="Of the five folds.")] = 2
+) -> None:
     device = committed(SOURCE)  # the committed one: it takes a GPU to make it
     limits = {"preset": np.asarray(preset().limits)}
     limits |= {f"simulated, {name}": np.array(device[name]["limits"]) for name in ("search", "gradient")}
-    recordings = of_sources(read_recordings(given.store), (FAILURES,))
+    recordings = of_sources(read_recordings(store), (FAILURES,))
     items = labelled_intervals(recordings, failure_types())
-    config, measure = EncoderConfig(5, recordings.dt), folds(given.repeats)
+    config, measure = EncoderConfig(5, recordings.dt), folds(repeats)
 
     def row(which: np.ndarray, ranks: bool) -> dict[str, Any]:
         tracks = encode_batch(config, GradientThresholds(which), recordings.wrench, recordings.length)
@@ -62,12 +60,12 @@ def main() -> None:
     wanted["majority"] = lambda: measure(validation.majority(items.y), items)
     about = {
         "task": "failure types of the authors' simulated failures, words alone",
-        "trials": len(np.unique(items.trial)), "classes": list(items.classes), "repeats": given.repeats,
+        "trials": len(np.unique(items.trial)), "classes": list(items.classes), "repeats": repeats,
         "limits": {name: which.round(4).tolist() for name, which in limits.items()},
     }  # fmt: skip
-    command = f"python -m experiments.calibration.transfer STORE.zarr --repeats {given.repeats}"
+    command = f"python -m experiments.calibration.transfer STORE.zarr --repeats {repeats}"
     Rows("calibration_transfer", command, about, SEED).fill(wanted)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -18,11 +18,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.classification.table1_ours import papers_features
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -109,27 +110,26 @@ def grid(data: Data, name: str, features: str, seed: int) -> dict[str, Any]:
     return out
 
 
-def main() -> None:
-    args = arguments(__doc__, 20)
+def main(repeats: int = 20, seed: int = 0, only: Only = ALL_ROWS) -> None:
     data = Data(recorded())
     about = {
         "what": "accuracy over training trials (mean, 5 % and 95 % of the draws) and over kernel and cost (mean)",
-        "repeats": args.repeats,
+        "repeats": repeats,
         "grid repeats": GRID_REPEATS,
         "costs": COSTS,
         "boundaries": "harmonised",
     }
-    command = f"python -m experiments.classification.curves --repeats {args.repeats} --seed {args.seed}"
+    command = f"python -m experiments.classification.curves --repeats {repeats} --seed {seed}"
     wanted: dict[str, Callable[[], Any]] = {}
     for name in SETS:
         for features in (*FEATURES, STATISTICS):
             wanted[f"{name} | curve | {features}"] = lambda n=name, f=features: rounded(
-                curve(data, n, f, args.repeats, args.seed)
+                curve(data, n, f, repeats, seed)
             )
         for features in FEATURES:
-            wanted[f"{name} | grid | {features}"] = lambda n=name, f=features: rounded(grid(data, n, f, args.seed))
-    Rows("curves", command, about, args.seed).fill(wanted, args.only)
+            wanted[f"{name} | grid | {features}"] = lambda n=name, f=features: rounded(grid(data, n, f, seed))
+    Rows("curves", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

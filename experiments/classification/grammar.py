@@ -19,10 +19,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
-from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import failure_types
 from experiments.classification.sim_to_real_sets import TARE_SECONDS
 from rcbht_jax.encoding.batch import encode_batch
@@ -190,18 +191,17 @@ def of_both(items: LabelledIntervals, sessions: tuple[str, str]) -> LabelledInte
     )
 
 
-def main() -> None:
-    args = arguments(__doc__, 5)
-    experiment = Experiment(args.repeats, args.seed)
-    command = f"python -m experiments.classification.grammar --repeats {args.repeats} --seed {args.seed}"
+def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(repeats, seed)
+    command = f"python -m experiments.classification.grammar --repeats {repeats} --seed {seed}"
     wanted = {
         f"{benchmark} | {method}": experiment.row(benchmark, method)
         for benchmark in experiment.benchmarks
         for method in ("duration alone", *METHODS)
     }
-    rows = Rows("grammar", command, experiment.about(), args.seed)
-    rows.fill(wanted, args.only)
+    rows = Rows("grammar", command, experiment.about(), seed)
+    rows.fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

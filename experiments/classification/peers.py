@@ -15,9 +15,11 @@ from functools import cache
 from importlib.metadata import distributions
 from typing import Any
 
+import tyro
+
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, recorded, segments
-from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -117,18 +119,17 @@ def about(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    args = arguments(__doc__, 10)
-    experiment = Experiment(args.repeats, args.seed)
-    command = f"python -m experiments.classification.peers --repeats {args.repeats} --seed {args.seed}"
-    rows = Rows("peers", command, about(experiment), args.seed)
+def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(repeats, seed)
+    command = f"python -m experiments.classification.peers --repeats {repeats} --seed {seed}"
+    rows = Rows("peers", command, about(experiment), seed)
     wanted = {
         f"{benchmark} | {method}": experiment.row(benchmark, method)
         for method in (*PROBES, *OURS, *PEERS)
         for benchmark in BENCHMARKS
     }
-    rows.fill(wanted, args.only)
+    rows.fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -17,11 +17,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, recorded, rounded, segments
-from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -121,19 +122,18 @@ def held_out(items: LabelledIntervals, sessions: tuple[str, ...], seed: int) -> 
     return [sides, (sides[1], sides[0])]
 
 
-def main() -> None:
-    args = arguments(__doc__, 10)
-    experiment = Experiment(args.repeats, args.seed)
+def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(repeats, seed)
     about = {
         "what": "balanced accuracy of what cannot know whether the assembly failed, beside statistics and words",
         "folds": f"{FOLDS}, grouped by trial; where a success session is held out: 2, by session",
-        "repeats": args.repeats,
+        "repeats": repeats,
     }
-    command = f"python -m experiments.classification.probes --repeats {args.repeats} --seed {args.seed}"
+    command = f"python -m experiments.classification.probes --repeats {repeats} --seed {seed}"
     views = experiment.learners(next(iter(QUESTIONS)))
     wanted = {f"{name} | {view}": experiment.row(name, view) for name in QUESTIONS for view in views}
-    Rows("probes", command, about, args.seed).fill(wanted, args.only)
+    Rows("probes", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -15,7 +15,6 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -24,11 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners
 from experiments._lib.benchmarks import recorded, rounded, segments
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
@@ -243,16 +243,12 @@ def about(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names hold one of these")
-    given = parser.parse_args()
-    experiment = Experiment(given.folder)
+def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(folder)
     rows = Rows("sim_to_real", "python -m experiments.classification.sim_to_real FOLDER", about(experiment), SEED)
     wanted = {name: experiment.row(spec) for name, spec in ROWS.items()} | {"shift of features": experiment.shift}
-    rows.fill(wanted, given.only)
+    rows.fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

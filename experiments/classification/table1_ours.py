@@ -25,11 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import tasks
 from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
-from experiments._lib.checkpointed_rows import Rows, arguments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -165,24 +166,23 @@ def measure(data: Data, row: Row, labels: str, repeats: int, seed: int) -> dict[
     return {"paper": row.paper, **about, **rounded(scores)}
 
 
-def main() -> None:
-    args = arguments(__doc__, 10, "folder")
+def main(folder: tyro.conf.Positional[Path], repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     about = {
         "what": "Table I on our labels; see the module's text for the protocols",
-        "repeats": args.repeats,
+        "repeats": repeats,
         "folds": FOLDS,
         "simulated": {"presets": SIMULATED, "trials": TRIALS, "share without a fault": SHARE, "longest, s": LONGEST},
         "labels": {"offline": "authors' taxonomy", "online": "streaming encoder, window 5, preset thresholds"},
     }
-    command = f"python -m experiments.classification.table1_ours FOLDER --repeats {args.repeats} --seed {args.seed}"
-    data = Data(args.folder, args.seed)
+    command = f"python -m experiments.classification.table1_ours FOLDER --repeats {repeats} --seed {seed}"
+    data = Data(folder, seed)
 
     def make(row: Row, labels: str) -> Callable[[], Any]:
-        return lambda: measure(data, row, labels, args.repeats, args.seed)
+        return lambda: measure(data, row, labels, repeats, seed)
 
     wanted = {f"{name} | {labels}": make(row, labels) for name, row in ROWS.items() for labels in LABELS}
-    Rows("table1_ours", command, about, args.seed).fill(wanted, args.only)
+    Rows("table1_ours", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -12,7 +12,6 @@ Reads the published matrices in the folder of reference results (RCBHT_GOLDEN).
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,11 +19,12 @@ from typing import Any
 
 import numpy as np
 import sklearn
+import tyro
 from numpy.typing import NDArray
 
+from experiments._lib.benchmarks import with_interval
 from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
-from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.validation import CrossValidation, cross_validate, nested_svm
 from rcbht_jax.robots.snap_assembly import STATES
@@ -73,7 +73,7 @@ def outcomes(golden: Path, name: str, seed: int) -> Data:
     return table[:, :-1].astype(np.float64), table[:, -1].astype(np.int64), np.arange(2 * fewest)
 
 
-def repeats(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[Data, int]]:
+def resampled(golden: Path, row: str, count: int, seed: int) -> Iterator[tuple[Data, int]]:
     """The data of a row of the table and a seed, once per repeat."""
     name = {"REAL": "real_one_arm.npz", "SIM one-arm": "sim_one_arm.npz", "SIM two-arm": "sim_two_arm.npz"}[
         row.rsplit(" ", 1)[0]
@@ -87,15 +87,13 @@ def run(golden: Path, row: str, grid: Grid, grouped: bool, count: int, seed: int
     """Scores of one cell of the table."""
     runs: list[CrossValidation] = []
     began = time.perf_counter()
-    for (x, y, trial), one_seed in repeats(golden, row, count, seed):
+    for (x, y, trial), one_seed in resampled(golden, row, count, seed):
         groups = trial if grouped else np.arange(len(y))
         folds = grouped_folds(y, groups, FOLDS, one_seed)
         runs.append(cross_validate(nested_svm({"": x}, y, groups, grid), y, [folds], one_seed))
     scores = np.concatenate([r.accuracy for r in runs])
-    mean, low, high = corrected_interval(scores, 1 / (FOLDS - 1))
     return {
-        "mean": round(mean, 4),
-        "interval": [round(low, 4), round(high, 4)],
+        **with_interval(scores, 1 / (FOLDS - 1), places=4),
         "fold_min_mean_max": [round(float(f(scores, axis=1).mean()), 4) for f in (np.min, np.mean, np.max)],
         "seconds": round(time.perf_counter() - began, 1),
     }
@@ -112,22 +110,18 @@ def measure(golden: Path, row: str, count: int, seed: int) -> dict[str, Any]:
     return {"target": TARGETS[row], "measured": cells, "mean_inside_target_interval": inside}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+def main(repeats: int = 20, seed: int = 0) -> None:
     result = {
         "what": "Table I on the published feature matrices; one-versus-one SVM, gamma = 1 / features",
         "scikit-learn": sklearn.__version__,
-        "repeats": args.repeats,
+        "repeats": repeats,
         "folds": FOLDS,
         "confound": "REAL success and failure are different recording sessions; see benchmarks.CONFOUNDS.",
-        "rows": {row: measure(GOLDEN, row, args.repeats, args.seed) for row in TARGETS},
+        "rows": {row: measure(GOLDEN, row, repeats, seed) for row in TARGETS},
     }
-    command = f"python -m experiments.classification.table1_published --repeats {args.repeats} --seed {args.seed}"
-    write_result("table1_published", command, result, args.seed)
+    command = f"python -m experiments.classification.table1_published --repeats {repeats} --seed {seed}"
+    write_result("table1_published", command, result, seed)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

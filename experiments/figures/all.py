@@ -14,14 +14,16 @@ from matplotlib.figure import Figure
 
 from experiments._lib.report_rows import peer_rows
 from experiments._lib.results_io import committed
-from experiments.figures import calibration_curves, dots, online
-from experiments.figures import faults as faults_figure
-from experiments.figures import sim_to_real as sim_to_real_figure
+from experiments.figures import calibration_curves, dots, faults, online, sim_to_real
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 
 KINDS = {"ours": (OURS, "words"), "peer": (PEER, "other methods, raw wrench"), "probe": (PROBE, "probes")}
+
+
+def rows_of(name: str) -> dict[str, Any]:
+    return committed(name)["rows"]
 
 
 def peers() -> Figure:
@@ -67,7 +69,7 @@ def short(method: str) -> str:
 
 def curves() -> Figure:
     """Accuracy over the number of training trials, one panel per set."""
-    rows = committed("curves")["rows"]
+    rows = rows_of("curves")
     names = list(dict.fromkeys(name.split(" | ")[0] for name in rows))
     figure = new_figure((10.0, 4.0), DPI)
     for number, name in enumerate(names):
@@ -113,7 +115,7 @@ def grids() -> Figure:
 
 def confidence() -> Figure:
     """Belief in the true class over the course of a sub-task: a row per set, a column per class."""
-    rows = committed("confidence")["rows"]
+    rows = rows_of("confidence")
     figure = new_figure((10.5, 2.3 * len(rows) + 0.4), DPI)
     for number, (name, row) in enumerate(rows.items()):
         for place, (state, belief) in enumerate(row["belief"].items()):
@@ -136,26 +138,6 @@ def confidence() -> Figure:
     return figure
 
 
-def sim_to_real() -> Figure:
-    """What each choice does to the accuracy on recorded trials of a learner that saw simulated ones only."""
-    return sim_to_real_figure.draw(committed("sim_to_real")["rows"], sim_to_real_figure.STORY)
-
-
-def sim_to_real_all() -> Figure:
-    """The same with all that was tried."""
-    return sim_to_real_figure.draw(committed("sim_to_real")["rows"])
-
-
-def reliability() -> Figure:
-    """How often a streamed belief of some probability is right."""
-    return online.reliability(committed("table2")["rows"])
-
-
-def early() -> Figure:
-    """How much of a sub-task must have passed until its name is right."""
-    return online.early(committed("table2")["rows"])
-
-
 def table1() -> Figure:
     """Table I of the paper on our labels, beside what duration alone reaches and what the paper prints."""
     kinds = {
@@ -164,7 +146,7 @@ def table1() -> Figure:
         "duration alone": "duration alone",
     }
     rows, printed = {}, {}
-    for name, row in committed("table1_ours")["rows"].items():
+    for name, row in rows_of("table1_ours").items():
         title = name.replace(" | ", ", ")
         rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
         if row["paper"] is not None:
@@ -174,19 +156,9 @@ def table1() -> Figure:
 
 def probes() -> Figure:
     """What tells failure, success and session without any assembly."""
-    rows = dots.of_rows(committed("probes")["rows"], "balanced_accuracy")
+    rows = dots.of_rows(rows_of("probes"), "balanced_accuracy")
     shown = {question: {kind: row[kind] for kind in list(row)[1:]} for question, row in rows.items()}
     return dots.draw(shown, "balanced accuracy")
-
-
-def calibration() -> Figure:
-    """What each way of calibrating reaches in how much time."""
-    return calibration_curves.draw(committed("calibration_curves")["rows"])
-
-
-def faults() -> Figure:
-    """Simulated faults: what fails, and what is noticed, by severity."""
-    return faults_figure.faults(committed("faults_online")["presets"])
 
 
 def failure_types() -> Figure:
@@ -195,7 +167,7 @@ def failure_types() -> Figure:
     at = "at 100%, votes of pairs"
     name, row = max(result["rows"].items(), key=lambda item: item[1][at]["mean"])
     title = f"{name}: {row[at]['mean']:.3f} of {result['trials']} failures, streamed, trials not trained on"
-    return faults_figure.failure_types(list(result["classes"]), row[f"true and said {at}"], title)
+    return faults.failure_types(list(result["classes"]), row[f"true and said {at}"], title)
 
 
 FIGURES = {
@@ -205,13 +177,13 @@ FIGURES = {
     "training-size": curves,
     "kernel-cost": grids,
     "confidence": confidence,
-    "online-reliability": reliability,
-    "online-early": early,
-    "online-faults": faults,
+    "online-reliability": lambda: online.reliability(rows_of("table2")),
+    "online-early": lambda: online.early(rows_of("table2")),
+    "online-faults": lambda: faults.faults(committed("faults_online")["presets"]),
     "failure-types": failure_types,
-    "sim-to-real": sim_to_real,
-    "sim-to-real-all": sim_to_real_all,
-    "calibration-curves": calibration,
+    "sim-to-real": lambda: sim_to_real.draw(rows_of("sim_to_real"), sim_to_real.STORY),
+    "sim-to-real-all": lambda: sim_to_real.draw(rows_of("sim_to_real")),
+    "calibration-curves": lambda: calibration_curves.draw(rows_of("calibration_curves")),
 }
 # Pictures of trials and of experiments that draw while they measure, and the command that writes each.
 REAL = "REAL_HIRO_ONE_SA_SUCCESS"

@@ -17,18 +17,17 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -42,7 +41,6 @@ from rcbht_jax.introspection.training import (
     regular_snapshots,
     snapshot_features,
 )
-from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
@@ -166,16 +164,12 @@ def measure(w: Watched, row: str, x: Floats, repeats: int, seed: int) -> dict[st
     for s in tqdm(range(seed, seed + repeats), desc=row, file=sys.stderr, disable=None):
         for train, test in SPLITS[row](session, np.random.default_rng(s)):
             runs.append(score(w, x, y, train, test, s))
-    summary = {}
-    for name in runs[0]:
-        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
-        summary[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
-    return summary
+    return {name: with_interval([run[name] for run in runs]) for name in runs[0]}
 
 
-def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
+def streamed() -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     """All snapshots, and the columns of each choice of features; the time that has passed is the last column."""
-    recordings, _ = read_hiro(data)
+    recordings = recorded()
     items = labelled_intervals(recordings, TaskSpec("outcome", sources=SOURCES))
     config = EncoderConfig(dt=recordings.dt)
     snapshots = regular_snapshots(items, round(1 / (RATE * config.dt)))
@@ -192,26 +186,21 @@ def streamed(data: Path) -> tuple[Watched, dict[str, NDArray[np.bool_]]]:
     return Watched(items, snapshots, np.concatenate([x, elapsed], 1).astype(np.float64), config.dt), columns
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    w, columns = streamed(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+def main(repeats: int = 50, seed: int = 0) -> None:
+    w, columns = streamed()
     rows = {
-        row: {name: measure(w, row, w.x[:, mine], args.repeats, args.seed) for name, mine in columns.items()}
-        for row in SPLITS
+        row: {name: measure(w, row, w.x[:, mine], repeats, seed) for name, mine in columns.items()} for row in SPLITS
     }
     result = {
         "what": "success or failure of real trials from the stream; mean recall of the classes",
         "confound": "all failures are of session C, all successes of A or B: a mixed score is also that of the session",
         "trials": {s: int((w.items.session == s).sum()) for s in "ABC"},
-        "repeats": args.repeats,
+        "repeats": repeats,
         "rows": rows,
     }
-    command = f"python -m experiments.online.abnormal_real --repeats {args.repeats} --seed {args.seed}"
-    write_result("abnormal_real", command, result, args.seed)
+    command = f"python -m experiments.online.abnormal_real --repeats {repeats} --seed {seed}"
+    write_result("abnormal_real", command, result, seed)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -7,16 +7,15 @@ Reads the recorded output of the authors' program (RCBHT_GOLDEN) and their trial
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 
+from experiments._lib.benchmarks import recorded
+from experiments._lib.catalogue import GOLDEN
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
-from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.labels import AXES, LAYERS, MC
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -36,16 +35,15 @@ def ours(track: LabelTrack, row: int, axis: int, samples: int) -> np.ndarray:
     return painted(*(getattr(track, name)[row, axis][used] for name in ("label", "t0", "t1")), samples)
 
 
-def reference(golden: Path, source: str) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], int]]:
-    trials = json.loads((golden / "online_reference/trials.json").read_text())
-    table = dict(np.load(golden / f"online_reference/{source}.npz"))
+def reference(source: str) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], int]]:
+    trials = json.loads((GOLDEN / "online_reference/trials.json").read_text())
+    table = dict(np.load(GOLDEN / f"online_reference/{source}.npz"))
     return table, {(t["trial"], t["arm"]): t["id"] for t in trials}
 
 
 def main() -> None:
-    golden = Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden"))
-    recordings, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
-    tables = {source: reference(golden, source) for source in np.unique(recordings.source)}
+    recordings = recorded()
+    tables = {source: reference(source) for source in np.unique(recordings.source)}
     result = {}
     for window in WINDOWS:
         config = EncoderConfig(window=window, dt=recordings.dt)

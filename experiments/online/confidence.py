@@ -10,15 +10,15 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import Any
 
 import numpy as np
+import tyro
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, rounded
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import states
 from experiments.online.table2 import MAIN_RATE, SETS, half_split, watched
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -66,22 +66,18 @@ def summary(p: np.ndarray) -> dict[str, list[float | None]]:
     return {kind: [float(f(v)) if 2 * v.size >= len(p) else None for v in cells] for kind, f in kinds.items()}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     recordings = recorded()
     about = {
         "what": "probability of the true class over the course of a sub-task, streamed, trials not trained on",
         "rate, Hz": MAIN_RATE,
-        "repeats": args.repeats,
+        "repeats": repeats,
         "families": SUBTASK,
     }
-    command = f"python -m experiments.online.confidence --repeats {args.repeats} --seed {args.seed}"
-    wanted = {n: lambda n=n: rounded(measure(recordings, n, args.repeats, args.seed)) for n in SETS}
-    Rows("confidence", command, about, args.seed).fill(wanted)
+    command = f"python -m experiments.online.confidence --repeats {repeats} --seed {seed}"
+    wanted = {n: lambda n=n: rounded(measure(recordings, n, repeats, seed)) for n in SETS}
+    Rows("confidence", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

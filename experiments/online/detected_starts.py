@@ -12,20 +12,19 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import write_result
 from experiments._lib.tasks import states
-from experiments.online.table2 import SETS, halves
+from experiments.online.table2 import SETS, SetNames, halves
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.introspection.alarms import PhaseFilter
@@ -38,7 +37,6 @@ from rcbht_jax.introspection.training import (
     snapshot_features,
     training_snapshots,
 )
-from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
@@ -131,10 +129,7 @@ def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], s
 
 def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, Any]:
     """Scores with intervals; errors of the beginnings over all repeats."""
-    out: dict[str, Any] = {}
-    for name in (n for n in runs[0] if n != "errors"):
-        mean, low, high = metrics.corrected_interval(np.array([run[name] for run in runs]), 1.0)
-        out[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+    out: dict[str, Any] = {n: with_interval([run[n] for run in runs]) for n in runs[0] if n != "errors"}
     errors = np.concatenate([run["errors"] for run in runs])
     for column, name in enumerate(classes[1:]):
         e = errors[:, column]
@@ -169,28 +164,23 @@ def views_of(data: Recordings, items: LabelledIntervals) -> dict[str, View]:
     return out
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sets", nargs="+", choices=SETS, default=["REAL", "SIM1"])
-    args = parser.parse_args()
-    data, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+def main(repeats: int = 10, seed: int = 0, sets: SetNames = ("REAL", "SIM1")) -> None:
+    data = recorded()
     rows = {}
-    for name in args.sets:
+    for name in sets:
         items = labelled_intervals(data, states(sources=(SETS[name],), arms="R"))
         views = views_of(data, items)
-        seeds = tqdm(range(args.seed, args.seed + args.repeats), desc=name, file=sys.stderr, disable=None)
+        seeds = tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None)
         runs = [repeat(data, items, views, s) for s in seeds]
         rows[name] = {"trials": len(np.unique(items.trial)), **summary(runs, items.classes)}
     result = {
         "what": "beginnings of sub-tasks noticed from the stream, held against the harmonised ones",
-        "repeats": args.repeats,
+        "repeats": repeats,
         "rows": rows,
     }
-    command = f"python -m experiments.online.detected_starts --repeats {args.repeats} --seed {args.seed}"
-    write_result("detected_starts", command, result, args.seed)
+    command = f"python -m experiments.online.detected_starts --repeats {repeats} --seed {seed}"
+    write_result("detected_starts", command, result, seed)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -12,18 +12,18 @@ Every finished row is kept; run it again to go on where it was interrupted. Read
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded
-from experiments._lib.checkpointed_rows import Rows
+from experiments._lib.benchmarks import recorded, with_interval
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import failure_types
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
@@ -122,8 +122,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         if np.ndim(values[0]):
             out[name] = np.sum(values, 0).tolist()
             continue
-        mean, low, high = metrics.corrected_interval(np.array(values), 1 / (FOLDS - 1))
-        out[name] = {"mean": round(mean, 3), "interval": [round(low, 3), round(high, 3)]}
+        out[name] = with_interval(values, 1 / (FOLDS - 1))
     return out
 
 
@@ -153,11 +152,7 @@ def row(
     return make
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+def main(repeats: int = 1, seed: int = 0, only: Only = ALL_ROWS) -> None:
     recordings = recorded()
     items = labelled_intervals(recordings, failure_types())
     snapshots = regular_snapshots(items, round(1 / (RATE * recordings.dt)))
@@ -168,13 +163,13 @@ def main() -> None:
         "classes": {c: int((items.y == k).sum()) for k, c in enumerate(items.classes)},
         "most frequent class": round(float(np.bincount(items.y).max() / len(items.y)), 3),
         "folds": FOLDS,
-        "repeats": args.repeats,
+        "repeats": repeats,
         "complete record counts for": ENDS,
     }
-    command = f"python -m experiments.online.failure_types --repeats {args.repeats} --seed {args.seed}"
-    wanted = {name: row(recordings, items, snapshots, m, args.repeats, args.seed) for name, m in METHODS.items()}
-    Rows("failure_types_online", command, about, args.seed).fill(wanted)
+    command = f"python -m experiments.online.failure_types --repeats {repeats} --seed {seed}"
+    wanted = {name: row(recordings, items, snapshots, m, repeats, seed) for name, m in METHODS.items()}
+    Rows("failure_types_online", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

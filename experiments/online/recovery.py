@@ -14,11 +14,11 @@ Run: python -m experiments.online.recovery --trials 24 --seed 0
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.results_io import write_result
@@ -166,16 +166,12 @@ def assemble(model: IntrospectionModel, fault: Floats, seed: int, first: int) ->
     return {"attempts": attempts, "believed done": ended, "seated": ended and attempts[-1]["seated"]}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=24, help="training trials per kind of fault")
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    model, trained = learn(args.trials, args.seed)
+def main(trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 24, seed: int = 0) -> None:
+    model, trained = learn(trials, seed)
     runs = []
     for index, (kind, size) in enumerate(TESTS):
         fault = np.array(DIRECTIONS.get(kind, (0.0, 0.0))) * size
-        story = assemble(model, fault, args.seed, 1_000_000 + 100 * index)
+        story = assemble(model, fault, seed, 1_000_000 + 100 * index)
         runs.append({"fault": f"{kind or 'none'} {size * 1e3:g} mm", **story})
     result = {
         "training": trained,
@@ -187,11 +183,11 @@ def main() -> None:
     }
     write_result(
         "recovery",
-        f"python -m experiments.online.recovery --trials {args.trials} --seed {args.seed}",
+        f"python -m experiments.online.recovery --trials {trials} --seed {seed}",
         result,
-        args.seed,
+        seed,
     )
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

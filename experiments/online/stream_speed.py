@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import RESULTS, write_result
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
@@ -202,7 +203,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    wrench = signal(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
+    wrench = signal(DATA)
     head = load(args.model).heads[0].machine.svm
     parts: dict[str, Callable[[], Any]] = {
         "start": lambda: start_up(args.model),

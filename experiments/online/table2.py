@@ -14,17 +14,16 @@ Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import sys
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.results_io import RESULTS, write_result
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -42,7 +41,6 @@ from rcbht_jax.introspection.training import (
     snapshot_features,
     training_snapshots,
 )
-from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
@@ -51,6 +49,7 @@ KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
 RATES = (MAIN_RATE, 2.0, 100.0)
 FRACTIONS = 10  # of the sub-task, for the early-classification curve
+SetNames = tuple[Literal["REAL", "SIM1", "SIM2"], ...]
 SETS = {"REAL": "REAL_HIRO_ONE_SA_SUCCESS", "SIM1": "SIM_HIRO_ONE_SA_SUCCESS", "SIM2": "SIM_HIRO_TWO_SA_SUCCESS"}
 TARGETS = {
     "REAL": {"macro step accuracy": 0.90, "full-sequence accuracy": 0.98, "OverallPr": 0.93, "own m at .70": 0.60},
@@ -165,8 +164,7 @@ def summary(runs: list[Any]) -> Any:
         return {word: runs.count(word) for word in sorted(set(runs))}
     stacked = np.asarray(runs, float)
     if stacked.ndim == 1 and len(runs) > 1:
-        mean, low, high = metrics.corrected_interval(stacked, 1.0)
-        return {"mean": round(mean, 4), "interval": [round(low, 4), round(high, 4)]}
+        return with_interval(stacked, places=4)
     # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
     middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
     return np.where(np.isfinite(middle), middle.round(4), None).tolist()
@@ -210,21 +208,15 @@ def measure(recordings: Any, name: str, repeats: int, rate: float, seed: int, re
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
-    parser.add_argument("--rates", nargs="+", type=float, default=list(RATES))
-    args = parser.parse_args()
-    recordings, _ = read_hiro(Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro")))
-    done = finished(args.repeats, args.seed)
-    for rate in args.rates:
-        for name in args.sets:
+def main(repeats: int = 50, seed: int = 0, sets: SetNames = (*SETS,), rates: tuple[float, ...] = RATES) -> None:
+    recordings = recorded()
+    done = finished(repeats, seed)
+    for rate in rates:
+        for name in sets:
             row = f"{name} at {rate:g} Hz"
             if row not in done:
-                done[row] = measure(recordings, name, args.repeats, rate, args.seed, rate == MAIN_RATE)
-                write(done, args.repeats, args.seed)
+                done[row] = measure(recordings, name, repeats, rate, seed, rate == MAIN_RATE)
+                write(done, repeats, seed)
 
 
 def finished(repeats: int, seed: int) -> dict[str, Any]:
@@ -250,4 +242,4 @@ def write(rows: dict[str, Any], repeats: int, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -8,11 +8,11 @@ Run: python -m experiments.simulation.parity_floor [--trials 64] [--longest 15]
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 
 from experiments._lib.results_io import write_result
 from experiments.simulation.engines import PRESET, SEED, trials_of
@@ -46,12 +46,8 @@ def rounded(scene: Scene, params: TrialParams) -> Rollouts:
         native._Lanes = kept  # type: ignore[misc]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=64)
-    parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
-    options = parser.parse_args()
-    scene, params = one_arm(), trials_of(options.trials, options.longest)
+def main(trials: int = 64, longest: Annotated[float, tyro.conf.arg(help="s, cuts every trial")] = 15.0) -> None:
+    scene, params = one_arm(), trials_of(trials, longest)
     expected, contact = reference(scene, params)
     rows = {f"part moved by {metres:g} m": shifted(scene, params, metres) for metres in SHIFTS}
     rows["state rounded to single precision every 5 ms"] = rounded(scene, params)
@@ -62,4 +58,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

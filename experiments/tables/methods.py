@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 from experiments._lib.report_rows import by_benchmark, peer_rows
@@ -17,6 +18,7 @@ def _others(benchmarks: Iterable[str]) -> list[str]:
 
 
 def _peers(peers: Result, grammar: Result, folded: bool) -> str:
+    """Other methods and words, by cross-validation or from one session to another."""
     nested = peer_rows(peers, grammar)
     benchmarks = FOLDED if folded else _others(nested)
     kinds = {method: row["kind"] for rows in nested.values() for method, row in rows.items()}
@@ -28,20 +30,14 @@ def _peers(peers: Result, grammar: Result, folded: bool) -> str:
     return markdown(("", *benchmarks), lines)
 
 
-@table("peers-folds", "peers", "grammar")
-def peers_folds(peers: Result, grammar: Result) -> str:
-    """Other methods and words by cross-validation."""
-    return _peers(peers, grammar, folded=True)
+table("peers-folds", "peers", "grammar")(partial(_peers, folded=True))
+table("peers-sessions", "peers", "grammar")(partial(_peers, folded=False))
 
 
-@table("peers-sessions", "peers", "grammar")
-def peers_sessions(peers: Result, grammar: Result) -> str:
-    """Other methods and words from one session to another."""
-    return _peers(peers, grammar, folded=False)
-
-
-def _grammar(result: Result, benchmarks: Iterable[str]) -> str:
+def _grammar(result: Result, folded: bool) -> str:
+    """Words of several kinds, by cross-validation or from one session or batch to another."""
     nested = by_benchmark(result["rows"])
+    benchmarks = FOLDED if folded else _others(result["benchmarks"])
     lines = []
     for method in dict.fromkeys(method for rows in nested.values() for method in rows):
         scores = (nested[name].get(method, {}).get("accuracy") for name in benchmarks)
@@ -49,16 +45,8 @@ def _grammar(result: Result, benchmarks: Iterable[str]) -> str:
     return markdown(("", *benchmarks), lines)
 
 
-@table("grammar-folds", "grammar")
-def grammar_folds(result: Result) -> str:
-    """Words of several kinds by cross-validation."""
-    return _grammar(result, FOLDED)
-
-
-@table("grammar-sessions", "grammar")
-def grammar_sessions(result: Result) -> str:
-    """Words of several kinds from one session or batch to another."""
-    return _grammar(result, _others(result["benchmarks"]))
+table("grammar-folds", "grammar")(partial(_grammar, folded=True))
+table("grammar-sessions", "grammar")(partial(_grammar, folded=False))
 
 
 @table("table1", "table1_ours")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
@@ -10,26 +11,8 @@ from experiments.tables.cells import markdown, table
 Result = dict[str, Any]
 
 
-@table("sim-to-real", "sim_to_real")
-def sim_to_real(result: Result) -> str:
-    """States of recorded trials by classifiers trained on simulated ones only."""
-    return _transfers(result, ("main", "baseline", "one preset"))
-
-
-@table("sim-to-real-choices", "sim_to_real")
-def sim_to_real_choices(result: Result) -> str:
-    """The effect of each choice."""
-    some = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")
-    return _transfers(result, some)
-
-
-@table("sim-to-real-thresholds", "sim_to_real")
-def sim_to_real_thresholds(result: Result) -> str:
-    """Thresholds calibrated on simulated trials only."""
-    return _transfers(result, ("thresholds", "thresholds, without A and B"))
-
-
 def _transfers(result: Result, groups: tuple[str, ...]) -> str:
+    """States of recorded trials by classifiers trained on simulated ones only: some groups of rows."""
     rows = _worst_draws(result["rows"])
     lines = []
     for name in [name for group in groups for name in rows if name.split(" | ")[0] == group]:
@@ -42,6 +25,16 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> str:
         lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return markdown(head, lines)
+
+
+CHOICES = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")
+GROUPS = {
+    "sim-to-real": ("main", "baseline", "one preset"),
+    "sim-to-real-choices": CHOICES,
+    "sim-to-real-thresholds": ("thresholds", "thresholds, without A and B"),
+}
+for _name, _groups in GROUPS.items():
+    table(_name, "sim_to_real")(partial(_transfers, groups=_groups))
 
 
 def _worst_draws(rows: dict[str, Any]) -> dict[str, Any]:

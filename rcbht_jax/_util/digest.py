@@ -1,4 +1,4 @@
-"""SHA-256 digests, in hexadecimal, of arrays, data sets, JSON values and files.
+"""SHA-256 digests, in hexadecimal, of arrays, data sets and files.
 
 Stores, models and committed results hold these digests: what is hashed must not change.
 """
@@ -50,11 +50,6 @@ def data_hash(recordings: Any) -> str:
         digest.update(f"{name} {values.shape} ".encode())
         digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())
     return digest.hexdigest()
-
-
-def json_hash(value: Any) -> str:
-    """Digest of a JSON value; the order of its keys does not matter."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def files_hash(root: Path, paths: Iterable[Path]) -> str:

@@ -10,21 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import (
-    Arm,
-    Boundaries,
-    Command,
-    Flag,
-    Robot,
-    Sessions,
-    Sources,
-    Store,
-    Task,
-    Thresholds,
-    Window,
-    progress_bar,
-    read_limits,
-)
+from rcbht_jax.cli.command import Arm, Boundaries, EncodingCommand, Flag, Sessions, Sources, Store, Task, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +23,7 @@ _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) *
 
 
 @dataclass(frozen=True)
-class Calibrate(Command):
+class Calibrate(EncodingCommand):
     """Find gradient thresholds on trials of a store and write them to a file.
 
     The context method is the authors' rule: the impulse limit comes from the insertion, the constant limit from the
@@ -60,9 +46,6 @@ class Calibrate(Command):
     arm: Arm = "R"
     source: Sources = ()
     session: Sessions = ()
-    window: Window = 5
-    robot: Robot = "hiro"
-    thresholds: Thresholds = None
     own_axes: Flag = False
     """Give every axis limits of its own, instead of copying them between axes as the authors do (context)."""
     groups: Literal["axis", "kind", "all"] = "kind"
@@ -109,7 +92,7 @@ class Calibrate(Command):
         config = EncoderConfig(self.window, recordings.dt)
         data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
         start = time.perf_counter()
-        base, _ = read_limits(self.robot, self.thresholds)
+        base, _ = self.read_limits()
         thresholds, details = getattr(self, f"_{self.method}")(recordings, data, config, base)
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()

@@ -53,15 +53,8 @@ Task = Annotated[str, option("Track of annotations, or column, whose classes to 
 Boundaries = Annotated[
     str, option("Variant of the track: TASK-BOUNDARIES is used where it exists, for example states-merged.")
 ]
-Window = Annotated[int, option("Samples per linear fit.")]
 NewWindow = Annotated[
     int | None, option("Encode now with this many samples per linear fit.", "use the stored labels", metavar="INT")
-]
-Robot = Annotated[Literal["hiro", "baxter", "pa10"], option("Robot whose preset gives the gradient thresholds.")]
-Thresholds = Annotated[
-    Path | None,
-    option('File of "rcbht calibrate" with gradient thresholds, in place of the preset.', "", metavar="FILE.json"),
-    MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
 ]
 Model = Annotated[Path, option('Model file of "rcbht train-online".', aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
 OutModel = Annotated[Path, option("Model file to write: arrays and JSON, no code.", aliases=["-o"], metavar="MODEL")]
@@ -107,6 +100,35 @@ class Command(ABC):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class EncodingCommand(Command):
+    """Options of the commands that encode."""
+
+    window: Annotated[int, option("Samples per linear fit.")] = 5
+    robot: Annotated[Literal["hiro", "baxter", "pa10"], option("Robot whose preset gives the gradient thresholds.")] = (
+        "hiro"
+    )
+    thresholds: Annotated[
+        Path | None,
+        option('File of "rcbht calibrate" with gradient thresholds, in place of the preset.', "", metavar="FILE.json"),
+        MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
+    ] = None
+
+    def read_limits(self, scale: float = 1.0) -> tuple[GradientThresholds, dict[str, Any]]:
+        """The gradient thresholds of the file or of the robot's preset, times a factor, and where they come from.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
+        from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
+
+        origin = {"method": "preset", "robot": self.robot}
+        thresholds, source = read_thresholds(self.thresholds) if self.thresholds else (preset(self.robot), origin)
+        if scale == 1:
+            return thresholds, source
+        return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}
+
+
 def progress_bar(name: str, unit: str, total: int | None = None, **options: Any) -> Any:
     """A tqdm bar on standard error, off where that is not a terminal."""
     from tqdm import tqdm  # type: ignore[import-untyped]
@@ -117,17 +139,3 @@ def progress_bar(name: str, unit: str, total: int | None = None, **options: Any)
 def announce(step: int, steps: int, what: str) -> None:
     """Say on standard error which step of a long command begins."""
     print(f"[{step}/{steps}] {what}", file=sys.stderr, flush=True)
-
-
-def read_limits(robot: str, file: Path | None, scale: float = 1.0) -> tuple[GradientThresholds, dict[str, Any]]:
-    """The gradient thresholds of a file or of a robot's preset, times a factor, and where they come from.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
-    from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
-
-    thresholds, source = read_thresholds(file) if file else (preset(robot), {"method": "preset", "robot": robot})
-    if scale == 1:
-        return thresholds, source
-    return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}

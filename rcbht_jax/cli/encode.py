@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rcbht_jax.cli.command import Command, Flag, Robot, Store, Thresholds, Window, progress_bar, read_limits
+from rcbht_jax.cli.command import EncodingCommand, Flag, Store, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Encode(Command):
+class Encode(EncodingCommand):
     """Encode every recording of a store as labels and add the label tracks to the store.
 
     The online mode is the streaming encoder of this library, as the paper defines it. The offline mode is the authors'
@@ -29,9 +29,6 @@ class Encode(Command):
     """Store to label."""
     mode: Literal["online", "offline"] = "online"
     """Streaming encoder, or the authors' offline program."""
-    window: Window = 5
-    robot: Robot = "hiro"
-    thresholds: Thresholds = None
     scale: float = 1.0
     """Factor on all thresholds; below 1, smaller gradients get labels of their own (online)."""
     gate: Flag = True
@@ -103,7 +100,7 @@ class Encode(Command):
             self.window, recordings.dt, self.gate, self.adj_exempt, self.contact_first, self.pipe, self.rule,
             self.latency_cap,
         )  # fmt: skip
-        thresholds, source = read_limits(self.robot, self.thresholds, self.scale)
+        thresholds, source = self.read_limits(self.scale)
         total = int(recordings.length.sum())
         with progress_bar("encode", "samples", total, unit_scale=True) as bar:
             tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length, progress=bar.update)

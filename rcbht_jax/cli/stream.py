@@ -20,18 +20,15 @@ from rcbht_jax.cli.command import (
     Arm,
     Command,
     CompileCache,
+    EncodingCommand,
     Flag,
     Model,
     OutModel,
-    Robot,
     Sessions,
     Sources,
     Store,
     Task,
-    Thresholds,
-    Window,
     progress_bar,
-    read_limits,
 )
 from rcbht_jax.errors import InputError
 
@@ -43,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TrainOnline(Command):
+class TrainOnline(EncodingCommand):
     """Train a model that computes beliefs from a stream: one classifier per task, calibrated on held-out trials.
 
     Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
@@ -61,9 +58,6 @@ class TrainOnline(Command):
     session: Sessions = ()
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
-    window: Window = 5
-    robot: Robot = "hiro"
-    thresholds: Thresholds = None
     seed: int = 0
     """Seed of the folds."""
     out: OutModel = Path("online.model")
@@ -92,7 +86,7 @@ class TrainOnline(Command):
             for task, phase in tasks
         )
         config = EncoderConfig(window=self.window, dt=recordings.dt)
-        thresholds, _ = read_limits(self.robot, self.thresholds)
+        thresholds, _ = self.read_limits()
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:

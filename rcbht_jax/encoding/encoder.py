@@ -177,6 +177,8 @@ def flush(
 ) -> LabelTracks:
     """End of the stream: the last partial window, then all that is still held.
 
+    The state stays as it is, so that these are also the provisional labels of a stream that goes on.
+
     Args:
         config: static configuration.
         thresholds: limits ``[axis, 4]``, or ``[*lanes, 4]``.
@@ -194,17 +196,6 @@ def flush(
     state, out = step_partial(config, lane_limits, state, rest, count)
     joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
-
-
-def peek(
-    config: EncoderConfig,
-    thresholds: Thresholds,
-    state: EncoderState,
-    rest: Float[Array, " window *lanes"],
-    count: Int[Array, "*lanes"],
-) -> LabelTracks:
-    """Provisional labels as if the stream ended now; the state stays as it is. Same as :func:`flush`."""
-    return flush(config, thresholds, state, rest, count)
 
 
 def encode(

@@ -11,7 +11,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Level
 from rcbht_jax.learning.metrics import INADMISSIBLE
 from rcbht_jax.learning.probability import ProbabilisticSvm
-from rcbht_jax.learning.svm import fit, grouped_folds
+from rcbht_jax.learning.svm import fewest_groups, fit, grouped_folds
 
 FOLDS = 5
 
@@ -82,17 +82,13 @@ def held_out(
         InputError: a streamed trial is not among those that train.
     """
     out = np.full((len(stream), len(machine.svm.classes)), np.nan)
-    for train, test in grouped_folds(y, groups, _folds(y, groups), seed):
+    for train, test in grouped_folds(y, groups, min(FOLDS, fewest_groups(y, groups)), seed):
         one = ProbabilisticSvm(fit(x[train], y[train], machine.svm.classes, machine.svm.spec), machine.sigmoid)
         rows = np.flatnonzero(np.isin(stream_group, groups[test]))
         out[rows] = one.probability(stream[rows])
     if np.isnan(out).any():
         raise InputError("A streamed trial is not among those that train, so that nothing is held out for it.")
     return out
-
-
-def _folds(y: Int[np.ndarray, " item"], groups: Shaped[np.ndarray, " item"]) -> int:
-    return min(FOLDS, *(len(np.unique(groups[y == c])) for c in np.unique(y)))
 
 
 LEAST = 1e-4  # least probability of a sub-task in a belief: no single belief may rule one out

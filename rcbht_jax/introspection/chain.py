@@ -52,7 +52,7 @@ class FeatureView:
     """Which features of an interval a classifier sees."""
 
     spec: FeatureSpec
-    provisional: bool = True  # with the labels that are not published yet, see ``encoder.peek``
+    provisional: bool = True  # with the labels that are not published yet, see ``encoder.flush``
 
 
 def begin_stream(views: tuple[FeatureView, ...]) -> StreamState:

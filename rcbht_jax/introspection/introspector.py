@@ -112,11 +112,8 @@ class Introspector:
     Beliefs depend on the samples and on :meth:`begin`, not on how the samples are cut into chunks, bit for bit.
 
     Example:
-        >>> import numpy as np, rcbht_jax as rj
-        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
-        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
-        >>> outcome = np.where(slopes > 0, "success", "failure")
-        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> import rcbht_jax as rj
+        >>> recordings = rj.Recordings.example()  # four failures, four successes
         >>> from rcbht_jax.introspection.training import HeadSpec, train_model
         >>> model = train_model(recordings, (HeadSpec(rj.TaskSpec("outcome"), families=("histogram",)),))
         >>> introspector = Introspector(model, rate=2)

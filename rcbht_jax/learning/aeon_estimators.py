@@ -5,13 +5,14 @@ Thin adapters of :mod:`rcbht_jax.learning.estimators`, with the same parameters 
 
 from __future__ import annotations
 
-from typing import Any, no_type_check
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
+from rcbht_jax.learning.estimators import Description, StateClassifier, WrenchFeatures
 
 with needs_extra("aeon"):
     from aeon.classification import BaseClassifier
@@ -25,27 +26,14 @@ _TAGS = {
 }
 
 
-class AeonWrenchFeatures(BaseCollectionTransformer):  # type: ignore[misc]
+@dataclass(kw_only=True, eq=False, repr=False)
+class AeonWrenchFeatures(Description, BaseCollectionTransformer):  # type: ignore[misc]
     """:class:`WrenchFeatures` as an aeon transformer: collection -> table ``[n, feature]``."""
 
     _tags = {**_TAGS, "output_data_type": "Tabular"}  # noqa: RUF012  # aeon wants a plain class attribute
 
-    @no_type_check  # so that the import hook of the tests leaves the signature as aeon reads it
-    def __init__(
-        self,
-        *,
-        rate: Any = 200.0,
-        window: Any = 5,
-        thresholds: Any = "hiro",
-        features: Any = None,
-        config: Any = None,
-    ) -> None:
-        self.rate = rate
-        self.window = window
-        self.thresholds = thresholds
-        self.features = features
-        self.config = config
-        super().__init__()
+    def __post_init__(self) -> None:
+        BaseCollectionTransformer.__init__(self)
 
     def _fit(self, X: Any, y: Any = None) -> AeonWrenchFeatures:
         self.features_ = WrenchFeatures(**self.get_params(deep=False), layout="axis-time").fit(X)
@@ -55,7 +43,8 @@ class AeonWrenchFeatures(BaseCollectionTransformer):  # type: ignore[misc]
         return np.asarray(self.features_.transform(X))
 
 
-class AeonStateClassifier(BaseClassifier):  # type: ignore[misc]
+@dataclass(kw_only=True, eq=False, repr=False)
+class AeonStateClassifier(Description, BaseClassifier):  # type: ignore[misc]
     """:class:`StateClassifier` as an aeon classifier.
 
     ``classifier`` is one of feature matrices; None = ``SvmClassifier()``, whose ``predict_proba`` is 1 for the
@@ -64,28 +53,13 @@ class AeonStateClassifier(BaseClassifier):  # type: ignore[misc]
 
     _tags = {**_TAGS, "algorithm_type": "feature"}  # noqa: RUF012  # aeon wants a plain class attribute
 
-    @no_type_check  # so that the import hook of the tests leaves the signature as aeon reads it
-    def __init__(
-        self,
-        *,
-        rate: Any = 200.0,
-        window: Any = 5,
-        thresholds: Any = "hiro",
-        features: Any = None,
-        config: Any = None,
-        classifier: Any = None,
-    ) -> None:
-        self.rate = rate
-        self.window = window
-        self.thresholds = thresholds
-        self.features = features
-        self.config = config
-        self.classifier = classifier
-        super().__init__()
+    classifier: Any = None
+
+    def __post_init__(self) -> None:
+        BaseClassifier.__init__(self)
 
     def _fit(self, X: Any, y: Any) -> AeonStateClassifier:
-        parameters = self.get_params(deep=False)
-        self.chain_ = clone(StateClassifier(**parameters, layout="axis-time")).fit(X, y)
+        self.chain_ = clone(StateClassifier(**self.get_params(deep=False), layout="axis-time")).fit(X, y)
         return self
 
     def _predict(self, X: Any) -> NDArray[Any]:

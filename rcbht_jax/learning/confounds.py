@@ -23,7 +23,7 @@ def confounds(items: LabelledIntervals, recordings: Recordings | None = None) ->
     """
     sentences = [_sessions(items), _durations(items), *_single_samples(items)]
     if recordings is not None:
-        sentences.append(_copies(items, recordings))
+        sentences.append(copies(recordings, np.unique(np.concatenate([i.recording for i in items.intervals]))))
     return tuple(filter(None, sentences))
 
 
@@ -70,11 +70,8 @@ def _single_samples(items: LabelledIntervals) -> list[str]:
     ]
 
 
-def _copies(items: LabelledIntervals, recordings: Recordings) -> str:
-    copies = copy_count(recordings, np.unique(np.concatenate([i.recording for i in items.intervals])))
-    return f"Exact copies of another recording: {copies}; keep copies on one side of every split." if copies else ""
-
-
-def copy_count(recordings: Recordings, rows: Int[np.ndarray, " row"]) -> int:
-    """Number of the recordings ``rows`` whose wrench equals that of another one before."""
-    return len(rows) - len({content_hash([recordings.wrench[row, : recordings.length[row]]]) for row in rows})
+def copies(recordings: Recordings, rows: Int[np.ndarray, " row"]) -> str:
+    """How many of the recordings ``rows`` have the wrench of another one before, as a sentence; "" if none has."""
+    distinct = {content_hash([recordings.wrench[row, : recordings.length[row]]]) for row in rows}
+    count = len(rows) - len(distinct)
+    return f"Exact copies of another recording: {count}; keep copies on one side of every split." if count else ""

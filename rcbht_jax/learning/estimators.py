@@ -3,12 +3,13 @@
 ``WrenchFeatures`` turns recordings into a feature matrix, ``SvmClassifier`` classifies feature matrices, and
 ``StateClassifier`` chains them. They follow scikit-learn's conventions: ``clone``, ``Pipeline``, ``GridSearchCV`` over
 any parameter, ``set_output``, and sample groups by ``fit(X, y, groups=...)`` or metadata routing.
-Parameters are checked in ``fit``, as scikit-learn expects, hence ``Any`` in the signatures.
+Parameters are fields, from which ``dataclass`` writes the ``__init__`` that scikit-learn inspects. They are checked in
+``fit``, as scikit-learn expects, hence ``Any``.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,19 @@ with needs_extra("learn"):
 LAYOUTS = ("time-axis", "axis-time")
 
 
-class WrenchFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
+@dataclass(kw_only=True, eq=False, repr=False)
+class Description:
+    """Parameters of the features that estimators make of recordings; see :class:`WrenchFeatures`."""
+
+    rate: Any = 200.0
+    window: Any = 5
+    thresholds: Any = "hiro"
+    features: Any = None
+    config: Any = None
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ignore[misc]
     """Label features of whole recordings.
 
     Each recording is encoded into labels and described by one row of features. Nothing is learnt from the values.
@@ -66,22 +79,7 @@ class WrenchFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         [0.25, 0.33]
     """
 
-    def __init__(
-        self,
-        *,
-        rate: Any = 200.0,
-        window: Any = 5,
-        thresholds: Any = "hiro",
-        features: Any = None,
-        config: Any = None,
-        layout: Any = "time-axis",
-    ) -> None:
-        self.rate = rate
-        self.window = window
-        self.thresholds = thresholds
-        self.features = features
-        self.config = config
-        self.layout = layout
+    layout: Any = "time-axis"
 
     def fit(self, X: Any, y: Any = None) -> WrenchFeatures:
         """Learn the number of axes and check the parameters.
@@ -176,6 +174,7 @@ def _no_labels(axes: int) -> LabelTracks:
     return LabelTracks(track, track, track)
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """One-versus-one support vector machine, with probabilities by pairwise coupling.
 
@@ -207,32 +206,17 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         [1.0, 1.0]
     """
 
-    def __init__(
-        self,
-        *,
-        kernel: Any = "rbf",
-        cost: Any = 1.0,
-        scaling: Any = True,
-        ranks: Any = False,
-        gamma: Any = "auto",
-        balanced: Any = False,
-        floor: Any = 0.0,
-        feature_weight: Any = None,
-        probability: Any = False,
-        cv: Any = FOLDS,
-        random_state: Any = 0,
-    ) -> None:
-        self.kernel = kernel
-        self.cost = cost
-        self.scaling = scaling
-        self.ranks = ranks
-        self.gamma = gamma
-        self.balanced = balanced
-        self.floor = floor
-        self.feature_weight = feature_weight
-        self.probability = probability
-        self.cv = cv
-        self.random_state = random_state
+    kernel: Any = "rbf"
+    cost: Any = 1.0
+    scaling: Any = True
+    ranks: Any = False
+    gamma: Any = "auto"
+    balanced: Any = False
+    floor: Any = 0.0
+    feature_weight: Any = None
+    probability: Any = False
+    cv: Any = FOLDS
+    random_state: Any = 0
 
     def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> SvmClassifier:
         """Train on ``[sample, feature]`` with one class per sample.
@@ -294,7 +278,8 @@ def _has(chain: StateClassifier, method: str) -> bool:
     return hasattr(getattr(chain, "classifier_", chain.classifier or SvmClassifier()), method)
 
 
-class StateClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
+@dataclass(kw_only=True, eq=False, repr=False)
+class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """Classifier of recordings: wrench -> labels -> features -> support vector machine.
 
     Args:
@@ -328,24 +313,8 @@ class StateClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         (1.0, ['push', 'rest'])
     """
 
-    def __init__(
-        self,
-        *,
-        rate: Any = 200.0,
-        window: Any = 5,
-        thresholds: Any = "hiro",
-        features: Any = None,
-        config: Any = None,
-        layout: Any = "time-axis",
-        classifier: Any = None,
-    ) -> None:
-        self.rate = rate
-        self.window = window
-        self.thresholds = thresholds
-        self.features = features
-        self.config = config
-        self.layout = layout
-        self.classifier = classifier
+    layout: Any = "time-axis"
+    classifier: Any = None
 
     def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> StateClassifier:
         """Train on recordings with one class each; see :class:`WrenchFeatures` for their shapes.
@@ -353,8 +322,8 @@ class StateClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Raises:
             InputError: as the two parts do.
         """
-        parameters = ("rate", "window", "thresholds", "features", "config", "layout")
-        self.features_ = WrenchFeatures(**{name: getattr(self, name) for name in parameters}).fit(X)
+        described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
+        self.features_ = WrenchFeatures(**described).fit(X)
         self.n_features_in_ = self.features_.n_features_in_
         self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
         if self.features_.feature_weight_ is not None:

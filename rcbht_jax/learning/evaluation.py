@@ -116,11 +116,8 @@ def evaluate(
             a trial.
 
     Example:
-        >>> import numpy as np, rcbht_jax as rj
-        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
-        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
-        >>> outcome = np.where(slopes > 0, "success", "failure")
-        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> import rcbht_jax as rj
+        >>> recordings = rj.Recordings.example()  # four failures, four successes
         >>> tracks = rj.encode(recordings.wrench, rate=200)
         >>> protocol = EvaluationProtocol(folds=2, repeats=1, grid=Grid(("linear",), (1.0,), inner=2))
         >>> result = evaluate(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), protocol)
@@ -245,11 +242,8 @@ def train(
         InputError: fewer than two classes, or a class with a single trial.
 
     Example:
-        >>> import numpy as np, rcbht_jax as rj
-        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
-        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
-        >>> outcome = np.where(slopes > 0, "success", "failure")
-        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> import rcbht_jax as rj
+        >>> recordings = rj.Recordings.example()  # four failures, four successes
         >>> tracks = rj.encode(recordings.wrench, rate=200)
         >>> grid = Grid(("linear",), (1.0,), inner=2)
         >>> train(recordings, tracks, rj.TaskSpec("outcome"), FeatureSpec(("histogram",)), grid).svm.classes

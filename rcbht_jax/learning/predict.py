@@ -116,11 +116,8 @@ def classify(
         InputError: no sentence passes the filters, or the labels give other features than the model reads.
 
     Example:
-        >>> import numpy as np, rcbht_jax as rj
-        >>> slopes, rest = np.repeat([0.0, 8.0], 4), np.random.default_rng(0).normal(size=(8, 300, 6)) * 0.01
-        >>> wrench = rest + slopes[:, None, None] * (np.arange(300) / 200)[:, None]  # at rest, or a push of 1.5 s
-        >>> outcome = np.where(slopes > 0, "success", "failure")
-        >>> recordings = rj.Recordings.from_arrays(wrench, rate=200, outcome=outcome)
+        >>> import rcbht_jax as rj
+        >>> recordings = rj.Recordings.example()  # four failures, four successes
         >>> tracks = rj.encode(recordings.wrench, rate=200)
         >>> model = rj.train(recordings, tracks, rj.TaskSpec("outcome"), rj.FeatureSpec(("histogram",)))
         >>> classify(model, recordings, {"": tracks}, task_of(model)).predicted[[0, -1]].tolist()

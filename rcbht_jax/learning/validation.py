@@ -44,11 +44,7 @@ def nested_svm(
     """Estimator: an SVM whose kernel, cost, scaling and feature matrix are selected inside the training rows.
 
     Args:
-        candidates: feature matrices ``[item, feature]`` of the same items, by name.
-        y: class index ``[item]``.
-        groups: trial ``[item]``.
-        grid: what to choose from.
-        weights: of the features ``[feature]``, by name of the matrix, where they do not all weigh the same.
+        candidates, y, groups, grid, weights: as in :func:`rcbht_jax.learning.svm.select`.
         progress: called with 1 after each prediction.
 
     Raises:

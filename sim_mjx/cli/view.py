@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,8 +140,8 @@ def show(replay: Replay, speed: float) -> None:
 
 def _only(recordings: Recordings, row: int) -> Recordings:
     """A data set of one recording, without padding."""
-    one = {f.name: getattr(recordings, f.name)[row : row + 1] for f in fields(recordings) if f.name != "dt"}
-    return replace(recordings, **one | {"wrench": np.ascontiguousarray(one["wrench"][:, : int(one["length"][0])])})
+    one = recordings.take([row])
+    return replace(one, wrench=np.ascontiguousarray(one.wrench[:, : one.length[0]]))
 
 
 def _show(bar: Any, done: int, total: int) -> None:

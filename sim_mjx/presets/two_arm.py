@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
-from sim_mjx.assembly.task import NEVER, NO_STOP, WRIST, TaskParams
+from sim_mjx.assembly.task import NEVER
 from sim_mjx.assembly.two_arm_program import HoldParams
+from sim_mjx.presets import openhrp, session_a
 from sim_mjx.presets.session import SessionPreset, openhrp_sensor
 
 # share of the right arm's gains: the holding hand then stays within 1 mm of its place; with all of them, within 3 mm
@@ -25,42 +25,33 @@ QUARTER = np.pi / 2
 YAW = -1.17846  # rad, 22.5 degrees before the hand is straight
 SIDEWAYS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # the part's y is the world's z, and the hand leans about it
 
-# Of the right arm; in mating it keeps still, whatever the last row says.
-TASK = TaskParams(
+# Of the right arm, with session A's law; in mating it keeps still, whatever the last row says.
+TASK = replace(
+    session_a.TASK,
     home=np.array([0.197087, 0.0622684, -1.66923, -1.29718, -0.180523, -0.0861625]),
     way_time=np.array([2.0, 5.0]),
     way_position=np.array([[0.33739, -0.04619, 0.55226], [0.34093, -0.02315, 0.55226]]),
     way_rpy=np.array([[QUARTER, 0.0, YAW], [QUARTER, 0.0, YAW]]),
     contact_force=np.array(0.55),  # recorded 2.4-2.9 N at the first moment at which it may count, 0.4 before
     contact_after=np.array(4.0),
-    frame=np.array(WRIST),
     force=np.array([[6.5, -7.18, -13.85], [6.5, -7.0, -13.85], [11.5, -5.9, -12.1], [11.5, -5.9, -12.1]]),
     moment=np.array([[0.0, 60.0, 0.0], [0.0, 75.0, 0.0], [0.0, 80.0, 0.0], [0.0, 80.0, 0.0]]),
-    force_gain=np.array(5e-5),
     moment_gain=np.full(4, 3.5e-6),
-    leave_after=np.zeros(4),
     leave_wrist=np.array([-0.03327, -0.1672, -0.23213, NEVER]),
-    leave_pitch=np.full(4, NEVER),
-    leave_moment=np.full(4, NEVER),
     mating_time=np.array(0.57),
     timeout=np.array(20.0),
-    stop=np.array(NO_STOP),
-    rest=np.array(0.0),
 )
-# Found by black-box search on both arms' recorded signatures.
-PARTS = PartParams(
+# As in the one-arm simulation but for what a black-box search on both arms' recorded signatures found.
+PARTS = replace(
+    openhrp.PARTS,
     tab_stiffness=np.array([2330.0, 2330.0, 3030.0, 3030.0]),
-    tab_damping=np.full(4, 80.0),
     hook_overlap=np.array([0.296e-3, 0.296e-3, 0.364e-3, 0.364e-3]),
     slot_play=np.array(1.706e-3),
     seat_depth=np.array(7.515e-3),
     foot_spread=np.array(11.3e-3),
-    foot_offset=np.zeros(2),
     rear_rise=np.array([2.84e-3, 1.2e-3]),
-    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
     friction=np.array(0.263),
     mount_stiffness=np.array([873.0, 2300.0, 802.0]),  # the grip of the left hand, softer than a stand
-    mount_damping=np.array([120.0, 120.0, 98.5]),
     position=np.array([-0.1e-3, 0.0, 1.77e-3]),
     roll=np.array(0.0102),
 )

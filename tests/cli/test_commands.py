@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from rcbht_jax.cli.main import all_commands, main
 from rcbht_jax.io.label_store import read_tracks
-from rcbht_jax.io.store import write_recordings
 from rcbht_jax.learning.model_io import load
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
+from tests.support.store_cases import encoded_store
 
 TRIALS, SAMPLES = 12, 400
 
@@ -39,10 +39,7 @@ def synthetic() -> Recordings:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("commands") / "set.zarr"
-    write_recordings(path, synthetic(), {})
-    assert main(["encode", str(path)]) == 0
-    return path
+    return encoded_store(tmp_path_factory.mktemp("commands") / "set.zarr", synthetic())
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:

@@ -32,6 +32,7 @@ from rcbht_jax.robots.snap_assembly import RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple, some_fields
 from tests.support.snaps import marked
+from tests.support.store_cases import encoded_store
 
 pd = pytest.importorskip("pandas")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -56,10 +57,7 @@ def signals() -> Recordings:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("export") / "set.zarr"
-    write_recordings(path, signals(), {"made": "up"})
-    assert main(["encode", str(path)]) == 0
-    return path
+    return encoded_store(tmp_path_factory.mktemp("export") / "set.zarr", signals(), {"made": "up"})
 
 
 @pytest.fixture(scope="module")
@@ -307,7 +305,7 @@ def test_card_counts_and_warns(data: DataSet, tmp_path: Path) -> None:
     export(bare(twice), tmp_path / "out", "csv")
     text = (tmp_path / "out/README.md").read_text()
     assert "| set | A | success | R | 1 | 2.00 / 2.00 / 2.00 |" in text
-    assert "No session has more than one outcome" in text
+    assert "Task outcome: No session holds more than one class: A (success), B (failure);" in text
     assert "with a balanced accuracy of 100%" in text
     assert "Exact copies of another recording: 1;" in text
     assert "Licence:** not stated yet" in text

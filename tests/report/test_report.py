@@ -40,6 +40,7 @@ from tests.io.test_store import folder_is_clean, simple
 from tests.support.browser import browser
 from tests.support.introspection_models import CONFIG, head
 from tests.support.snaps import marked
+from tests.support.store_cases import encoded_store
 
 RESULTS = Path(__file__).resolve().parents[2] / "experiments" / "results"
 NASTY = "</script><b>Ü'\"&"
@@ -59,10 +60,7 @@ def signals(samples: int = 600) -> Recordings:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("report") / "set.zarr"
-    write_recordings(path, signals(), {})
-    assert main(["encode", str(path)]) == 0
-    return path
+    return encoded_store(tmp_path_factory.mktemp("report") / "set.zarr", signals())
 
 
 @pytest.fixture(scope="module")

@@ -192,62 +192,12 @@ def gated(x: It, y: It, watch: Watch) -> bool:
     return near and x.dur <= 5 * y.dur and y.dur <= 5 * x.dur
 
 
-@dataclass
-class ComposeMC:
-    gate: bool = True
-    contact_first: bool = False
+@dataclass(kw_only=True)
+class Compose:
+    """Pairs of arrivals; a subclass has ``pair``, the label of two or None, and ``single``, a composition of one."""
+
     watch: Watch = field(default_factory=Watch)
     H: It | None = None
-
-    def pairable(self, x: It, y: It) -> bool:
-        if x.label in PI | NI:
-            return True
-        if y.label in PI | NI:
-            return not self.contact_first
-        return gated(x, y, self.watch) if self.gate else True
-
-    @staticmethod
-    def single(x: It) -> It:
-        return replace(x, label=MC[{"P": "i", "N": "d", "K": "k", "p": "pc", "n": "nc"}[group(x.label)]])
-
-    def push(self, x: It) -> list[It]:
-        if self.H is None:
-            self.H = x
-            return []
-        h = self.H
-        if self.pairable(h, x):
-            self.H = None
-            return [merge(h, x, MC[PAIR[group(h.label) + group(x.label)]])]
-        self.H = x
-        return [self.single(h)]
-
-    def drain(self) -> list[It]:
-        out = [] if self.H is None else [self.single(self.H)]
-        self.H = None
-        return out
-
-
-@dataclass
-class ComposeLLB:
-    dt: float
-    watch: Watch = field(default_factory=Watch)
-    H: It | None = None
-
-    def pair(self, x: It, y: It) -> int | None:
-        if x.label in {5, 6, 7} and y.label in {5, 6, 7}:
-            return CT
-        if x.label != y.label:
-            return None
-        if x.label == 1:
-            return AL if self.watch.amp_ge(x, 1, y) else SH
-        return {2: PS, 3: PL, 4: FX}.get(x.label)
-
-    def single(self, x: It) -> It:
-        if x.label in {5, 6, 7}:
-            return replace(x, label=CT)
-        if x.label == 8 or x.dur < round(0.1 / self.dt):
-            return replace(x, label=NOISE)
-        return replace(x, label={1: AL, 2: PS, 3: PL, 4: FX}[x.label])
 
     def push(self, x: It) -> list[It]:
         if self.H is None:
@@ -267,6 +217,47 @@ class ComposeLLB:
 
 
 @dataclass
+class ComposeMC(Compose):
+    gate: bool = True
+    contact_first: bool = False
+
+    def pair(self, x: It, y: It) -> int | None:
+        return MC[PAIR[group(x.label) + group(y.label)]] if self.pairable(x, y) else None
+
+    def pairable(self, x: It, y: It) -> bool:
+        if x.label in PI | NI:
+            return True
+        if y.label in PI | NI:
+            return not self.contact_first
+        return gated(x, y, self.watch) if self.gate else True
+
+    @staticmethod
+    def single(x: It) -> It:
+        return replace(x, label=MC[{"P": "i", "N": "d", "K": "k", "p": "pc", "n": "nc"}[group(x.label)]])
+
+
+@dataclass
+class ComposeLLB(Compose):
+    dt: float
+
+    def pair(self, x: It, y: It) -> int | None:
+        if x.label in {5, 6, 7} and y.label in {5, 6, 7}:
+            return CT
+        if x.label != y.label:
+            return None
+        if x.label == 1:
+            return AL if self.watch.amp_ge(x, 1, y) else SH
+        return {2: PS, 3: PL, 4: FX}.get(x.label)
+
+    def single(self, x: It) -> It:
+        if x.label in {5, 6, 7}:
+            return replace(x, label=CT)
+        if x.label == 8 or x.dur < round(0.1 / self.dt):
+            return replace(x, label=NOISE)
+        return replace(x, label={1: AL, 2: PS, 3: PL, 4: FX}[x.label])
+
+
+@dataclass
 class Chain:
     window: int
     dt: float
@@ -280,9 +271,9 @@ class Chain:
         pipe = {key: o[key] for key in ("adj_exempt", "slots", "cap", "rule")} | {"watch": self.watch}
         self.stages = [
             (Pipe(0, **pipe), 0),
-            (ComposeMC(o["gate"], o["contact_first"], self.watch), None),
+            (ComposeMC(o["gate"], o["contact_first"], watch=self.watch), None),
             (Pipe(1, **pipe), 1),
-            (ComposeLLB(self.dt, self.watch), None),
+            (ComposeLLB(self.dt, watch=self.watch), None),
             (Pipe(2, **pipe), 2),
         ]
         self.out = ([], [], [])

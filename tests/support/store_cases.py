@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rcbht_jax._util.digest import content_hash
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.store import write_recordings
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 
@@ -32,6 +34,13 @@ def simple(count: int = 3, samples: int = 50) -> Recordings:
         deviation=np.full((count, 3), np.nan),
         note=np.full(count, ""),
     )
+
+
+def encoded_store(path: Path, recordings: Recordings, attrs: dict[str, str] | None = None) -> Path:
+    """A store with the label tracks online-W5."""
+    write_recordings(path, recordings, attrs or {})
+    assert main(["encode", str(path)]) == 0
+    return path
 
 
 def same(one: Recordings, two: Recordings) -> None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import rcbht_jax
-from rcbht_jax._util.digest import content_hash
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.export.dataset import DataSet
 from rcbht_jax.io.export.tables import COLUMNS
 from rcbht_jax.labels import LAYERS, MEANING, name
+from rcbht_jax.learning import confounds as learning
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
 _OMITTED = ("import_report", "diverged", "format", "format_version", "dt")  # too long, or stated elsewhere
@@ -87,64 +89,18 @@ def _axes(recordings: Recordings) -> str:
 
 def confounds(data: DataSet) -> Sequence[str]:
     """What may be mistaken for a result on this data: one sentence each, derived from the data."""
-    recordings = data.recordings
-    sentences = _outcome_confounds(recordings) + _state_confounds(recordings)
-    if copies := _copies(recordings):
-        sentences.append(f"Exact copies of another recording: {copies}; keep copies on one side of every split.")
+    recordings, sentences = data.recordings, list[str]()
+    arm = max(recordings.arm.tolist())  # R before L
+    tasks = [TaskSpec("outcome", arms=arm)]
+    tasks += [TaskSpec(track, "recorded", arm, outcomes=()) for track in recordings.annotations.tracks[:1]]
+    for task in tasks:
+        with suppress(InputError):  # the data has no two classes of this task
+            items = labelled_intervals(recordings, task)
+            sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
+            sentences += [f"Task {task.task}: {count} trials left out: {why}." for why, count in items.dropped.items()]
+    if copies := learning.copies(recordings, np.arange(len(recordings))):
+        sentences.append(copies)
     return sentences or ["None was detected; that does not mean that there is none."]
-
-
-def _outcome_confounds(recordings: Recordings) -> list[str]:
-    if len(set(recordings.outcome.tolist())) < 2:
-        return []
-    sentences = []
-    sessions = (recordings.outcome[recordings.session == session] for session in np.unique(recordings.session))
-    if all(len(set(outcomes)) == 1 for outcomes in sessions):
-        sentences.append("No session has more than one outcome: what separates sessions seems to separate outcomes.")
-    accuracy = _duration_accuracy(recordings)
-    if accuracy > 0.7:
-        sentences.append(
-            f"Duration alone separates success from failure with a balanced accuracy of {accuracy:.0%} at its best "
-            "threshold."
-        )
-    return sentences
-
-
-def _state_confounds(recordings: Recordings) -> list[str]:
-    track = recordings.annotations.choose()
-    if not track:
-        return []
-    sentences = []
-    marks = recordings.annotations.of(track)
-    names = marks.labels[track]
-    if missing := int(np.isnan(recordings.starts(track)).any(1).sum()):
-        sentences.append(f"Recordings that lack a label of the track {track}: {missing}.")
-    seconds = marks.end - marks.start
-    medians = [float(np.nanmedian(seconds[marks.code == code])) for code in np.unique(marks.code[seconds > 0])]
-    if medians and max(medians) > 2 * min(medians):
-        sentences.append(
-            f"The {len(names)} classes of {track} differ in length: compare scores with those of duration alone."
-        )
-    first = recordings.annotations.of(recordings.annotations.tracks[0])
-    if single := int((first.end - first.start < 1.5 * recordings.dt).sum()):
-        sentences.append(f"Intervals of {next(iter(first.labels))} that last one sample or less: {single}.")
-    return sentences
-
-
-def _duration_accuracy(recordings: Recordings) -> float:
-    """Balanced accuracy of the best threshold on duration; NaN without successes or without failures."""
-    success, failure = (recordings.length[recordings.outcome == outcome] for outcome in ("success", "failure"))
-    if not (len(success) and len(failure)):
-        return float("nan")
-    thresholds = np.unique(recordings.length)[:, None]
-    balanced = ((success >= thresholds).mean(1) + (failure < thresholds).mean(1)) / 2
-    return float(np.maximum(balanced, 1 - balanced).max())
-
-
-def _copies(recordings: Recordings) -> int:
-    rows = zip(recordings.wrench, recordings.length, strict=True)
-    hashes = Counter(content_hash([wrench[:length]]) for wrench, length in rows)
-    return sum(count - 1 for count in hashes.values())
 
 
 def _labels(data: DataSet) -> str:

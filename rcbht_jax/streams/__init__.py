@@ -1,1 +1,0 @@
-"""Wrench streams in (JSON lines, trials, stores, bags) and events out (JSON lines, MCAP)."""
