@@ -164,12 +164,17 @@ class Annotations:
         first[chosen.recording[::-1], chosen.code[::-1]] = chosen.start[::-1]
         return first
 
+    def of_recording(self, recording: int) -> Annotations:
+        """The intervals of one recording."""
+        first, last = np.searchsorted(self.recording, [recording, recording + 1]).tolist()
+        return self._rows(slice(first, last))
+
     def begins(self, recording: int, track: str = "") -> Float[np.ndarray, " interval"]:
         """Starts of the intervals of a track (default: see :meth:`choose`) in one recording, s, in order of time."""
         name = self.choose(track)
         if not name:
             return np.zeros(0)
-        return np.sort(self.start[(self.recording == recording) & (self.track == self.tracks.index(name))])
+        return np.sort(self.of_recording(recording).of(name).start)
 
     def take(self, rows: NDArray[np.integer]) -> Annotations:
         """The annotations of some recordings ``[new recording]``, which may repeat, numbered anew."""
@@ -210,6 +215,6 @@ class Annotations:
     def _sorted(self) -> Annotations:
         return self._rows(np.lexsort((self.start, self.track, self.recording)))
 
-    def _rows(self, rows: NDArray[Any]) -> Annotations:
+    def _rows(self, rows: NDArray[Any] | slice) -> Annotations:
         columns = ("recording", "track", "code", "start", "end")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})

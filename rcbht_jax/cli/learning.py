@@ -54,10 +54,10 @@ class _Learning(Command):
     """Arm whose labels to use, if the store has several; both = side by side."""
     source: Sources = ()
     session: Sessions = ()
-    features: tuple[Family, ...] = ("histogram", "ngram", "attributes")
+    features: tuple[Family, ...] = ("histogram", "parts", "spread", "together", "order")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
-    ranks: Flag = False
-    """Replace every feature by its rank in the training set; recommended with parts, spread and order."""
+    ranks: Flag = True
+    """Replace every feature by its rank in the training set, which transfers best between data sets."""
     balance: Flag = False
     """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")

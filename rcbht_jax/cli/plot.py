@@ -147,9 +147,9 @@ def _names(store: Path, trial: str, starts: str) -> tuple[str, ...]:
     track = known.choose() if starts == "harmonised" else next(iter(known.labels), "")
     if not track:
         return ()
-    marks = known.of(track if starts in ("harmonised", "recorded") else known.choose(starts))
-    rows = np.flatnonzero(marks.recording == np.flatnonzero(recordings.trial == trial)[0])
-    return tuple(marks.names()[rows[np.argsort(marks.start[rows])]].tolist())
+    track = track if starts in ("harmonised", "recorded") else known.choose(starts)
+    marks = known.of_recording(int(np.flatnonzero(recordings.trial == trial)[0])).of(track)
+    return tuple(marks.names()[np.argsort(marks.start)].tolist())
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

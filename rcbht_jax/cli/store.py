@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
+from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
@@ -72,6 +73,7 @@ class Info(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks
         from rcbht_jax.io.store import read_attrs, read_recordings
+        from rcbht_jax.learning.tasks import task_names
 
         recordings, attrs = read_recordings(self.store), read_attrs(self.store)
         keys = zip(recordings.source, recordings.session, recordings.outcome, recordings.arm, strict=True)
@@ -88,6 +90,7 @@ class Info(Command):
             "groups": groups,
             "annotations": _annotations(recordings),
             "columns": {name: _column(values) for name, values in recordings.columns.items()},
+            "tasks": {name: _task(recordings, name) for name in task_names(recordings)},
             "notes": dict(sorted(flags.items())),
             "label_tracks": list_tracks(self.store),
             "created": attrs["created"],
@@ -108,6 +111,10 @@ class Info(Command):
             )
         lines += [f"annotations {track}: {_counts(labels)}" for track, labels in result["annotations"].items()]
         lines += [f"column {name}: {values}" for name, values in result["columns"].items()]
+        for name, task in result["tasks"].items():
+            counts = ", ".join(f"{label} {count}" for label, count in task["classes"].items())
+            lines.append(f"task {name}: {counts or 'not possible'}")
+            lines += [f"  {sentence}" for sentence in task["sentences"]]
         notes = ", ".join(f"{flag} {count}" for flag, count in result["notes"].items())
         tracks = ", ".join(result["label_tracks"]) or f'none; make them with "rcbht encode {result["store"]}"'
         return "\n".join([*lines, "", f"notes: {notes or 'none'}", f"label tracks: {tracks}"])
@@ -122,6 +129,22 @@ def _describe(recordings: Recordings, key: tuple[str, ...], member: np.ndarray) 
         "recordings": int(member.sum()),
         "seconds": [round(float(value), 6) for value in np.quantile(seconds, (0.0, 0.5, 1.0))],
     }
+
+
+def _task(recordings: Recordings, name: str) -> dict[str, Any]:
+    """Intervals of each class, and sentences about confounds and what is left out."""
+    from rcbht_jax.learning.confounds import confounds
+    from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+
+    arm = max(recordings.arm.tolist())  # R before L
+    try:
+        items = labelled_intervals(recordings, TaskSpec(name, arms=arm))
+    except InputError as error:
+        return {"classes": {}, "sentences": [str(error)]}
+    counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
+    left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
+    sentences = [*confounds(items, recordings), *left]
+    return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 
 
 def _annotations(recordings: Recordings) -> dict[str, dict[str, list[int]]]:

@@ -211,7 +211,7 @@ class Stream(Source):
         counts: Counter[str] = Counter()
         with ExitStack() as stack:
             out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
-            mcap = stack.enter_context(McapWriter(self.mcap)) if self.mcap else None
+            mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.model.axes)) if self.mcap else None
             for message in paced(messages, self.speed):
                 events = session.feed(message)
                 for event in events:

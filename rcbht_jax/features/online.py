@@ -82,9 +82,9 @@ def check_online(spec: FeatureSpec) -> None:
         )
 
 
-def empty(spec: FeatureSpec, begin: Array) -> RunningStats:
+def empty(spec: FeatureSpec, begin: Array, axes: int = len(AXES)) -> RunningStats:
     """No label yet; ``begin`` int32 ``[]`` is the first sample of the interval."""
-    lanes = (len(spec.layers), len(AXES))
+    lanes = (len(spec.layers), axes)
     ints = jnp.zeros((*lanes, CODES), jnp.int32)
     runs = CODES**spec.ngram if "ngram" in spec.families else 0
     last = jnp.zeros((*lanes, spec.ngram - 1), jnp.int32)
@@ -96,7 +96,7 @@ def empty(spec: FeatureSpec, begin: Array) -> RunningStats:
         last=last,
         runs=jnp.zeros((*lanes, runs), jnp.int32),
         values=_no_values(lanes) if _VALUED & set(spec.families) else None,
-        readings=online_signal.empty() if set(LINES) & set(spec.families) else None,
+        readings=online_signal.empty(axes) if set(LINES) & set(spec.families) else None,
     )
 
 
@@ -108,7 +108,7 @@ def _no_values(lanes: tuple[int, int]) -> Values:
 
 def restart(spec: FeatureSpec, stats: RunningStats, begin: Array) -> RunningStats:
     """The same sums, or empty ones if the interval begins at another sample than theirs."""
-    fresh = empty(spec, begin)
+    fresh = empty(spec, begin, stats.count.shape[1])
     return jax.tree.map(lambda new, old: jnp.where(begin == stats.begin, old, new), fresh, stats)
 
 
@@ -259,7 +259,7 @@ def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Ar
     if stats.readings is not None:
         flat.append(online_signal.describe(spec.families, stats.readings, now - stats.begin))
     flat += [((now - stats.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
-    return jnp.concatenate(flat)[jnp.asarray(_columns(spec))]
+    return jnp.concatenate(flat)[jnp.asarray(_columns(spec, stats.count.shape[1]))]
 
 
 def _ratio(a: Array, b: Array) -> Array:
@@ -305,25 +305,25 @@ def _course(spec: FeatureSpec, stats: RunningStats, values: Values) -> list[Arra
     return [compressed(edges - level), compressed(edges[..., 1:2] - edges[..., :1])]
 
 
-def _columns(spec: FeatureSpec) -> NDArray[np.int32]:
+def _columns(spec: FeatureSpec, axes: int) -> NDArray[np.int32]:
     """Where each feature lies in ``describe``'s columns: ``[layer, axis, wide column]``, signal families, seconds."""
     chosen = [family for family in FAMILIES if family in spec.families]
     width = sum(padded for family in chosen for padded, _ in _widths(spec, family, 0))
-    behind = len(spec.layers) * len(AXES) * width
+    behind = len(spec.layers) * axes * width
     out: list[int] = []
     for layer, name in enumerate(spec.layers):
         edge = 0
         for family in chosen:
             parts = list(_widths(spec, family, layer))
-            for axis in range(len(AXES)):
-                here = (layer * len(AXES) + axis) * width + edge
+            for axis in range(axes):
+                here = (layer * axes + axis) * width + edge
                 for padded, kept in parts:
                     out.extend(here + column for column in kept)
                     here += padded
             edge += sum(padded for padded, _ in parts)
         if name == "primitive":
-            out.extend(range(behind, behind + online_signal.width(spec.families)))
-            behind += online_signal.width(spec.families)
+            out.extend(range(behind, behind + online_signal.width(spec.families, axes)))
+            behind += online_signal.width(spec.families, axes)
     out.extend(range(behind, behind + len(_SECONDS & set(chosen))))
     return np.array(out, np.int32)
 
@@ -349,19 +349,19 @@ def _widths(spec: FeatureSpec, family: str, layer: int) -> Iterator[tuple[int, l
         }.get(family, [])
 
 
-def names(spec: FeatureSpec) -> tuple[str, ...]:
+def names(spec: FeatureSpec, axes: int = len(AXES)) -> tuple[str, ...]:
     """Names of the features, those of :func:`rcbht_jax.features.spec`."""
-    return _nothing(spec).names
+    return _nothing(spec, axes).names
 
 
-def weights(spec: FeatureSpec) -> NDArray[np.float64] | None:
+def weights(spec: FeatureSpec, axes: int = len(AXES)) -> NDArray[np.float64] | None:
     """What scaled features are multiplied by ``[feature]``, as on the host; None = all weigh the same."""
-    return _nothing(spec).weights(spec)
+    return _nothing(spec, axes).weights(spec)
 
 
-def _nothing(spec: FeatureSpec) -> Features:
+def _nothing(spec: FeatureSpec, axes: int) -> Features:
     """The features of an empty interval."""
-    zero = np.zeros((1, len(AXES), 1))
+    zero = np.zeros((1, axes, 1))
     track = LabelTrack(*(zero.astype(np.int32),) * 4, *(zero,) * 4)
     one = Intervals(np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.int64), 1.0)
     return interval_features(LabelTracks(track, track, track), one, spec)

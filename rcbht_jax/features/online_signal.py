@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rcbht_jax.features.signal_families import COLUMNS, FAMILIES, MOMENTS, ResampledSignal, axis_pairs
-from rcbht_jax.labels import AXES, PRIMITIVE_GROUP, Group
+from rcbht_jax.features.signal_families import COLUMNS, FAMILIES, MOMENTS, ResampledSignal
+from rcbht_jax.labels import PRIMITIVE_GROUP, Group
 from rcbht_jax.types import Array, LabelTrack
 
 READINGS = 256
@@ -36,9 +36,8 @@ class DecimatedSignal:
     line: Array  # float32 [5, axis], sign, vmax, vmin, avg and slope of it
 
 
-def empty() -> DecimatedSignal:
+def empty(axes: int) -> DecimatedSignal:
     """Nothing read yet."""
-    axes = len(AXES)
     return DecimatedSignal(
         stride=jnp.int32(1),
         value=jnp.zeros((3, axes, READINGS), jnp.float32),
@@ -106,10 +105,10 @@ def moments(samples: Array, stride: Array) -> Array:
     return jnp.minimum(nearest, jnp.maximum(samples - 1, 0) // stride)
 
 
-def width(families: tuple[str, ...]) -> int:
+def width(families: tuple[str, ...], axes: int) -> int:
     """Columns that :func:`describe` makes of these families."""
-    lanes = {"together": len(axis_pairs(AXES))}
-    return sum(lanes.get(family, len(AXES)) * len(COLUMNS[family]) for family in FAMILIES if family in families)
+    lanes = {"together": axes * (axes - 1) // 2}
+    return sum(lanes.get(family, axes) * len(COLUMNS[family]) for family in FAMILIES if family in families)
 
 
 def describe(families: tuple[str, ...], readings: DecimatedSignal, samples: Array) -> Array:

@@ -31,6 +31,7 @@ from rcbht_jax.features.online import (
     restart,
     stack_words,
 )
+from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
 
 _STEPS = 512  # per compiled scan, whatever the length of the recording
@@ -55,17 +56,17 @@ class FeatureView:
     provisional: bool = True  # with the labels that are not published yet, see ``encoder.flush``
 
 
-def begin_stream(views: tuple[FeatureView, ...]) -> StreamState:
-    """The state before the first sample."""
-    return StreamState(init((6,)), tuple(empty(view.spec, jnp.int32(0)) for view in views))
+def begin_stream(views: tuple[FeatureView, ...], axes: int = len(AXES)) -> StreamState:
+    """The state before the first sample of so many axes."""
+    return StreamState(init((axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views))
 
 
 def step(
     config: EncoderConfig,
     views: tuple[FeatureView, ...],
-    limits: Float[Array, "6 4"],
+    limits: Float[Array, "axis 4"],
     state: StreamState,
-    window: Float[Array, "window 6"],
+    window: Float[Array, "window axis"],
     count: Int[Array, ""],
     begins: Int[Array, " view"],
 ) -> tuple[StreamState, tuple[Float[Array, " _feature"], ...], PackedLabels]:
@@ -118,7 +119,7 @@ def online_features(
     config: EncoderConfig,
     thresholds: GradientThresholds,
     view: FeatureView,
-    wrench: Float[np.ndarray, "time 6"],
+    wrench: Float[np.ndarray, "time axis"],
     begin: Ints,
     now: Ints,
 ) -> Float[np.ndarray, "snapshot feature"]:
@@ -126,7 +127,7 @@ def online_features(
 
     Args:
         config: of the encoder.
-        thresholds: limits ``[6, 4]``.
+        thresholds: limits ``[axis, 4]``.
         view: which features.
         wrench: N and Nm.
         begin: first sample of each snapshot's interval, increasing.
@@ -146,8 +147,8 @@ def online_features(
     _check(wrench, begin, now)
     rows, wanted = _schedule(config.window, wrench, begin, now)
     limits = jnp.asarray(np.asarray(thresholds.limits), jnp.float32)
-    state = begin_stream((view,))
-    out = np.empty((len(now), len(names(view.spec))), np.float32)
+    state = begin_stream((view,), wrench.shape[1])
+    out = np.empty((len(now), len(names(view.spec, wrench.shape[-1]))), np.float32)
     for start in range(0, len(rows[1]), _STEPS):
         state, features = _scan(config, view, limits, state, tuple(row[start : start + _STEPS] for row in rows))
         inside = (wanted >= start) & (wanted < start + _STEPS)
@@ -155,7 +156,7 @@ def online_features(
     return out
 
 
-def _check(wrench: Float[np.ndarray, "time 6"], begin: Ints, now: Ints) -> None:
+def _check(wrench: Float[np.ndarray, "time axis"], begin: Ints, now: Ints) -> None:
     inside = len(begin) == len(now) > 0 and begin[0] >= 0 and now[-1] <= len(wrench)
     same = np.diff(begin) == 0  # a new interval begins at the earliest at the last snapshot of the one before
     ordered = (np.diff(now) > 0).all() and (now > begin).all() and (same | (begin[1:] >= now[:-1])).all()
@@ -167,8 +168,8 @@ def _check(wrench: Float[np.ndarray, "time 6"], begin: Ints, now: Ints) -> None:
 
 
 def _schedule(
-    window: int, wrench: Float[np.ndarray, "time 6"], begin: Ints, now: Ints
-) -> tuple[tuple[Float[np.ndarray, "step w 6"], Int[np.ndarray, " step"], Int[np.ndarray, "step 1"]], Ints]:
+    window: int, wrench: Float[np.ndarray, "time axis"], begin: Ints, now: Ints
+) -> tuple[tuple[Float[np.ndarray, "step w axis"], Int[np.ndarray, " step"], Int[np.ndarray, "step 1"]], Ints]:
     """Rows of a scan (window, count, begins), padded with empty steps, and the row of every snapshot."""
     last = int(now[-1])
     ends = np.arange(window, last + 1, window)
@@ -177,8 +178,8 @@ def _schedule(
     # The interval of a step is that of the snapshot at or after it, once that interval has begun.
     begins = begin[np.searchsorted(now, at)]
     rows = -(-len(at) // _STEPS) * _STEPS
-    padded = np.concatenate([wrench[:last], np.zeros((window, 6), np.float32)])
-    windows = np.zeros((rows, window, 6), np.float32)
+    padded = np.concatenate([wrench[:last], np.zeros((window, wrench.shape[1]), np.float32)])
+    windows = np.zeros((rows, window, wrench.shape[1]), np.float32)
     windows[: len(at)] = padded[first[:, None] + np.arange(window)]
     count, starts = np.zeros(rows, np.int32), np.full((rows, 1), begins[-1], np.int32)
     count[: len(at)], starts[: len(at), 0] = at - first, begins
@@ -189,7 +190,7 @@ def online_features_batch(
     config: EncoderConfig,
     thresholds: GradientThresholds,
     view: FeatureView,
-    wrench: Float[np.ndarray, "recording time 6"],
+    wrench: Float[np.ndarray, "recording time axis"],
     recording: Ints,
     begin: Ints,
     now: Ints,
@@ -199,7 +200,7 @@ def online_features_batch(
 
     ``progress`` is called with the number of snapshots since the last call.
     """
-    out = np.empty((len(now), len(names(view.spec))), np.float32)
+    out = np.empty((len(now), len(names(view.spec, wrench.shape[-1]))), np.float32)
     for row in np.unique(recording):
         mine = np.flatnonzero(recording == row)
         mine = mine[np.lexsort((now[mine], begin[mine]))]

@@ -63,10 +63,10 @@ class Chain:
 
 def infer(
     chain: Chain,
-    limits: Float[Array, "6 4"],
+    limits: Float[Array, "axis 4"],
     machines: tuple[SvmArrays, ...],
     state: StreamState,
-    window: Float[Array, "window 6"],
+    window: Float[Array, "window axis"],
     count: Int[Array, ""],
     begins: Int[Array, " view"],
 ) -> tuple[StreamState, tuple[Float[Array, " _class"], ...], PackedLabels]:
@@ -93,7 +93,7 @@ def infer(
 
 
 _infer = jax.jit(infer, static_argnums=0)
-_begin = jax.jit(begin_stream, static_argnums=0)  # one small program in place of one per field
+_begin = jax.jit(begin_stream, static_argnums=(0, 1))  # one small program in place of one per field
 
 
 class Introspector:
@@ -146,12 +146,12 @@ class Introspector:
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
-        self.labels: NDArray[np.int32] = np.zeros((3, 3, 6), np.int32)
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(model.limits)), np.int32)
         self._restart()
 
     def _restart(self) -> None:
-        self._state: StreamState = _begin(self._chain.views)
-        self._buffer = WindowBuffer(self._config.window, 6, np.float32)
+        self._state: StreamState = _begin(self._chain.views, self.labels.shape[2])
+        self._buffer = WindowBuffer(self._config.window, self.labels.shape[2], np.float32)
         self._complete = 0  # samples in complete windows
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None
@@ -189,7 +189,7 @@ class Introspector:
         self.latest = {}
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
-        """Feed any number of samples ``[time, 6]``; returns the events that they cause, in order.
+        """Feed any number of samples ``[time, axis]``; returns the events that they cause, in order.
 
         Args:
             samples: N and Nm.
@@ -230,7 +230,7 @@ class Introspector:
         if complete:
             self._state = state
             self._complete, self._buffer.count = self._complete + self._config.window, 0
-            new = np.asarray(published.ints).reshape(3, 3, 6)
+            new = np.asarray(published.ints).reshape(3, 3, -1)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
         return events
 

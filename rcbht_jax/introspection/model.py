@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, validate
+from rcbht_jax.encoding.thresholds import LIMITS, GradientThresholds, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.learning.model_io import read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.types import axis_names
 
 FORMAT = "rcbht-introspection-1"
 
@@ -58,12 +59,6 @@ class Head:
             raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
         if not 0 <= self.alarm_level < 1:
             raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
-        count = len(names(self.view.spec))
-        if self.machine.svm.center.size != count:
-            raise InputError(
-                f"head {self.name} was trained on {self.machine.svm.center.size} features; "
-                f"its specification makes {count}."
-            )
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -80,7 +75,7 @@ class IntrospectionModel:
     """
 
     encoder: EncoderConfig
-    limits: Float[np.ndarray, "axis limit"]  # [6, 4] gradient thresholds, see GradientThresholds
+    limits: Float[np.ndarray, "axis limit"]  # [axis, 4] gradient thresholds, see GradientThresholds
     heads: tuple[Head, ...]
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
@@ -88,10 +83,21 @@ class IntrospectionModel:
 
     def __post_init__(self) -> None:
         validate(self.limits)
-        if self.limits.shape != (6, 4):
-            raise InputError(f"thresholds have shape {self.limits.shape}; a stream expects [6, 4].")
+        if self.limits.ndim != 2 or self.limits.shape[1] != len(LIMITS):
+            raise InputError(f"thresholds have shape {self.limits.shape}; a stream expects [axis, 4].")
         if not self.heads or len({head.name for head in self.heads}) < len(self.heads):
             raise InputError("a model for introspection needs at least one head, each of its own name.")
+        for head in self.heads:
+            count, trained = len(names(head.view.spec, len(self.limits))), head.machine.svm.center.size
+            if trained != count:
+                raise InputError(
+                    f"head {head.name} was trained on {trained} features; its specification makes {count}."
+                )
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(self.extra.get("axes", axis_names(len(self.limits))))
 
     @property
     def thresholds(self) -> GradientThresholds:
@@ -131,7 +137,7 @@ def load(path: Path) -> IntrospectionModel:
 
 def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str) -> Head:
     spec = FeatureSpec.from_dict(meta["sight"]["spec"])
-    svm = read_svm(path, meta, archive, len(names(spec)), prefix)
+    svm = read_svm(path, meta, archive, len(names(spec, len(archive["limits"]))), prefix)
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")

@@ -41,7 +41,7 @@ class Resampled:
     ``anew``: the stream was broken; forget the past before these samples.
     """
 
-    samples: Float[np.ndarray, "time 6"]
+    samples: Float[np.ndarray, "time axis"]
     time: float = 0.0
     anew: bool = False
     reports: list[Report] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Resampler:
             raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to 60 s.")
         self._dt, self._bridge = dt, bridge
         self._origin = self._last = 0.0
-        self._value: Float[np.ndarray, " axis"] = np.zeros(6)
+        self._value: Float[np.ndarray, " axis"] = np.zeros(0)
         self._index = -1  # of the latest grid sample; -1 = none yet
         self._skipped = 0  # readings without a time that were left out since the latest good one
         self._off, self._off_since = 0, 0
@@ -97,7 +97,7 @@ class Resampler:
         return self._origin + (self._index + 1 + self._skipped) * self._dt
 
     def _nothing(self, kind: Kind, text: str) -> Resampled:
-        return Resampled(np.zeros((0, 6), np.float32), self._last, reports=[Report(kind, text)])
+        return Resampled(np.zeros((0, max(len(self._value), 1)), np.float32), self._last, reports=[Report(kind, text)])
 
     def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
         self._origin = self._last = time

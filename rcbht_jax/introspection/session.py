@@ -41,6 +41,9 @@ class Session:
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
+        axes = len(self.introspector.model.limits)
+        if len(sample.wrench) != axes:
+            return [self._notice("malformed", f"a reading has {len(sample.wrench)} values; the model has {axes} axes")]
         resampled = self._resampler.feed(sample)
         self.time = resampled.time
         events: list[Event] = []

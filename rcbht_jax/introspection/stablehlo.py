@@ -3,10 +3,10 @@
 The artefact is one zip archive: ``chain.stablehlo`` (``jax.export``, weights inside), ``state.npz`` (the state
 before the first sample) and ``chain.json`` (what goes in and out). Its one function maps
 
-    state..., window float32 [window, 6], count int32, begins int32 [view]
+    state..., window float32 [window, axis], count int32, begins int32 [view]
 
 to the new state, the class probabilities of every classifier, and the labels published by a complete window
-(int32 ``[9, 6]``: code, first sample, end of each layer). Only JAX is needed to call it; any runtime that takes
+(int32 ``[9, axis]``: code, first sample, end of each layer). Only JAX is needed to call it; any runtime that takes
 StableHLO can compile it.
 """
 
@@ -43,7 +43,7 @@ STABLEHLO, STATE, META = "chain.stablehlo", "state.npz", "chain.json"
 def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> bytes:
     """The serialised chain of a model; see the module."""
     chain = Chain.of(model)
-    start = begin_stream(chain.views)
+    start = begin_stream(chain.views, len(model.limits))
     leaves, tree = jax.tree.flatten(start)
     limits = jnp.asarray(model.limits, jnp.float32)
     machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
@@ -54,7 +54,7 @@ def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS
         )
         return jax.tree.leaves(after), list(probabilities), published.ints
 
-    window = jax.ShapeDtypeStruct((model.encoder.window, 6), jnp.float32)
+    window = jax.ShapeDtypeStruct((model.encoder.window, len(model.limits)), jnp.float32)
     count = jax.ShapeDtypeStruct((), jnp.int32)
     begins = jax.ShapeDtypeStruct((len(chain.views),), jnp.int32)
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
@@ -87,7 +87,7 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
         "heads": [{"name": head.name, "classes": list(head.classes), "alarm": head.alarm} for head in model.heads],
     }
     state = io.BytesIO()
-    leaves = jax.tree.leaves(begin_stream(chain.views))
+    leaves = jax.tree.leaves(begin_stream(chain.views, len(model.limits)))
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
     try:
         code = export_chain(model, platforms)

@@ -18,6 +18,7 @@ from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks
 from rcbht_jax.introspection.chain import FeatureView, online_features_batch
 from rcbht_jax.introspection.introspector import PHASE
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
+from rcbht_jax.labels import AXES
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
@@ -151,6 +152,7 @@ def learn(
     grid: Grid,
     ends: int,
     seed: int,
+    axes: int = len(AXES),
 ) -> ProbabilisticSvm:
     """Train a classifier; kernel and cost are chosen by cross-validation grouped by trial.
 
@@ -162,13 +164,14 @@ def learn(
         grid: of hyper-parameters.
         ends: times that the last snapshot of a complete interval counts.
         seed: of the folds.
+        axes: number of them.
 
     Raises:
         InputError: a class has fewer trials than the cross-validation has folds, or a feature is not finite.
     """
     rows = np.repeat(np.arange(len(snapshots)), np.where(snapshots.complete, ends, 1))
     interval = snapshots.interval[rows]
-    y, groups, weight = items.y[interval], items.trial[interval], weights(spec)
+    y, groups, weight = items.y[interval], items.trial[interval], weights(spec, axes)
     chosen = select({"": x[rows]}, y, groups, grid, seed, {"": weight})
     return fit_probabilistic(x[rows], y, groups, items.classes, chosen, seed, weight=weight)
 
@@ -196,7 +199,7 @@ def train_head(
     x = snapshot_features(
         recordings, snapshots, view, config, thresholds, progress and (lambda done: progress(done, total))
     )
-    machine = learn(x, snapshots, items, view.spec, *spec.learning, seed)
+    machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
     alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
     level = 0.0
     if alarm and spec.false_alarms:
@@ -242,9 +245,9 @@ def train_model(
 
     ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings.
     """
-    config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset()
+    config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset(axes=recordings.axes)
     heads = tuple(train_head(recordings, spec, config, thresholds, seed, progress) for spec in specs)
-    extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
+    extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed, "axes": list(recordings.axes)}
     return IntrospectionModel(
         config, np.asarray(thresholds.limits, np.float64), heads, data_hash(recordings), extra=extra
     )

@@ -138,8 +138,8 @@ def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
     """The fields of a layer as host arrays of agreeing shape."""
     arrays = {name: np.asarray(getattr(track, name)) for name in FIELDS}
     shape = arrays["label"].shape
-    if len(shape) != 3 or shape[:2] != (count, 6):
-        raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, 6 axes, slots].")
+    if len(shape) != 3 or shape[0] != count:
+        raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, axes, slots].")
     for name, expected in FIELDS.items():
         dtype = arrays[name].dtype
         matches = dtype in (np.float32, np.float64) if expected == "float" else dtype == expected

@@ -26,7 +26,7 @@ _AXES = ("x", "y", "z")
 class Sample:
     """One reading; values and time may be NaN or infinite."""
 
-    wrench: tuple[float, ...]  # 6 values, N and Nm
+    wrench: tuple[float, ...]  # one value for each axis, usually N and Nm
     time: float | None = None  # s
 
 
@@ -101,14 +101,14 @@ def _message(value: Any) -> Message:
             return message()
     wrench = value.get("wrench", value)
     time = value.get("time", _stamp(value.get("header")))
-    return Sample(_six(wrench), None if time is None else _number(time))
+    return Sample(_values(wrench), None if time is None else _number(time))
 
 
-def _six(wrench: Any) -> tuple[float, ...]:
+def _values(wrench: Any) -> tuple[float, ...]:
     if isinstance(wrench, Mapping):
         wrench = [wrench[part][axis] for part in ("force", "torque") for axis in _AXES]
-    if not isinstance(wrench, list) or len(wrench) != 6:
-        raise ValueError("expected six numbers")
+    if not isinstance(wrench, list) or not wrench:
+        raise ValueError("expected a list of numbers")
     # JSON has no NaN; many sources write null.
     return tuple(math.nan if value is None else _number(value) for value in wrench)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -29,13 +29,17 @@ WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 _LABELS = """std_msgs/Header header
-string[6] axis
-int32[6] primitive
-int32[6] mc
-int32[6] llb
-string[6] primitive_name
-string[6] mc_name
-string[6] llb_name
+string[] axis
+int32[] primitive
+int32[] mc
+int32[] llb
+string[] primitive_name
+string[] mc_name
+string[] llb_name
+"""
+_SIGNAL = """std_msgs/Header header
+string[] axis
+float64[] value
 """
 _BELIEF = """std_msgs/Header header
 string head
@@ -120,20 +124,20 @@ def _sample(message: Any, received: int) -> Sample:
 class McapWriter:
     """Context manager that writes wrench, labels, beliefs and events as an MCAP file for Foxglove and PlotJuggler.
 
-    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``), ``/labels`` (codes and names per axis), ``/belief/HEAD``
-    and ``/events`` (JSON). The file appears when the block ends without an error.
+    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where there are not six axes), ``/labels`` (codes
+    and names per axis), ``/belief/HEAD`` and ``/events`` (JSON). The file appears when the block ends without an error.
 
     Raises:
         InputError: the folder of the file does not exist.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, axes: Sequence[str] = AXES) -> None:
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder; create it first.")
-        self._path = path
+        self._path, self._axes = path, list(axes)
         self._folder = draft_of(path)  # the writer makes a folder with the file in it
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        for kind, text in (("Labels", _LABELS), ("Belief", _BELIEF), ("Event", _EVENT)):
+        for kind, text in (("Labels", _LABELS), ("Signal", _SIGNAL), ("Belief", _BELIEF), ("Event", _EVENT)):
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
 
@@ -164,15 +168,18 @@ class McapWriter:
         self._writer.write(self._connections[topic], nanoseconds, raw)
 
     def wrench(self, time: float, values: tuple[float, ...]) -> None:
-        """One reading, N and Nm."""
+        """One reading: N and Nm of a wrench, or the values of other axes as ``rcbht_msgs/Signal``."""
+        if len(values) != len(AXES):
+            self._write("/signal", "rcbht_msgs/msg/Signal", time, axis=self._axes, value=np.array(values))
+            return
         vector = self._store.types["geometry_msgs/msg/Vector3"]
         force, torque = (vector(**dict(zip("xyz", part, strict=True))) for part in (values[:3], values[3:]))
         wrench = self._store.types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
         self._write("/wrench", WRENCH[0], time, wrench=wrench)
 
-    def labels(self, time: float, codes: Int[np.ndarray, "3 6"]) -> None:
+    def labels(self, time: float, codes: Int[np.ndarray, "3 axis"]) -> None:
         """Latest published label of every layer and axis, 0 = none yet."""
-        fields: dict[str, Any] = {"axis": list(AXES)}
+        fields: dict[str, Any] = {"axis": self._axes}
         for layer, row in zip(LAYERS, codes, strict=True):
             fields[layer] = row.astype(np.int32)
             fields[f"{layer}_name"] = [name(layer, int(code)) for code in row]

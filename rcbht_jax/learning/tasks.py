@@ -147,6 +147,13 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     return ""
 
 
+def task_names(recordings: Recordings) -> tuple[str, ...]:
+    """Tasks that a data set may answer: tracks, without corrected variants of another one, and columns of text."""
+    tracks = recordings.annotations.tracks
+    variants = {track for track in tracks for other in tracks if track.startswith(f"{other}-")}
+    return (*(track for track in tracks if track not in variants), *column_names(recordings))
+
+
 def column_names(recordings: Recordings) -> tuple[str, ...]:
     """Columns that can be a task: outcome and the data set's own texts."""
     texts = (name for name, values in recordings.columns.items() if values.dtype.kind == "U")

@@ -33,12 +33,14 @@ def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:
     """Check that the tracks belong to the recordings.
 
     Raises:
-        InputError: they differ in number, or a track is not ``[recording, 6, slot]``.
+        InputError: they differ in number, or a track is not ``[recording, axis, slot]``.
     """
+    axes = len(recordings.axes)
     for layer in LAYERS:
         shape = np.shape(getattr(tracks, layer).label)
-        if len(shape) != 3 or shape[:2] != (len(recordings), 6):
-            raise InputError(f"{layer} labels have shape {shape}; expected [{len(recordings)} recordings, 6, slots].")
+        if len(shape) != 3 or shape[:2] != (len(recordings), axes):
+            expected = f"[{len(recordings)} recordings, {axes} axes, slots]"
+            raise InputError(f"{layer} labels have shape {shape}; expected {expected}.")
 
 
 def text_color(color: str) -> str:

@@ -111,9 +111,8 @@ def state_marks(recordings: Recordings, index: int) -> list[Mark]:
 
 
 def _starts(recordings: Recordings, track: str, index: int) -> list[tuple[str, float]]:
-    marks = recordings.annotations.of(track)
-    rows = marks.recording == index
-    return list(zip(marks.names()[rows].tolist(), marks.start[rows].tolist(), strict=True))
+    marks = recordings.annotations.of_recording(index).of(track)
+    return list(zip(marks.names().tolist(), marks.start.tolist(), strict=True))
 
 
 def fitted_lines(lane: LabelTrack, dt: float) -> Float[np.ndarray, "slot 2 2"]:

@@ -50,9 +50,11 @@ def encode_dataset(
         InputError: a recording is too short or holds values that are not finite.
     """
     rows = []
+    known = RECORDED in recordings.annotations.tracks
+    onsets = recordings.starts(RECORDED) if known else np.full((len(recordings), 1), np.nan)
     for index in progress(range(len(recordings))):
         length = int(recordings.length[index])
-        onset = recordings.starts(RECORDED)[index]
+        onset = onsets[index]
         starts = onset[: int(np.argmax(np.isnan(onset)))] if np.isnan(onset).any() else onset
         labels = encode(
             sample_times(length, recordings.dt),

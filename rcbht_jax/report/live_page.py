@@ -20,7 +20,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.messages import Message, Sample
-from rcbht_jax.labels import ALPHABETS, AXES, COLORS, LAYERS, MEANING, name
+from rcbht_jax.labels import ALPHABETS, COLORS, LAYERS, MEANING, name
 
 HISTORY = 400  # frames that a new viewer gets at once
 FRAME = 0.05  # s of stream per frame
@@ -34,7 +34,7 @@ _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inl
 def description(session: Session) -> dict[str, Any]:
     """Constants that a viewer needs to draw the frames."""
     return {
-        "axes": AXES,
+        "axes": session.introspector.model.axes,
         "layers": LAYERS,
         "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},
         "meanings": {layer: ["nothing yet", *MEANING[layer]] for layer in LAYERS},

@@ -14,7 +14,6 @@ import tyro
 
 from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, progress_bar
 from rcbht_jax.errors import InputError
-from rcbht_jax.robots.snap_assembly import HARMONISED
 
 if TYPE_CHECKING:
     from rcbht_jax.types import LabelTracks, Recordings
@@ -51,6 +50,7 @@ class View(Command):
         from rcbht_jax.cli.plot import find_recording
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
+        from rcbht_jax.robots.snap_assembly import HARMONISED
         from sim_mjx.plots import animation
         from sim_mjx.plots.trial_overview import trial_overview
         from sim_mjx.validation.replay import moments

@@ -50,7 +50,7 @@ def profiles(recordings: Recordings, rows: Rows = None) -> Profiles:
     """Wrench profiles of recordings.
 
     Args:
-        recordings: trials whose ``onset_harmonised`` holds the harmonised rotation boundary.
+        recordings: trials with the track ``states-harmonised``.
         rows: which recordings, in this order; all if None.
 
     Returns:

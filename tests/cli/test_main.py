@@ -75,13 +75,15 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     assert main.main(["import", "hiro", str(hiro_dir / "SIM_HIRO_TWO_SA_SUCCESS"), out]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main.main(["info", out, "--json"]) == 0
-    groups = json.loads(capsys.readouterr().out)["groups"]
-    assert [(g["arm"], g["recordings"], g["onsets_missing"]) for g in groups] == [
-        ("R", 15, [0, 0, 0, 2]),
-        ("L", 15, [0, 0, 0, 2]),
-    ]
+    info = json.loads(capsys.readouterr().out)
+    assert [(g["arm"], g["recordings"]) for g in info["groups"]] == [("R", 15), ("L", 15)]
+    assert info["annotations"]["states"] == {
+        "approach": [30, 30], "rotation": [30, 30], "insertion": [30, 30], "mating": [26, 26],
+    }  # fmt: skip
     assert main.main(["info", out]) == 0
-    assert "30 recordings at 200 Hz" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "30 recordings of Fx (N), " in text
+    assert "task states: approach 13, " in text
 
 
 @pytest.mark.parametrize(

@@ -52,10 +52,11 @@ def signals(samples: int = 600) -> Recordings:
     slopes = np.repeat(rng.normal(size=(4, samples // 100, 6)), 100, 1) * 0.02
     wrench = (np.cumsum(slopes, 1) + rng.normal(size=(4, samples, 6)) * 0.02).astype(np.float32)
     onset = np.tile([0.0, 0.7, 1.4, 2.1], (4, 1))
-    return dataclasses.replace(
-        simple(4, samples), wrench=wrench, onset=onset, onset_harmonised=onset + np.array([0, 0.1, 0, 0]),
+    plain = dataclasses.replace(
+        simple(4, samples), wrench=wrench,
         trial=np.array(["one", "two", NASTY, "four"]), outcome=np.array(["success", "success", "failure", "failure"]),
     )  # fmt: skip
+    return marked(plain, onset, onset + np.array([0, 0.1, 0, 0]))
 
 
 @pytest.fixture(scope="module")

@@ -111,9 +111,9 @@ def states_at_samples(recordings: Recordings, row: int) -> Int16[np.ndarray, " s
     track = recordings.annotations.choose()
     if not track:
         return state
-    marks = recordings.annotations.of(track)
-    for item in np.flatnonzero(marks.recording == row):
-        state[samples >= np.rint(marks.start[item] / recordings.dt)] = marks.code[item]
-        if np.isfinite(marks.end[item]):
-            state[samples >= np.rint(marks.end[item] / recordings.dt)] = -1
+    marks = recordings.annotations.of_recording(row).of(track)
+    for code, start, end in zip(marks.code, marks.start, marks.end, strict=True):
+        state[samples >= np.rint(start / recordings.dt)] = code
+        if np.isfinite(end):
+            state[samples >= np.rint(end / recordings.dt)] = -1
     return state

@@ -158,7 +158,7 @@ def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
     recordings, samples = data.recordings, int(data.recordings.length[row])
     codes = None if data.tracks is None else codes_at_samples(data.tracks, row, samples)
     begins = set(np.rint(recordings.annotations.begins(row) / recordings.dt).astype(int).tolist())
-    with McapWriter(path) as mcap:
+    with McapWriter(path, recordings.axes) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt
             if sample in begins:

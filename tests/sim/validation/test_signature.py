@@ -127,7 +127,7 @@ def test_profiles_mistakes(ramp: Recordings) -> None:
     assert profiles(broken, [0]).shape == (1, 4, 100, 6)
     onset[1, 3] = 2.0
     with pytest.raises(InputError, match=r"mating state of recording 1 \(two\)"):
-        profiles(broken)
+        profiles(marked(ramp, onset_harmonised=onset))
     with pytest.raises(InputError, match="No recordings"):
         profiles(ramp, [])
 
