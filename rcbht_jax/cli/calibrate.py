@@ -38,8 +38,8 @@ class Calibrate(EncodingCommand):
     """Store with the trials."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="THRESHOLDS.json")]
     """File of thresholds to write; an existing one is replaced."""
-    method: Literal["context", "search", "gradient"] = "search"
-    """Calibration method."""
+    method: Literal["rest", "context", "search", "gradient"] = "search"
+    """Calibration method; rest needs neither annotations nor classes and fits any robot."""
     task: Task = "states"
     """Classes that the labels are to separate."""
     boundaries: Boundaries = "harmonised"
@@ -88,11 +88,13 @@ class Calibrate(EncodingCommand):
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
         recordings = read_recordings(self.store)
+        if self.method == "rest":
+            return self._rest(recordings)
         spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
         config = EncoderConfig(self.window, recordings.dt)
         data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
         start = time.perf_counter()
-        base, _ = self.read_limits()
+        base, _ = self.read_limits(recordings, self.store)
         thresholds, details = getattr(self, f"_{self.method}")(recordings, data, config, base)
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
@@ -111,35 +113,54 @@ class Calibrate(EncodingCommand):
             **result,
             "task": asdict(spec),
             "config": asdict(config),
-            "robot": self.robot,
+            "robot": self.robot or "",
             **({"thresholds_from": str(self.thresholds)} if self.thresholds else {}),
             "seed": self.seed,
             "data_hash": data_hash(recordings),
             "trial_names": data.trial.tolist(),
         }
-        write_thresholds(self.out, thresholds, provenance)
+        write_thresholds(self.out, thresholds, provenance, recordings.axes)
         if self.plot is not None:
             from rcbht_jax.plots import save
             from rcbht_jax.plots.thresholds import threshold_figure
 
             save(threshold_figure(data, thresholds, base), self.plot)
         limits = np.asarray(thresholds.limits).tolist()
-        return {"thresholds": str(self.out), "limits": limits, "seconds": seconds, **result}
+        axes = list(recordings.axes)
+        return {"thresholds": str(self.out), "axes": axes, "limits": limits, "seconds": seconds, **result}
 
     def text(self, result: dict[str, Any]) -> str:
         from rcbht_jax.encoding.thresholds import LIMITS
-        from rcbht_jax.labels import AXES
 
         lines = [
-            f"{result['thresholds']}: {result['method']} on {result['trials']} trials in {result['seconds']:.1f} s; "
-            f"objective {result['value']:.3f}, with the initial thresholds {result['preset_value']:.3f}"
+            f"{result['thresholds']}: {result['method']} on {result['trials']} trials in {result['seconds']:.1f} s"
         ]
+        if "value" in result:
+            lines[0] += f"; objective {result['value']:.3f}, with the initial thresholds {result['preset_value']:.3f}"
         lines.append("      " + "".join(f"{name:>10}" for name in LIMITS))
         lines += [
             f"{axis:6}" + "".join(f"{limit:10.3f}" for limit in row)
-            for axis, row in zip(AXES, result["limits"], strict=True)
+            for axis, row in zip(result["axes"], result["limits"], strict=True)
         ]
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
+
+    def _rest(self, recordings: Recordings) -> dict[str, Any]:
+        from rcbht_jax._util.digest import data_hash
+        from rcbht_jax.calibration.rest import rest_thresholds
+        from rcbht_jax.encoding.thresholds import write_thresholds
+
+        start = time.perf_counter()
+        chosen = np.isin(recordings.session, self.session) if self.session else np.ones(len(recordings), bool)
+        chosen &= np.isin(recordings.source, self.source) if self.source else True
+        if not chosen.any():
+            raise InputError("No recording passes the filters.")
+        thresholds = rest_thresholds(recordings.take(chosen), self.window).thresholds
+        result = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen]))}
+        provenance = {**result, "window": self.window, "data_hash": data_hash(recordings)}
+        write_thresholds(self.out, thresholds, provenance, recordings.axes)
+        limits = np.asarray(thresholds.limits).tolist()
+        seconds, axes = time.perf_counter() - start, list(recordings.axes)
+        return {"thresholds": str(self.out), "axes": axes, "limits": limits, "seconds": seconds, **result}
 
     def _context(
         self, recordings: Recordings, data: CalibrationData, config: EncoderConfig, base: GradientThresholds
@@ -148,7 +169,7 @@ class Calibrate(EncodingCommand):
 
         rows = np.flatnonzero(np.isin(recordings.trial, data.trial) & (recordings.arm == self.arm))
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
-        context = contextual.calibrate(recordings, rows, config, self.robot, copy)
+        context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _search(

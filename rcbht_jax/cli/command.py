@@ -21,6 +21,7 @@ from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.encoding.thresholds import GradientThresholds
+    from rcbht_jax.types import Recordings
 
 
 class MadeBy(NamedTuple):
@@ -105,28 +106,53 @@ class EncodingCommand(Command):
     """Options of the commands that encode."""
 
     window: Annotated[int, option("Samples per linear fit.")] = 5
-    robot: Annotated[Literal["hiro", "baxter", "pa10"], option("Robot whose preset gives the gradient thresholds.")] = (
-        "hiro"
-    )
+    robot: Annotated[
+        Literal["auto", "hiro", "baxter", "pa10"] | None,
+        option(
+            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts of these recordings.",
+            "hiro for its own and simulated recordings, else auto",
+        ),
+    ] = None
     thresholds: Annotated[
         Path | None,
         option('File of "rcbht calibrate" with gradient thresholds, in place of the preset.', "", metavar="FILE.json"),
         MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
     ] = None
 
-    def read_limits(self, scale: float = 1.0) -> tuple[GradientThresholds, dict[str, Any]]:
-        """The gradient thresholds of the file or of the robot's preset, times a factor, and where they come from.
+    def read_limits(
+        self, recordings: Recordings, store: Path, scale: float = 1.0
+    ) -> tuple[GradientThresholds, dict[str, Any]]:
+        """The gradient thresholds of the file, of a robot's preset or of these recordings, and where they come from.
+
+        Args:
+            recordings: what is encoded.
+            store: where they are stored.
+            scale: factor on all limits.
 
         Raises:
-            InputError: the file is missing or damaged.
+            InputError: the file is missing or damaged, or has no limits for an axis.
         """
         from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
 
-        origin = {"method": "preset", "robot": self.robot}
-        thresholds, source = read_thresholds(self.thresholds) if self.thresholds else (preset(self.robot), origin)
+        if self.thresholds:
+            thresholds, source = read_thresholds(self.thresholds, recordings.axes)
+        elif (robot := self.robot or _robot(recordings, store)) == "auto":
+            from rcbht_jax.calibration.rest import auto_thresholds
+
+            thresholds, source = auto_thresholds(recordings, self.window), {"method": "auto"}
+        else:
+            thresholds, source = preset(robot, recordings.axes), {"method": "preset", "robot": robot}
         if scale == 1:
             return thresholds, source
         return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}
+
+
+def _robot(recordings: Recordings, store: Path) -> str:
+    """HIRO where the store is an import of its trials or a simulation of them; else its limits are unknown."""
+    from rcbht_jax.io.store import read_attrs
+    from rcbht_jax.labels import AXES
+
+    return "hiro" if recordings.axes == AXES and read_attrs(store).get("importer", "hiro") == "hiro" else "auto"
 
 
 def progress_bar(name: str, unit: str, total: int | None = None, **options: Any) -> Any:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from rcbht_jax.types import LabelTracks, Recordings
 
 
+RESTLESS = 1 / 3  # of the time at rest, beyond which the thresholds do not fit
+
+
 @dataclass(frozen=True)
 class Encode(EncodingCommand):
     """Encode every recording of a store as labels and add the label tracks to the store.
@@ -70,15 +73,23 @@ class Encode(EncodingCommand):
         seconds = time.perf_counter() - start
         write_tracks(self.store, name, tracks, how)
         counts = {layer: int(np.count_nonzero(getattr(tracks, layer).label)) for layer in LAYERS}
-        samples = int(recordings.length.sum()) * 6
-        return {"store": str(self.store), "name": name, "labels": counts, "samples": samples, "seconds": seconds, **how}
+        samples = int(recordings.length.sum()) * len(recordings.axes)
+        restless = _restless(recordings, tracks, self.window) if self.mode == "online" else {}
+        facts = {"labels": counts, "samples": samples, "seconds": seconds, "rest_not_constant": restless}
+        return {"store": str(self.store), "name": name, **facts, **how}
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
         speed = result["samples"] / result["seconds"] / 1e6
-        return (
+        text = (
             f"{result['name']}: {counts} labels in {result['seconds']:.1f} s with compilation ({speed:.1f} M samples/s)"
         )
+        if restless := [axis for axis, share in result["rest_not_constant"].items() if share > RESTLESS]:
+            text += (
+                f"\nMore than a third of the time at rest is not labelled constant on {', '.join(restless)}: the "
+                "thresholds do not fit these recordings; try --robot auto."
+            )
+        return text
 
     def _default_name(self) -> str:
         if self.mode == "offline":
@@ -87,7 +98,7 @@ class Encode(EncodingCommand):
         words = [word for word, used in options.items() if used]
         words += [word for word in (self.pipe, self.rule) if word not in ("two-slot", "paper")]
         words += [] if self.latency_cap is None else [f"cap{self.latency_cap:g}"]
-        words += [] if self.robot == "hiro" else [self.robot]
+        words += [] if self.robot in (None, "hiro") else [self.robot]
         words += [] if self.thresholds is None else [self.thresholds.stem]
         words += [] if self.scale == 1 else [f"x{self.scale:g}"]
         return "-".join([f"online-W{self.window}", *words])
@@ -100,7 +111,7 @@ class Encode(EncodingCommand):
             self.window, recordings.dt, self.gate, self.adj_exempt, self.contact_first, self.pipe, self.rule,
             self.latency_cap,
         )  # fmt: skip
-        thresholds, source = self.read_limits(self.scale)
+        thresholds, source = self.read_limits(recordings, self.store, self.scale)
         total = int(recordings.length.sum())
         with progress_bar("encode", "samples", total, unit_scale=True) as bar:
             tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length, progress=bar.update)
@@ -112,10 +123,23 @@ class Encode(EncodingCommand):
 
         tracks = encode_dataset(
             recordings,
-            robot=self.robot,
+            robot=self.robot or "hiro",
             version=self.version,
             clean=self.clean,
             progress=lambda indices: progress_bar("encode", "trials", iterable=indices),
         )
-        choices = {"robot": self.robot, "version": self.version, "clean": self.clean}
+        choices = {"robot": self.robot or "hiro", "version": self.version, "clean": self.clean}
         return tracks, {"semantics": "offline", "config": choices}
+
+
+def _restless(recordings: Recordings, tracks: LabelTracks, window: int) -> dict[str, float]:
+    """By axis, the share of the time at rest that is not labelled constant; empty where rest cannot be seen."""
+    from rcbht_jax.calibration.rest import rest_not_constant, rest_thresholds
+    from rcbht_jax.labels import Primitive
+
+    try:
+        rest = rest_thresholds(recordings, window).rest
+    except InputError:
+        return {}
+    share = rest_not_constant(tracks.primitive, rest, window, Primitive.CONS)
+    return dict(zip(recordings.axes, share.round(4).tolist(), strict=True))

@@ -86,7 +86,7 @@ class TrainOnline(EncodingCommand):
             for task, phase in tasks
         )
         config = EncoderConfig(window=self.window, dt=recordings.dt)
-        thresholds, _ = self.read_limits()
+        thresholds, _ = self.read_limits(recordings, self.store)
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:

@@ -123,13 +123,16 @@ FORMAT, FORMAT_VERSION = "rcbht-thresholds", 1
 LIMITS = ("impulse", "big", "medium", "small")
 
 
-def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Mapping[str, Any]) -> None:
-    """Write thresholds ``[6, 4]`` in N/s and Nm/s, as a whole file or not at all.
+def write_thresholds(
+    path: Path, thresholds: GradientThresholds, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
+) -> None:
+    """Write thresholds ``[axis, 4]``, in units of the axes per second, as a whole file or not at all.
 
     Args:
         path: file to write; an existing one is replaced.
         thresholds: what to write.
         provenance: how they were found; JSON values.
+        axes: their names.
 
     Raises:
         InputError: wrong shape, not in order, or the folder does not exist.
@@ -142,14 +145,14 @@ def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Map
         {'from': 'the authors'}
     """
     limits = np.asarray(thresholds.limits, np.float64)
-    _check(limits, path)
+    _check(limits, path, axes)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
-    rows = {axis: dict(zip(LIMITS, row, strict=True)) for axis, row in zip(AXES, limits.tolist(), strict=True)}
+    rows = {axis: dict(zip(LIMITS, row, strict=True)) for axis, row in zip(axes, limits.tolist(), strict=True)}
     content = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "units": "N/s (forces), Nm/s (moments)",
+        "units": "unit of the axis per second; of a wrench N/s (forces), Nm/s (moments)",
         "limits": rows,
         "rcbht_jax_version": rcbht_jax.__version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -159,11 +162,11 @@ def write_thresholds(path: Path, thresholds: GradientThresholds, provenance: Map
         draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def read_thresholds(path: Path) -> tuple[GradientThresholds, dict[str, Any]]:
-    """Thresholds ``[6, 4]`` and their provenance.
+def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:
+    """Thresholds ``[axis, 4]`` of some axes, by name, and their provenance.
 
     Raises:
-        InputError: not such a file, or its limits are not ordered positive numbers for six axes.
+        InputError: not such a file, or its limits are not ordered positive numbers for each of the axes.
 
     Example:
         >>> import tempfile
@@ -177,20 +180,22 @@ def read_thresholds(path: Path) -> tuple[GradientThresholds, dict[str, Any]]:
         if content["format"] != FORMAT or content["format_version"] != FORMAT_VERSION:
             raise InputError(f"{path} is not a file of thresholds of version {FORMAT_VERSION}.")
         rows, provenance = content["limits"], dict(content["provenance"])
-        limits = np.array([[float(rows[axis][name]) for name in LIMITS] for axis in AXES])
+        if missing := [axis for axis in axes if axis not in rows]:
+            raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
+        limits = np.array([[float(rows[axis][name]) for name in LIMITS] for axis in axes])
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; expected a file of thresholds.") from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
-    _check(limits, path)
+    _check(limits, path, axes)
     return GradientThresholds(limits), provenance
 
 
-def _check(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path) -> None:
-    if limits.shape != (len(AXES), len(LIMITS)):
-        raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [6, 4].")
+def _check(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path, axes: Sequence[str]) -> None:
+    if limits.shape != (len(axes), len(LIMITS)):
+        raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [{len(axes)}, 4].")
     try:
         validate(limits)
     except InputError as error:

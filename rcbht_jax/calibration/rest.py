@@ -1,0 +1,150 @@
+"""Gradient thresholds of an unknown robot, from its recordings alone: what rest does, and how contacts begin.
+
+No annotation is needed. Recordings are cut into blocks of about half a second; on a logarithmic scale the steepness of
+blocks falls into two groups, rest and movement. The limit of a constant is what nearly all windows at rest stay below,
+noise and drift included; the limit of an impulse is the steepness that contacts usually reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import LabelTrack, Recordings
+
+BLOCK = 0.5  # s, over which rest and movement are told apart
+QUIET = 0.99  # share of the windows at rest that shall be constant
+MARGIN = 1.5  # on that: rest differs from recording to recording, and one window spoils a composition
+STEPS = np.array([70.0, 46.0, 23.0]) / 70.0  # impulse, big and medium limit of the authors' preset, by its impulse
+LEAST = np.array([8.0, 4.0, 2.0])  # the same limits in constant limits at least
+
+
+@dataclass(frozen=True)
+class RestCalibration:
+    """Thresholds and what they were made from.
+
+    Attributes:
+        thresholds: ``[axis, 4]``, in units of the axis per second.
+        rest: ``[recording, window, axis]`` whether a window is at rest; False beyond a recording's end.
+    """
+
+    thresholds: GradientThresholds
+    rest: Bool[np.ndarray, "recording window axis"]
+
+
+def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
+    """Thresholds from the steepness of windows at rest and of contacts, for each axis.
+
+    Args:
+        recordings: any axes and units.
+        window: samples per straight-line fit, as the encoder will have it.
+
+    Raises:
+        InputError: no recording is as long as two windows, or an axis never changes.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> wrench = rng.normal(size=(4, 1000, 1)) * 0.01
+        >>> wrench[:, 500:520] += np.linspace(0, 10, 20)[:, None]
+        >>> wrench[:, 520:] += 10
+        >>> found = rest_thresholds(Recordings.from_arrays(wrench, rate=100, axes=["grip"], units=["N"]))
+        >>> bool(found.rest.mean() > 0.9), found.thresholds.limits.shape
+        (True, (1, 4))
+    """
+    slope, used = window_slopes(recordings, window)
+    if slope.shape[1] < 2 or not used[:, 1].any():
+        raise InputError(f"No recording has two windows of {window} samples; choose a smaller window.")
+    steep = np.abs(slope)
+    per_block = max(1, round(BLOCK / (window * recordings.dt)))
+    activity = _block_means(steep, used, per_block)
+    limits, rest = [], np.zeros(steep.shape, bool)
+    for axis, name in enumerate(recordings.axes):
+        here, moved = steep[used, axis], activity[used, axis]
+        if not (here > 0).any():
+            raise InputError(f"The axis {name} never changes; leave it out.")
+        quiet = moved <= _border(moved)
+        rest[used, axis] = quiet
+        constant = MARGIN * max(float(np.quantile(here[quiet], QUIET)), 1e-3 * float(here.max()))
+        impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])
+        limits.append([*np.maximum(impulse * STEPS, constant * LEAST), constant])
+    return RestCalibration(GradientThresholds(np.array(limits)).validate(), rest)
+
+
+def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThresholds:
+    """Thresholds for recordings of an unknown robot; HIRO's preset where they are too short to see rest.
+
+    Raises:
+        InputError: an axis never changes.
+    """
+    longest = int(recordings.length.max())
+    return rest_thresholds(recordings, window).thresholds if longest >= 2 * window else preset(axes=recordings.axes)
+
+
+def window_slopes(
+    recordings: Recordings, window: int
+) -> tuple[Float[np.ndarray, "recording window axis"], Bool[np.ndarray, "recording window"]]:
+    """Slopes of the straight-line fits of the encoder's windows, unit/s, and which windows are complete."""
+    count = recordings.wrench.shape[1] // window
+    cut = recordings.wrench[:, : count * window].reshape(len(recordings), count, window, -1)
+    time = (np.arange(window) - (window - 1) / 2) * recordings.dt
+    slope = np.einsum("rnwa,w->rna", cut, time / (time**2).sum(), dtype=np.float64)
+    return slope, np.arange(count) < (recordings.length // window)[:, None]
+
+
+def rest_not_constant(
+    primitive: LabelTrack, rest: Bool[np.ndarray, "recording window axis"], window: int, constant: int
+) -> Float[np.ndarray, " axis"]:
+    """Share of the time at rest ``[axis]`` that published labels do not call constant; 0 where there is no rest.
+
+    Args:
+        primitive: labels ``[recording, axis, slot]``.
+        rest: of :func:`rest_thresholds`.
+        window: samples per window.
+        constant: code of the constant label.
+    """
+    label, t0, t1 = (np.asarray(values) for values in (primitive.label, primitive.t0, primitive.t1))
+    recordings, axes, _ = label.shape
+    moving = np.zeros((recordings, axes, rest.shape[1] + 1), np.int32)
+    row, axis, slot = np.nonzero((label > 0) & (label != constant))
+    edges = np.minimum(np.stack([t0[row, axis, slot], t1[row, axis, slot]]) // window, rest.shape[1])
+    np.add.at(moving, (row, axis, edges[0]), 1)
+    np.add.at(moving, (row, axis, edges[1]), -1)
+    other = (moving.cumsum(-1)[..., :-1] > 0).swapaxes(1, 2) & rest
+    return other.sum((0, 1)) / np.maximum(rest.sum((0, 1)), 1)
+
+
+def _block_means(
+    steep: Float[np.ndarray, "recording window axis"], used: Bool[np.ndarray, "recording window"], length: int
+) -> Float[np.ndarray, "recording window axis"]:
+    """Mean steepness of the block that a window lies in."""
+    block = np.arange(steep.shape[1]) // length
+    first = np.flatnonzero(np.diff(block, prepend=-1))
+    total = np.add.reduceat(steep * used[..., None], first, axis=1)
+    count = np.add.reduceat(used.astype(np.int64), first, axis=1)
+    return (total / np.maximum(count, 1)[..., None])[:, block]
+
+
+def _border(activity: Float[np.ndarray, " block"]) -> float:
+    """Steepness between the two groups of blocks: where the variance of the logarithm within them is least (Otsu)."""
+    level = np.sort(np.log(np.maximum(activity, 1e-6 * activity.max())))
+    count = np.arange(1, len(level))
+    total = level.cumsum()
+    left, right = total[:-1] / count, (total[-1] - total[:-1]) / (len(level) - count)
+    between = count * (len(level) - count) * (left - right) ** 2
+    return float(np.exp(level[between.argmax()])) if len(between) and between.max() > 0 else float(np.exp(level[-1]))
+
+
+def _contact_steepness(
+    steep: Float[np.ndarray, "recording window"], moving: Bool[np.ndarray, "recording window"]
+) -> float:
+    """Median over the spells of movement of their steepest window."""
+    padded = np.pad(moving, ((0, 0), (1, 1)))
+    starts = np.flatnonzero((padded[:, 1:] & ~padded[:, :-1])[:, :-1])
+    if not len(starts):
+        return 0.0
+    flat = np.where(moving, steep, 0.0).ravel()
+    return float(np.median(np.maximum.reduceat(flat, starts)))

@@ -1,0 +1,134 @@
+"""Thresholds of an unknown robot: what they make of rest, and what they must not depend on."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.calibration.rest import auto_thresholds, rest_not_constant, rest_thresholds, window_slopes
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import MC, Primitive
+from rcbht_jax.types import LabelTrack, Recordings
+
+RATE = 100.0
+
+
+def pushes(noise: float = 0.02, count: int = 6, seed: int = 0) -> tuple[Recordings, np.ndarray]:
+    """Rest with noise and drift, and pushes of two axes of different size; and which samples are at rest."""
+    rng = np.random.default_rng(seed)
+    wrench = (
+        np.cumsum(rng.normal(size=(count, 1200, 2)) * noise / 20, axis=1) + rng.normal(size=(count, 1200, 2)) * noise
+    )
+    rest = np.ones((count, 1200), bool)
+    for row, start in zip(wrench, rng.integers(300, 700, count), strict=True):
+        shape = np.concatenate([np.linspace(0, 1, 30), np.sin(np.arange(200)) * 0.2 + 1, np.linspace(1, 0, 20)])
+        row[start : start + 250] += shape[:, None] * [20.0, 2.0]
+    rest[wrench[..., 0] > 1] = False
+    return Recordings.from_arrays(wrench, RATE, axes=("grip", "twist"), units=("N", "Nm")), rest
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.05])
+@pytest.mark.parametrize("window", [3, 5, 20])
+def test_rest_is_constant_and_a_push_is_not(noise: float, window: int) -> None:
+    recordings, still = pushes(noise)
+    thresholds = rest_thresholds(recordings, window).thresholds
+    tracks = encode_batch(EncoderConfig(window, recordings.dt), thresholds, recordings.wrench, recordings.length)
+    count = 1200 // window
+    windows = still[:, : count * window].reshape(len(still), count, window).all(2)
+    rest = np.repeat(windows[..., None], 2, axis=2)
+    assert (rest_not_constant(tracks.primitive, rest, window, Primitive.CONS) < 0.2).all()
+    if window <= 5:  # a pair of primitives, one at rest and one of a push, swallows more rest the longer the window is
+        assert (rest_not_constant(tracks.mc, rest, window, MC.K) < 0.2).all()
+    moving = np.asarray(tracks.primitive.label)
+    assert all(((row > 0) & (row != Primitive.CONS)).sum() >= 2 for row in moving.reshape(-1, moving.shape[2]))
+
+
+def test_presets_of_another_robot_fail_where_auto_does_not() -> None:
+    recordings, _ = pushes(0.5)  # a noisy sensor
+    config = EncoderConfig(5, recordings.dt)
+    found = rest_thresholds(recordings)
+    shares = [
+        rest_not_constant(
+            encode_batch(config, limits, recordings.wrench, recordings.length).primitive, found.rest, 5, Primitive.CONS
+        )
+        for limits in (found.thresholds, preset("hiro", recordings.axes))
+    ]
+    assert (shares[0] < 0.05).all()
+    assert (shares[1] > 0.3).all()
+
+
+def test_units_and_other_axes_do_not_matter() -> None:
+    recordings, _ = pushes()
+    limits = np.asarray(rest_thresholds(recordings).thresholds.limits)
+    scaled = Recordings.from_arrays(recordings.wrench * np.array([1000.0, 1.0]), RATE, axes=("grip", "twist"))
+    np.testing.assert_allclose(np.asarray(rest_thresholds(scaled).thresholds.limits)[0], limits[0] * 1000, rtol=1e-5)
+    alone = Recordings.from_arrays(recordings.wrench[..., 1:], RATE, axes=("twist",))
+    np.testing.assert_array_equal(np.asarray(rest_thresholds(alone).thresholds.limits)[0], limits[1])
+
+
+def test_slopes_are_those_of_a_straight_line_fit() -> None:
+    recordings, _ = pushes()
+    slope, used = window_slopes(recordings, 7)
+    time = np.arange(7) / RATE
+    expected = np.polyfit(time, recordings.wrench[2, 14:21].astype(np.float64), 1)[0]
+    np.testing.assert_allclose(slope[2, 2], expected, rtol=1e-6, atol=1e-9)
+    assert used.all()
+
+
+def test_share_of_rest_against_sample_by_sample() -> None:
+    rng = np.random.default_rng(1)
+    edges = np.sort(rng.choice(np.arange(1, 40), (3, 2, 5)), axis=-1) * 4
+    label = rng.integers(0, 9, (3, 2, 4))
+    zero = np.zeros(label.shape)
+    track = LabelTrack(label, edges[..., :-1], edges[..., 1:], edges[..., 1:], zero, zero, zero, zero)
+    rest = rng.random((3, 40, 2)) < 0.5
+    expected = []
+    for axis in range(2):
+        other = [
+            any(
+                label[row, axis, slot] not in (0, Primitive.CONS)
+                and edges[row, axis, slot] <= 4 * window < edges[row, axis, slot + 1]
+                for slot in range(4)
+            )
+            for row in range(3)
+            for window in range(40)
+            if rest[row, window, axis]
+        ]
+        expected.append(np.mean(other))
+    np.testing.assert_allclose(rest_not_constant(track, rest, 4, Primitive.CONS), expected)
+
+
+def test_what_cannot_be_calibrated() -> None:
+    with pytest.raises(InputError, match="axis1 never changes"):
+        rest_thresholds(Recordings.from_arrays(np.random.default_rng(0).normal(size=(2, 90, 2)) * [1, 0]))
+    short = Recordings.from_arrays(np.ones((2, 8, 6)))
+    with pytest.raises(InputError, match="two windows"):
+        rest_thresholds(short)
+    assert np.array_equal(auto_thresholds(short).limits, preset().limits)
+
+
+def test_rest_of_human_demonstrations(external_dir: Path) -> None:
+    """Screwing caps, with free motion and rest annotated by hand: nothing of it was used to make the thresholds."""
+    columns = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+    parts, free = [], []
+    for path in sorted((external_dir / "caps" / "runs_40hz").glob("run*.csv")):
+        with path.open() as file:
+            rows = list(csv.DictReader(file))
+        parts.append(np.array([[float(row[name]) for name in columns] for row in rows]))
+        free.append(np.array([int(float(row["label"])) <= 1 for row in rows]))
+    recordings = Recordings.from_arrays(parts, 1 / 0.0245, axes=columns)
+    calibrated = rest_thresholds(recordings)
+    rest = np.zeros(calibrated.rest.shape, bool)
+    for row, still in zip(rest, free, strict=True):
+        count = len(still) // 5
+        row[:count] = still[: count * 5].reshape(count, 5).all(1)[:, None]
+    config = EncoderConfig(5, recordings.dt)
+    tracks = encode_batch(config, calibrated.thresholds, recordings.wrench, recordings.length)
+    assert (rest_not_constant(tracks.primitive, rest, 5, Primitive.CONS) < 0.2).all()
+    assert (rest_not_constant(tracks.mc, rest, 5, MC.K) < 0.2).all()
