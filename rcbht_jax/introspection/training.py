@@ -247,7 +247,8 @@ def train_model(
     """
     config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset(axes=recordings.axes)
     heads = tuple(train_head(recordings, spec, config, thresholds, seed, progress) for spec in specs)
-    extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed, "axes": list(recordings.axes)}
+    extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
+    extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
     return IntrospectionModel(
         config, np.asarray(thresholds.limits, np.float64), heads, data_hash(recordings), extra=extra
     )

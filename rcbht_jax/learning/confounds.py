@@ -14,8 +14,9 @@ from rcbht_jax.types import Recordings
 def confounds(items: LabelledIntervals, recordings: Recordings | None = None) -> tuple[str, ...]:
     """Sentences about confounds that this data has; none if no check finds one.
 
-    Checked are sessions that hold a single class, classes that duration alone predicts, intervals of one sample, and
-    copies of recordings. That nothing was found does not mean that nothing is there.
+    Checked are sessions that hold a single class, classes that duration alone or, of whole recordings, the first second
+    alone predicts, intervals of one sample, and copies of recordings. That nothing was found does not mean that nothing
+    is there.
 
     Args:
         items: intervals with their classes, durations and sessions.
@@ -23,6 +24,7 @@ def confounds(items: LabelledIntervals, recordings: Recordings | None = None) ->
     """
     sentences = [_sessions(items), _durations(items), *_single_samples(items)]
     if recordings is not None:
+        sentences.append(_first_second(items, recordings))
         sentences.append(copies(recordings, np.unique(np.concatenate([i.recording for i in items.intervals]))))
     return tuple(filter(None, sentences))
 
@@ -49,6 +51,37 @@ def _durations(items: LabelledIntervals) -> str:
         f"The classes differ in length: duration alone predicts them with a balanced accuracy of {score:.0%} "
         f"(chance {chance:.0%})."
     )
+
+
+def _first_second(items: LabelledIntervals, recordings: Recordings) -> str:
+    spans = items.intervals[0]
+    samples = max(1, round(1 / recordings.dt))
+    if spans.start.any() or len(items.y) < 2 * len(items.classes) or (spans.end <= 2 * samples).any():
+        return ""  # of an interval inside a recording, or of a short one, the beginning is the thing itself
+    chance = 1 / len(items.classes)
+    score = first_mean_score(recordings.wrench[spans.recording, :samples].mean(1), items.y)
+    if score <= (1 + chance) / 2:
+        return ""
+    return (
+        f"The mean of the first second predicts the classes with a balanced accuracy of {score:.0%} (chance "
+        f"{chance:.0%}), before anything can have happened: bias, tool or pose differ."
+    )
+
+
+def first_mean_score(mean: Float[np.ndarray, "item axis"], y: Int[np.ndarray, " item"]) -> float:
+    """Balanced accuracy of the nearest class centre, each item left out in turn; axes have equal weight.
+
+    >>> first_mean_score(np.array([[0.0], [0.1], [5.0], [5.1]]), np.array([0, 0, 1, 1]))
+    1.0
+    """
+    x = (mean - mean.mean(0)) / np.maximum(mean.std(0), 1e-12)
+    member = y[:, None] == np.arange(y.max() + 1)
+    total, count = member.T.astype(float) @ x, member.sum(0)
+    rest = np.maximum(count - member, 1)[..., None]
+    centre = (total - np.where(member[..., None], x[:, None], 0)) / rest
+    distance = ((x[:, None] - centre) ** 2).sum(-1)
+    alone = member & (count == 1)  # nothing is left of such a class
+    return metrics.balanced_accuracy(y, np.where(alone, np.inf, distance).argmin(1))
 
 
 def duration_score(seconds: Float[np.ndarray, " item"], y: Int[np.ndarray, " item"]) -> float:

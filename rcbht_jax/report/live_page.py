@@ -35,6 +35,7 @@ def description(session: Session) -> dict[str, Any]:
     """Constants that a viewer needs to draw the frames."""
     return {
         "axes": session.introspector.model.axes,
+        "units": session.introspector.model.units,
         "layers": LAYERS,
         "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},
         "meanings": {layer: ["nothing yet", *MEANING[layer]] for layer in LAYERS},

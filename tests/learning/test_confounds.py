@@ -10,7 +10,8 @@ import pytest
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
 from rcbht_jax.learning.confounds import confounds
-from rcbht_jax.learning.tasks import LabelledIntervals
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.types import Recordings
 from tests.support.store_cases import simple
 
 
@@ -46,3 +47,16 @@ def test_one_session_is_no_confound_and_copies_are_counted():
     found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), recordings)
     assert found == ("Exact copies of another recording: 1; keep copies on one side of every split.",)
     assert doctest.testmod(module).failed == 0
+
+
+def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
+    rng = np.random.default_rng(0)
+    outcome = np.array(["success", "failure"] * 10)
+    plain = rng.normal(size=(20, 500, 3)) * 0.1
+    biased = plain + np.where(outcome == "success", 0.5, 0.0)[:, None, None]
+    texts = []
+    for wrench in (plain, biased):
+        recordings = Recordings.from_arrays(wrench, outcome=outcome, session=np.repeat(["a", "b"], 10))
+        texts.append(" ".join(confounds(labelled_intervals(recordings, TaskSpec("outcome")), recordings)))
+    assert "first second" not in texts[0]
+    assert "first second predicts the classes with a balanced accuracy of 100%" in texts[1]

@@ -51,7 +51,7 @@ def test_everything_moves(width, ratio, tmp_path):
                 frames.feed(messages.pop(0))
             frames.flush()
             wait_for(driver, f"document.getElementById('state').textContent.includes('{sample} samples') && !dirty")
-            views.append({name: driver.execute_script(SEEN, name) for name in ("force", "moment", "labels")})
+            views.append({name: driver.execute_script(SEEN, name) for name in ("upper", "lower", "labels")})
             best = driver.find_element("css selector", "#head-states .best")
             assert best.text.startswith(("calm", "push", "shake")[part])
             bars = driver.execute_script(
@@ -59,7 +59,7 @@ def test_everything_moves(width, ratio, tmp_path):
             )
             assert sum(bars) == pytest.approx(100, abs=0.1)
             assert int(np.argmax(bars)) == part
-        for name in ("force", "moment", "labels"):
+        for name in ("upper", "lower", "labels"):
             assert len({view[name]["picture"] for view in views}) == 3, f"{name} stands still"
             assert views[-1][name]["last"] > 0.8, f"{name} is cut off"
             shown = driver.find_element("id", name).size["width"] - 2  # without its border

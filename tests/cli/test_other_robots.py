@@ -1,0 +1,129 @@
+"""Another robot from recordings to words, pictures, model, stream and report, by commands alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.types import Recordings
+
+RATE = 50.0
+
+
+def grasps(count: int = 12) -> Recordings:
+    """Two axes at 50 Hz in three phases; every second grasp slips, which the grip force shows."""
+    rng = np.random.default_rng(0)
+    wrenches, rows, tools = [], [], []
+    for number in range(count):
+        lengths = rng.integers(60, 90, 3)
+        edges = np.cumsum([0, *lengths])
+        wrench = rng.normal(size=(edges[-1], 2)) * [0.02, 0.002]
+        wrench[edges[1] : edges[2]] += np.linspace(0, 1, lengths[1])[:, None] * [10, 1]
+        wrench[edges[2] :] += np.array([10, 1]) + np.sin(np.arange(lengths[2]) * (number % 2))[:, None] * [1, 0.1]
+        wrenches.append(wrench)
+        tools.append(("wide", "narrow")[number % 2])
+        names = ("reach", "grasp", "hold")
+        marks = zip(names, edges[:-1] / RATE, edges[1:] / RATE, strict=True)
+        rows += [(number, "phase", name, float(start), float(end)) for name, start, end in marks]
+    rows = [row for row in rows if row[:3] != (0, "phase", "hold")]  # a mark that nobody made
+    return Recordings.from_arrays(
+        wrenches, RATE, axes=("grip", "twist"), units=("N", "Nm"), arm="left", annotations=rows, tool=tools,
+        outcome=["success"] * count, session=[f"day {number % 3}" for number in range(count)],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("robot") / "grasps.zarr"
+    write_recordings(path, grasps(), {"importer": "csv"})
+    assert main(["encode", str(path)]) == 0
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
+    capsys.readouterr()
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_info_lists_what_the_store_can_answer(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    info = run(capsys, "info", store)
+    assert info["axes"] == {"grip": "N", "twist": "Nm"}
+    assert info["annotations"]["phase"] == {"reach": [12, 12], "grasp": [12, 12], "hold": [11, 11]}
+    assert info["tasks"]["phase"]["classes"] == {"reach": 12, "grasp": 12, "hold": 11}
+    assert info["tasks"]["tool"]["classes"] == {"narrow": 6, "wide": 6}
+    assert info["tasks"]["outcome"]["classes"] == {}  # a single class is no task
+
+
+def test_thresholds_come_from_the_recordings(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, how = read_tracks(store, "online-W5")
+    assert how["thresholds_from"] == {"method": "auto"}
+    made = run(capsys, "calibrate", store, "-o", tmp_path / "rest.json", "--method", "rest")
+    assert made["axes"] == ["grip", "twist"]
+    assert made["limits"] == how["thresholds"]
+    again = run(capsys, "encode", store, "--thresholds", tmp_path / "rest.json", "--name", "from-file")
+    assert again["rest_not_constant"]["grip"] < 0.2
+    assert main(["encode", str(store), "--robot", "hiro", "--scale", "0.001", "--name", "too-low"]) == 0
+    assert "the thresholds do not fit these recordings; try --robot auto." in capsys.readouterr().out
+
+
+def test_phases_and_columns_are_classified(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--tracks", "online-W5", "--kernels", "linear", "--costs", "1")
+    made = run(capsys, "evaluate", store, "--task", "phase", "--folds", 3, "--repeats", 1, *options)
+    assert made["score"]["accuracy"]["mean"] > 0.9
+    assert made["items"] == {"reach": 12, "grasp": 12, "hold": 11}
+    assert run(capsys, "train", store, "--task", "tool", "-o", tmp_path / "tool.model", *options)["classes"]
+    done = run(
+        capsys,
+        "classify",
+        store,
+        "--model",
+        tmp_path / "tool.model",
+        "-o",
+        tmp_path / "tool.csv",
+        "--tracks",
+        "online-W5",
+    )
+    assert done["accuracy_of_those"] > 0.9
+    assert main(["evaluate", str(store), "--task", "states", "--tracks", "online-W5"]) == 2
+    assert (
+        "There is no track or column 'states' for the task; there are phase, outcome, tool." in capsys.readouterr().err
+    )
+
+
+def test_streams_pictures_reports_and_exports(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = tmp_path / "phase.model"
+    trained = run(capsys, "train-online", store, "-o", model, "--task", "phase")
+    assert trained["heads"]["phase"]["classes"] == ["reach", "grasp", "hold"]
+    recordings = read_recordings(store)
+    name, out, log = str(recordings.trial[3]), tmp_path / "events.jsonl", tmp_path / "log.mcap"
+    words = ("--model", str(model), "--trial", name, "-o", str(out), "--mcap", str(log))
+    assert main(["stream", str(store), *words]) == 0
+    events = [json.loads(line) for line in out.read_text().splitlines()]
+    beliefs = [event for event in events if "probabilities" in event]
+    last = {}
+    marks = recordings.annotations.of_recording(3).of("phase")
+    for belief in beliefs:
+        at = np.flatnonzero(marks.start <= belief["time"])[-1]
+        last[int(at)] = belief["label"]
+    assert [last[place] for place in range(3)] == ["reach", "grasp", "hold"]
+    assert log.stat().st_size > 1000
+    track = ("--tracks", "online-W5")
+    assert main(["plot", "trial", str(store), name, "-o", str(tmp_path / "trial.png"), *track]) == 0
+    assert main(["plot", "map", str(store), "--by", "state", "-o", str(tmp_path / "map.png"), *track]) == 0
+    beliefs_figure = ["plot", "beliefs", str(store), name, "--model", str(model), "-o", str(tmp_path / "b.png")]
+    assert main(beliefs_figure) == 0
+    page = tmp_path / "report.html"
+    assert main(["report", str(store), "-o", str(page), "--model", str(model), *track]) == 0
+    assert '"axes":["grip","twist"]' in page.read_text()
+    for kind in ("csv", "parquet", "mcap", "lerobot"):
+        assert main(["export", str(store), "-o", str(tmp_path / kind), "--format", kind, *track]) == 0
+        card = (tmp_path / kind / "README.md").read_text()
+        assert "grip in N, twist in Nm; times in s" in card
+        assert "base frame" not in card
