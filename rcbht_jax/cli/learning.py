@@ -67,7 +67,7 @@ class _Learning(Command):
     seed: int = 0
     """Seed of the folds."""
 
-    FORMER: ClassVar[dict[str, str]] = {"--arms": "--arm"}
+    FORMER: ClassVar[dict[str, str]] = {"--arms": "--arm", "--ranks": ""}
 
     @property
     def spec(self) -> TaskSpec:

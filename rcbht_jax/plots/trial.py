@@ -238,14 +238,15 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
 
 
 def _title(recordings: Recordings, index: int, window: int | None) -> str:
-    arm = {"R": "right arm", "L": "left arm"}.get(str(recordings.arm[index]), "")
+    name = str(recordings.arm[index])
+    arm = {"R": "right arm", "L": "left arm"}.get(name, f"arm {name}" if name else "")
     kinds = (str(values[index]) for values in recordings.columns.values() if values.dtype.kind == "U")
     kind = ", ".join(filter(None, kinds))
     failure = f" ({kind})" if kind else ""
     facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
-    return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(facts)}"
+    return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(filter(None, facts))}"
 
 
 def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
