@@ -3,6 +3,7 @@
 # Words of the command -> (module:class, summary). A module is imported only when its command is called.
 COMMANDS: dict[str, tuple[str, str]] = {
     "import hiro": ("rcbht_jax.cli.store:ImportHiro", "read recorded trials of the HIRO robot into a store"),
+    "import": ("rcbht_jax.cli.importing:Import", "read files of any robot (CSV, bags, HDF5, ...) into a store"),
     "info": ("rcbht_jax.cli.store:Info", "summarise and verify a store"),
     "encode": ("rcbht_jax.cli.encode:Encode", "encode every recording of a store as labels"),
     "calibrate": ("rcbht_jax.cli.calibrate:Calibrate", "find gradient thresholds from recorded trials"),

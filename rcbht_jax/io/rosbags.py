@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -78,6 +79,29 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
     Raises:
         InputError: the file is missing, not a bag, or has no such topic.
     """
+    with open_bag(path) as reader:
+        connections = [c for c in reader.connections if c.msgtype in WRENCH]
+        topics = sorted({c.topic for c in connections})
+        if topic and topic not in topics:
+            raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
+        if not topic and len(topics) != 1:
+            raise InputError(
+                f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic."
+            )
+        for found in messages(reader, [c for c in connections if c.topic == (topic or topics[0])]):
+            yield found if isinstance(found, Malformed) else _sample(found[2], found[1])
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[AnyReader]:
+    """A reader of a bag.
+
+    >>> with open_bag(Path("assembly.mcap")) as reader:  # doctest: +SKIP
+    ...     print([connection.topic for connection in reader.connections])
+
+    Raises:
+        InputError: the file is missing or not a bag.
+    """
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
     try:
@@ -86,39 +110,45 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
     except Exception as error:  # a damaged file fails in any way inside the reader
         raise InputError(f"{path} is not a readable bag: {error or type(error).__name__}.") from error
     try:
-        yield from _wrenches(reader, path, topic)
+        yield reader
     finally:
         reader.close()
 
 
-def _wrenches(reader: AnyReader, path: Path, topic: str) -> Iterator[Message]:
-    connections = [c for c in reader.connections if c.msgtype in WRENCH]
-    topics = sorted({c.topic for c in connections})
-    if topic and topic not in topics:
-        raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
-    if not topic and len(topics) != 1:
-        raise InputError(f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic.")
-    messages = reader.messages(connections=[c for c in connections if c.topic == (topic or topics[0])])
+def messages(reader: AnyReader, connections: Sequence[Any]) -> Iterator[tuple[Any, int, Any] | Malformed]:
+    """Connection, time of receipt (ns) and content of every message of some connections, in order of receipt.
+
+    A message that cannot be read becomes :class:`Malformed`, and so does the end of a truncated file.
+    """
+    raw_messages = reader.messages(connections=connections)
     while True:
         try:
-            connection, received, raw = next(messages)
+            connection, received, raw = next(raw_messages)
         except StopIteration:
             return
         except Exception as error:  # a truncated file
             yield Malformed(f"the bag ends early ({type(error).__name__}: {str(error)[:80]})")
             return
         try:
-            yield _sample(reader.deserialize(raw, connection.msgtype), received)
+            yield connection, received, reader.deserialize(raw, connection.msgtype)
         except Exception as error:
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
 
 
-def _sample(message: Any, received: int) -> Sample:
-    wrench = getattr(message, "wrench", message)
+def _sample(message: Any, received: int) -> Sample | Malformed:
+    try:
+        wrench = getattr(message, "wrench", message)
+        values = (getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz")
+        return Sample(tuple(float(v) for v in values), stamp_of(message, received))
+    except Exception as error:  # a definition of its own in the bag
+        return Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
+
+
+def stamp_of(message: Any, received: int) -> float:
+    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none or it is zero."""
     header = getattr(message, "header", None)
-    stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
-    values = (getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz")
-    return Sample(tuple(float(v) for v in values), stamp if stamp > 0 else received * 1e-9)
+    stamp: float = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
+    return stamp if stamp > 0 else received * 1e-9
 
 
 class McapWriter:

@@ -1,0 +1,117 @@
+"""``rcbht import``: files of any robot into a store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
+
+if TYPE_CHECKING:
+    from rcbht_jax.io.importing.mapping import Mapping
+
+Kind = Literal["auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot"]
+MOST = 20  # lines of one list in the text
+
+
+@dataclass(frozen=True)
+class Import(Command):
+    """Import a file, or a folder of files, of any robot into a store.
+
+    Columns are guessed from their names, and a table says what was understood; --map states them instead, and
+    --write-map saves them for editing. Recordings are brought onto one steady grid. What is left out, and why, is
+    reported; exact copies are imported once. A folder of "rcbht export" comes back as it was.
+
+    Example: rcbht import csv runs runs.zarr
+    """
+
+    kind: Annotated[Kind, tyro.conf.Positional, option("Kind of the files; auto = by their suffix.", metavar="KIND")]
+    source: Annotated[Path, tyro.conf.Positional, option("File, or folder of files.", metavar="SOURCE")]
+    out: OutStore
+    map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
+    write_map: Annotated[Path | None, option("Save here what was understood.", "", metavar="FILE.toml")] = None
+    rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
+    source_rate: Annotated[float | None, option("Samples per second of files without time stamps.", "")] = None
+    tare: Annotated[float | None, option("Subtract the mean of this many seconds at the beginning.", "none")] = None
+    group: Annotated[str, option("Column whose values separate the recordings of one file.", "")] = ""
+    topic: Annotated[str, option("Topic of a bag.", "every topic of wrenches")] = ""
+    labels: Annotated[str, option("Column that annotates the samples, with text or numbers.", "")] = ""
+    outcome: Annotated[str, option("Column that states the outcome of a recording.", "")] = ""
+    overwrite: Flag = False
+    """Replace an existing store, once the new one is complete."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.errors import InputError
+        from rcbht_jax.io.importing.importer import import_source
+        from rcbht_jax.io.importing.mapping import write_mapping
+
+        if self.write_map is not None and self.write_map.exists():
+            raise InputError(f"{self.write_map} exists already; choose another name, or move it away.")
+        if self.write_map is not None and not self.write_map.parent.is_dir():
+            raise InputError(f"{self.write_map.parent} is not a folder; create it first.")
+        imported = import_source(
+            self.source, self.out, self.kind, self._mapping(), self.overwrite,
+            lambda items: progress_bar("import", "files", iterable=items),
+        )  # fmt: skip
+        if self.write_map is not None:
+            write_mapping(self.write_map, imported.mapping)
+        recordings = imported.recordings
+        return {
+            "store": str(self.out),
+            "recordings": len(recordings),
+            "rate": 1 / recordings.dt,
+            "axes": dict(zip(recordings.axes, recordings.units, strict=True)),
+            "tracks": {track: list(names) for track, names in recordings.annotations.labels.items()},
+            "columns": list(recordings.columns),
+            **imported.report.to_dict(),
+        }
+
+    def _mapping(self) -> Mapping:
+        """The mapping file with the options in place of what it says."""
+        from rcbht_jax.io.importing.mapping import Mapping, Track, Value, read_mapping
+
+        mapping = read_mapping(self.map) if self.map else Mapping()
+        given: dict[str, Any] = {
+            "rate": self.rate,
+            "source_rate": self.source_rate,
+            "tare": self.tare,
+            "group": self.group,
+        }
+        given["topic"] = self.topic
+        mapping = replace(mapping, **{name: value for name, value in given.items() if value not in (None, "")})
+        if self.labels:
+            mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
+        if self.outcome:
+            mapping = replace(mapping, columns={**mapping.columns, "outcome": Value(self.outcome)})
+        return mapping
+
+    def text(self, result: dict[str, Any]) -> str:
+        axes = ", ".join(f"{axis} ({unit or 'unit unknown'})" for axis, unit in result["axes"].items())
+        lines = [f"{result['recordings']} recordings at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
+        lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]
+        if result["columns"]:
+            lines.append(f"columns: {', '.join(result['columns'])}")
+        if result["understood"]:
+            width = max(len(row["column"]) for row in result["understood"])
+            lines += ["", f"{'column':{max(width, 6)}}  understood as"]
+            for row in result["understood"]:
+                unit = f" ({row['unit']})" if row["unit"] else ""
+                lines.append(f"{row['column'] or '(no name)':{max(width, 6)}}  {row['role']}{unit}")
+            lines.append("")
+        lines += result["remarks"]
+        for title, key in (("left out", "skipped"), ("copies", "duplicates"), ("warnings", "warnings")):
+            lines += _listed(title, result[key])
+        return "\n".join(lines)
+
+
+def _listed(title: str, rows: list[tuple[str, str]]) -> Iterable[str]:
+    """A list that --json gives in full."""
+    if not rows:
+        return []
+    more = [f"  ... and {len(rows) - MOST} more; --json lists them all"] if len(rows) > MOST else []
+    sentences = (reason if reason.startswith(name) else f"{name}: {reason}" for name, reason in rows[:MOST])
+    return [f"{title}: {len(rows)}", *(f"  {sentence}" for sentence in sentences), *more]

@@ -1,0 +1,221 @@
+"""Files of named arrays: NPZ (without pickles), HDF5, MATLAB."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import require
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.table import MAX_BYTES, Table, check_declared, check_file, tables_of
+
+MAX_MEMBERS = 10_000
+_HEADERS: dict[tuple[int, int], Callable[..., tuple[tuple[int, ...], bool, np.dtype[Any]]]] = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+@contextmanager
+def _reading(path: Path, what: str) -> Iterator[None]:
+    """Turn any exception of a reader into one InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (MemoryError, RecursionError) as error:
+        raise InputError(
+            f"{path} is damaged: it asks for more memory than there is ({type(error).__name__})."
+        ) from None
+    except Exception as error:  # a damaged file fails in any way inside its reader
+        detail = (str(error).splitlines() or [""])[0][:120].rstrip(".")
+        raise InputError(f"{path} is not a readable {what} file: {detail or type(error).__name__}.") from None
+
+
+def read_npz(path: Path, name: str) -> Iterator[Table]:
+    """Tables of an NPZ file (or of one array in an NPY file); see :func:`~rcbht_jax.io.importing.table.tables_of`.
+
+    >>> np.savez("/tmp/a.npz", t=np.arange(9) * 0.01, wrench=np.zeros((9, 6)))
+    >>> [list(table.columns)[:2] for table in read_npz(Path("/tmp/a.npz"), "a.npz")]
+    [['t', 'wrench_0']]
+
+    Raises:
+        InputError: not a regular file, damaged, holds Python objects, or declares arrays too large for it.
+    """
+    size = check_file(path)
+    with _reading(path, "NPZ"):
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:
+                check_declared(path, _declared(file), size)
+            arrays = {"values": np.load(path, allow_pickle=False)}
+        else:
+            with zipfile.ZipFile(path) as archive:
+                members = archive.infolist()
+                if len(members) > MAX_MEMBERS:
+                    raise InputError(f"{path} holds {len(members)} arrays; expected at most {MAX_MEMBERS}.")
+                total = 0
+                for member in members:
+                    with archive.open(member) as file:
+                        total += _declared(file)
+                    # What is unpacked is the member's size; an array is read up to the size of its header.
+                    check_declared(path, max(total, sum(entry.file_size for entry in members)), size)
+            with np.load(path, allow_pickle=False) as archive:
+                arrays = {key: archive[key] for key in archive.files}
+    yield from tables_of(path, name, arrays)
+
+
+def _declared(file: Any) -> int:
+    """Bytes of the array that the header of an NPY stream declares."""
+    version = np.lib.format.read_magic(file)
+    shape, _, dtype = _HEADERS[(1, 0) if version == (1, 0) else (2, 0)](file)
+    if dtype.hasobject:
+        raise InputError("it holds Python objects, which are never loaded; save plain arrays")
+    count = 1
+    for length in shape:
+        count *= int(length)
+    return count * max(dtype.itemsize, 1) if min(shape, default=0) >= 0 else -1
+
+
+def read_hdf5(path: Path, name: str) -> Iterator[Table]:
+    """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
+
+    Arrays below a group are its columns, by their path in it; attributes are facts (dt, rate: the sampling).
+
+    >>> list(read_hdf5(Path("demo.h5"), "demo.h5"))  # doctest: +SKIP
+
+    Raises:
+        InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
+    """
+    size = check_file(path)
+    h5py = require("h5py", "import")
+    with _reading(path, "HDF5"), h5py.File(path, "r") as file:
+        datasets: list[Any] = []
+
+        def visit(_: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                datasets.append(item)
+                if len(datasets) > MAX_MEMBERS:
+                    raise InputError(f"{path} holds more than {MAX_MEMBERS} arrays; split it.")
+
+        file.visititems(visit)  # follows neither soft nor external links
+        if any(item.external or item.is_virtual for item in datasets):
+            raise InputError(f"{path} takes arrays from other files; copy them into it.")
+        check_declared(
+            path, sum(int(np.prod(item.shape or (0,), dtype=object)) * item.dtype.itemsize for item in datasets), size
+        )
+        parts = [(name, file)] if (group := _like(file, h5py)) is None else _members(name, group, h5py)
+        for part, node in parts:
+            found = {item.name.removeprefix(node.name).lstrip("/"): item for item in datasets if _below(item, node)}
+            arrays = {key: _array(item) for key, item in found.items()} | {
+                key: np.asarray(value) for key, value in node.attrs.items()
+            }
+            yield from tables_of(
+                path,
+                part,
+                {key: array for key, array in arrays.items() if array is not None and array.dtype.kind in "fiubUS"},
+            )
+
+
+def _below(item: Any, node: Any) -> bool:
+    return bool(node.name == "/" or item.name.startswith(f"{node.name}/"))
+
+
+def _like(group: Any, h5py: Any) -> Any:
+    """The outermost group whose sub-groups (two or more) hold the same names; None = there is none."""
+    children = [child for child in group.values() if isinstance(child, h5py.Group)]
+    if len(children) > 1 and len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]):
+        return group
+    return _like(children[0], h5py) if len(children) == 1 else None
+
+
+def _members(name: str, group: Any, h5py: Any) -> list[tuple[str, Any]]:
+    return [(f"{name}#{key}", child) for key, child in group.items() if isinstance(child, h5py.Group)]
+
+
+def _array(item: Any) -> NDArray[Any] | None:
+    """A data set of numbers or text; None for anything else."""
+    if item.dtype.kind in "fiub":
+        return np.asarray(item[()])
+    if item.dtype.kind in "OS" and item.size and isinstance(np.asarray(item[()]).flat[0], bytes | str):
+        return np.asarray(item.asstr()[()]).astype(np.str_)
+    return None
+
+
+def read_matlab(path: Path, name: str) -> Iterator[Table]:
+    """Tables of a MATLAB file: of version 7.3 as HDF5, of earlier ones by their arrays and structures.
+
+    >>> from scipy.io import savemat
+    >>> savemat("/tmp/a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
+    >>> [list(table.columns) for table in read_matlab(Path("/tmp/a.mat"), "a.mat")]
+    [['t', 'F_0', 'F_1', 'F_2']]
+
+    Raises:
+        InputError: not a regular file, damaged, declares arrays too large for it, or scipy or h5py is missing.
+    """
+    size = check_file(path)
+    with path.open("rb") as file:
+        head = file.read(128)
+    if head.startswith(b"\x89HDF") or b"MATLAB 7.3" in head:
+        yield from read_hdf5(path, name)
+        return
+    io = require("scipy.io", "import")
+    with _reading(path, "MATLAB"):
+        if head[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
+            raise InputError(f"{path} is not a MATLAB file of version 5 or later; save it with -v7.")
+        check_declared(path, _unpacked(path, head), size)
+        content = io.loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+        arrays: dict[str, NDArray[Any]] = {}
+        for key, value in content.items():
+            if not key.startswith("__"):
+                _flatten(key, np.asarray(value), arrays)
+    yield from tables_of(path, name, arrays)
+
+
+def _unpacked(path: Path, head: bytes) -> int:
+    """Bytes of the elements of a MATLAB file once they are unpacked, in constant memory."""
+    order, total = ("<" if head[126:128] == b"IM" else ">"), 0
+    with path.open("rb") as file:
+        file.seek(128)
+        while len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            if kind != 15:
+                file.seek(length, 1)
+                total += length
+                continue
+            unpacker, left = zlib.decompressobj(), length
+            while left and (block := file.read(min(left, 2**16))):
+                left -= len(block)
+                while block and total <= MAX_BYTES:
+                    total += len(unpacker.decompress(block, 2**20))
+                    block = unpacker.unconsumed_tail
+                if total > MAX_BYTES:
+                    return total
+                check_declared(path, total, max(path.stat().st_size, 1))
+    return total
+
+
+def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth: int = 0) -> None:
+    """Fields of structures as arrays of their own, STRUCT.FIELD."""
+    if len(into) > MAX_MEMBERS or depth > 8:
+        return
+    if value.dtype.names:
+        records = value.reshape(-1)
+        for field in value.dtype.names:
+            for number, record in enumerate(records[:1000]):
+                name = f"{key}.{field}" if len(records) == 1 else f"{key}.{number}.{field}"
+                _flatten(name, np.asarray(record[field]), into, depth + 1)
+    elif value.dtype.kind == "O":
+        if all(isinstance(item, str) for item in value.flat):
+            into[key] = value.astype(np.str_)
+        elif value.ndim == 0:
+            _flatten(key, np.asarray(value.item()), into, depth + 1)
+    else:
+        into[key] = value

@@ -1,0 +1,144 @@
+"""Recordings as they were sampled -> a data set on one grid."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import conform
+from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.record import Record, arm_of, folder_of
+from rcbht_jax.io.importing.report import ImportReport
+from rcbht_jax.io.store import VARIABLES
+from rcbht_jax.types import STANDARD_COLUMNS, Recordings
+
+_TAKEN = (*VARIABLES, "dt", "axis", "time", "axes", "units", "annotations", "columns", "rate")  # names of other things
+
+
+def assemble(records: list[Record], source: Path, rate: float | None, report: ImportReport) -> Recordings:
+    """The data set of recordings with the same axes; what was changed stands in the notes and in the report.
+
+    Args:
+        records: at least one.
+        source: where they come from; names the data set.
+        rate: samples per second; None = that of most of them.
+        report: gets the names of what is imported, and remarks.
+
+    Raises:
+        InputError: none can be brought onto the grid, or their rate is impossible.
+    """
+    clocks = [conform.clock(record.time) for record in records]
+    period = 1 / rate if rate else conform.common(clocks)
+    if not 1e-6 <= period <= 1e3:
+        raise InputError(f"the time step is {period:g} s; expected 1e-06 to 1000 s. Is the unit of time right?")
+    kept: list[Record] = []
+    values: list[NDArray[np.float32]] = []
+    rates: Counter[str] = Counter()
+    filtered = uneven = 0
+    for record, source_clock in zip(records, clocks, strict=True):
+        try:
+            moved, flags = conform.on_grid(record.time, record.values, source_clock, period)
+            if not np.isfinite(wrench := moved.astype(np.float32)).all():
+                raise InputError("a value is too large for single precision; scale the channel in a map.")
+        except InputError as error:
+            report.skipped.append((record.name, str(error)))
+            continue
+        record.notes.extend(flags)
+        record.notes.extend(f"saturated:{record.axes[axis]}" for axis in conform.saturated(record.values))
+        rates.update(f"{flag.partition(':')[2]} Hz" for flag in flags if flag.startswith("resampled"))
+        filtered += "filtered" in flags
+        uneven += "uneven" in flags
+        kept.append(record)
+        values.append(wrench)
+    if not kept:
+        raise InputError(f"{source} holds no usable recording. The first reason: {report.skipped[0][1]}")
+    if uneven:
+        text = f"{uneven} recordings were not sampled evenly and were interpolated at {1 / period:.6g} Hz."
+        report.remarks.append(text)
+    _remarks(report, period, rates, filtered)
+    report.imported = [record.name for record in kept]
+    _words(kept)
+    columns = _columns(kept, source, report)
+    recordings = Recordings.from_arrays(
+        values, axes=kept[0].axes, units=kept[0].units, annotations=_annotations(kept), **columns
+    )
+    return replace(recordings, dt=period)  # exact: the reciprocal of a rate need not be
+
+
+def _remarks(report: ImportReport, period: float, rates: Counter[str], filtered: int) -> None:
+    if rates:
+        listed = ", ".join(f"{rate} ({count})" for rate, count in rates.most_common(6))
+        low = f"; {filtered} of them low-passed before, at {0.4 / period:.4g} Hz" if filtered else ""
+        text = f"{sum(rates.values())} recordings were resampled to {1 / period:.6g} Hz, from {listed}{low}."
+        report.remarks.append(text)
+
+
+def _words(records: list[Record]) -> None:
+    """What changes in one recording is a track in all: a constant value there spans the whole recording."""
+    tracks = {track for record in records for track, *_ in record.intervals}
+    for record in records:
+        for name in tracks & set(record.columns):
+            label = str(record.columns.pop(name))
+            if label and not any(track == name for track, *_ in record.intervals):
+                step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
+                record.intervals.append((name, label, 0.0, float(record.time[-1] + step)))
+
+
+def _annotations(records: list[Record]) -> Annotations:
+    rows = [(number, *interval) for number, record in enumerate(records) for interval in record.intervals]
+    return Annotations.from_rows(rows)
+
+
+def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[str, Any]:
+    """Every column of the data set, names and sessions included."""
+    names = dict.fromkeys(column_name(name) for record in records for name in record.columns)
+    columns: dict[str, Any] = {}
+    for name in names:
+        values = [{column_name(key): value for key, value in record.columns.items()}.get(name) for record in records]
+        target = f"c_{name}" if name in _TAKEN and name not in (*STANDARD_COLUMNS, "trial") else name
+        if name in STANDARD_COLUMNS or name == "trial" or any(isinstance(value, str) for value in values):
+            columns[target] = np.array(["" if value is None else str(value) for value in values], np.str_)
+        else:
+            columns[target] = np.array([np.nan if value is None else value for value in values], np.float64)
+    folders = [folder_of(record.name) for record in records]
+    defaults: dict[str, list[str]] = {
+        "trial": _trials(records),
+        "arm": [arm_of(record.name) or STANDARD_COLUMNS["arm"] for record in records],
+        "source": [source.resolve().stem] * len(records),
+        "session": folders if any(folders) else [STANDARD_COLUMNS["session"]] * len(records),
+        "outcome": [STANDARD_COLUMNS["outcome"]] * len(records),
+        "note": [""] * len(records),
+    }
+    if any(folders) and "session" not in columns:
+        report.remarks.append(f"The sessions are the sub-folders of {source.name}: {len(set(folders))}.")
+    if "outcome" not in columns:
+        report.remarks.append("No column states the outcome: it is unknown. Name one with --outcome or in a map.")
+    for name, texts in defaults.items():
+        given = columns.get(name, np.full(len(records), ""))
+        columns[name] = np.where(given == "", texts, given).astype(np.str_)
+    notes = [
+        ";".join(filter(None, [given, *record.notes]))
+        for given, record in zip(columns["note"].tolist(), records, strict=True)
+    ]
+    return {**columns, "note": np.array(notes, np.str_)}
+
+
+def _trials(records: list[Record]) -> list[str]:
+    """Names without suffix, where that leaves them apart; the topics of a bag are arms of one trial."""
+    short = []
+    for record in records:
+        path, _, part = record.name.partition("#")
+        part = "" if part.startswith("/") else part
+        stem = PurePosixPath(path).with_suffix("").as_posix() if path else ""
+        short.append("-".join(filter(None, [stem, part])) or record.name)
+    pairs = Counter(zip(short, (arm_of(record.name) for record in records), strict=True))
+    if max(pairs.values()) > 1:
+        return [record.name for record in records]
+    return short

@@ -1,0 +1,123 @@
+"""Bags of ROS 1 and ROS 2 and MCAP files: a table per topic, recorded as it came."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.table import MAX_COLUMNS, Interval, Table, check_file
+from rcbht_jax.io.messages import Malformed
+from rcbht_jax.io.rosbags import WRENCH, messages, open_bag, stamp_of
+
+MAX_BAG_BYTES = 2**34  # read message by message
+MAX_VALUES = 2**27  # kept of one bag
+MAX_ELEMENTS = 64  # of an array in a message
+TEXT = "std_msgs/msg/String"
+UNITS = {"force": "N", "torque": "Nm"}  # REP 103 prescribes them for wrenches
+
+
+def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
+    """A table per topic: ``stamp`` (s, of the header, of receipt where that is zero) and every number by its path.
+
+    Topics of texts become tracks of annotations: a text holds until the next one.
+
+    >>> list(read_bag_tables(Path("run.bag"), "run.bag"))  # doctest: +SKIP
+
+    Args:
+        path: ``.bag``, ``.mcap``, ``.db3`` or the folder of a ROS 2 bag.
+        name: relative to the source.
+        topic: to read; "" = every topic of wrenches.
+
+    Raises:
+        InputError: not a bag, damaged at its beginning, too large, or it has no such topic.
+    """
+    for part in sorted(path.iterdir()) if path.is_dir() else [path]:
+        check_file(part, MAX_BAG_BYTES)
+    with open_bag(path) as reader:
+        every = sorted({connection.topic for connection in reader.connections})
+        chosen = [c for c in reader.connections if (c.topic == topic if topic else c.msgtype in WRENCH)]
+        if not chosen:
+            what = f"no topic {topic}" if topic else "no wrenches"
+            raise InputError(
+                f"{path} has {what}; its topics are {', '.join(every[:20]) or 'none'}. Choose with --topic."
+            )
+        texts = [c for c in reader.connections if c.msgtype == TEXT]
+        topics = {c.topic: _Topic(c.msgtype) for c in chosen}
+        spoken: dict[str, list[tuple[int, str]]] = {}
+        problems: list[str] = []
+        left = MAX_VALUES
+        for found in messages(reader, [*chosen, *texts]):
+            if isinstance(found, Malformed):
+                problems.append(found.text)
+                continue
+            connection, received, message = found
+            if connection.topic in topics:
+                left -= topics[connection.topic].add(message, received)
+                if left < 0:
+                    raise InputError(f"{path} has more than {MAX_VALUES} numbers on {', '.join(topics)}; split it.")
+            else:
+                spoken.setdefault(connection.topic, []).append((received, str(message.data)))
+    notes = tuple(dict.fromkeys(problem.split(" (")[0].replace(" ", "-") for problem in problems))
+    for key, content in topics.items():
+        if not content.received:
+            raise InputError(f"{path} holds no readable message on {key}{': ' + problems[0] if problems else ''}.")
+        yield content.table(f"{name}#{key}" if len(topics) > 1 else name, spoken, notes)
+
+
+class _Topic:
+    """Messages of one topic, as they come."""
+
+    def __init__(self, msgtype: str) -> None:
+        self._wrench = msgtype in WRENCH
+        self._rows: list[tuple[float, ...]] = []
+        self._names: tuple[str, ...] = ()
+        self.received: list[int] = []
+        self.other = 0  # messages of another shape than the first
+
+    def add(self, message: Any, received: int) -> int:
+        """Keep a message; how many numbers that are."""
+        numbers: dict[str, float] = {}
+        _flatten("", message, numbers)
+        if not self._names:
+            self._names = tuple(numbers)
+        if tuple(numbers) != self._names:
+            self.other += 1
+            return 0
+        self._rows.append((stamp_of(message, received), *numbers.values()))
+        self.received.append(received)
+        return len(numbers) + 1
+
+    def table(self, name: str, spoken: dict[str, list[tuple[int, str]]], notes: tuple[str, ...]) -> Table:
+        values = np.array(self._rows, np.float64)
+        self._rows = []
+        columns = dict(zip(("stamp", *self._names), np.ascontiguousarray(values.T), strict=True))
+        units = {key: UNITS[key.split(".")[-2]] for key in self._names} if self._wrench else {}
+        flags = (*notes, f"other-shape:{self.other}") if self.other else notes
+        first, last = self.received[0], self.received[-1]
+        return Table(name, columns, units=units, intervals=tuple(_spoken(spoken, first, last)), notes=flags)
+
+
+def _spoken(spoken: dict[str, list[tuple[int, str]]], first: int, last: int) -> Iterator[Interval]:
+    """Texts as intervals: from each one, or the first sample, until the next, or the last sample."""
+    for topic, texts in spoken.items():
+        ends = [time for time, _ in texts[1:]] + [last]
+        for (start, label), end in zip(texts, ends, strict=True):
+            if label and end > first and start <= last:
+                yield topic.strip("/") or "text", label, max(start - first, 0) * 1e-9, (end - first) * 1e-9
+
+
+def _flatten(path: str, value: Any, into: dict[str, float]) -> None:
+    """Numbers of a message by their path, but for its header."""
+    if isinstance(value, bool | int | float | np.number):
+        into[path] = float(value)
+    elif isinstance(value, np.ndarray):
+        if value.size <= MAX_ELEMENTS and value.dtype.kind in "fiub":
+            into.update({f"{path}_{number}": float(one) for number, one in enumerate(value.ravel().tolist())})
+    elif hasattr(value, "__dataclass_fields__") and len(into) < MAX_COLUMNS:
+        for field in value.__dataclass_fields__:
+            if field not in ("header", "__msgtype__"):
+                _flatten(f"{path}.{field}" if path else field, getattr(value, field), into)

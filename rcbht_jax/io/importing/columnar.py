@@ -1,0 +1,185 @@
+"""Parquet tables and LeRobot data sets of version 3."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import require
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.arrays import _reading
+from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_declared, check_file
+
+EPISODE = "episode_index"
+_OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
+_BOOKKEEPING = ("data/", "videos/", "meta/", "stats/", "dataset_from_index", "dataset_to_index", "length", "tasks")
+
+
+def read_parquet(path: Path, name: str) -> Iterator[Table]:
+    """The table of a Parquet file; lists of a fixed number of elements are columns ``name_0``, ``name_1``, ...
+
+    >>> list(read_parquet(Path("run.parquet"), "run.parquet"))  # doctest: +SKIP
+
+    Raises:
+        InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
+    """
+    with _reading(path, "Parquet"):
+        columns, facts = _columns(path)
+    yield Table(name, columns, facts.get("rate"))
+
+
+def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
+    """Columns that can be read, and the rate where the metadata state it."""
+    size = check_file(path)
+    pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
+    with pq.ParquetFile(path, thrift_string_size_limit=2**24, thrift_container_size_limit=2**20) as file:
+        meta, schema = file.metadata, file.schema_arrow
+        if meta.num_columns > MAX_COLUMNS:
+            raise InputError(f"{path} has {meta.num_columns} columns; expected at most {MAX_COLUMNS}.")
+        groups = [meta.row_group(number) for number in range(meta.num_row_groups)]
+        unpacked = sum(group.total_byte_size for group in groups)
+        cells = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
+        check_declared(path, max(unpacked, 8 * cells, 8 * meta.num_rows), size)
+        usable = [field.name for field in schema if _kind(pa, field.type)]
+        table = file.read(columns=usable)
+        rows = (schema.metadata or {}).get(b"dt_seconds")
+    columns: dict[str, NDArray[Any]] = {}
+    for field in table.schema:
+        column = table.column(field.name).combine_chunks()
+        if _kind(pa, field.type) == "list":
+            wide = _wide(column)
+            if wide is not None and len(columns) + wide.shape[1] <= MAX_COLUMNS:
+                columns |= {f"{field.name}_{number}": wide[:, number] for number in range(wide.shape[1])}
+        else:
+            columns[field.name] = _array(pa, column, _kind(pa, field.type))
+    if not columns or not len(next(iter(columns.values()))):
+        raise InputError(f"{path} has no rows of numbers or text.")
+    return columns, {"rate": 1 / float(rows)} if rows and float(rows) > 0 else {}
+
+
+def _kind(pa: Any, kind: Any) -> str:
+    """ "number", "text", "time" or "list"; "" = nothing that can be imported."""
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        return "number"
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return "text"
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        return "time"
+    lists = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+    return "list" if lists and _kind(pa, kind.value_type) == "number" else ""
+
+
+def _array(pa: Any, column: Any, kind: str) -> NDArray[Any]:
+    if pa.types.is_dictionary(column.type):
+        column = column.dictionary_decode()
+    if kind == "text":
+        return np.array(["" if value is None else value for value in column.to_pylist()], np.str_)
+    if kind == "time":
+        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        return np.asarray(column.cast(pa.int64()).to_numpy(zero_copy_only=False), np.float64) * scale
+    return np.asarray(column.to_numpy(zero_copy_only=False)).astype(np.float64)
+
+
+def _wide(column: Any) -> NDArray[np.float64] | None:
+    """Lists of one length ``[row, element]``; None if their lengths differ."""
+    flat = np.asarray(column.flatten().to_numpy(zero_copy_only=False)).astype(np.float64)
+    rows = len(column)
+    if column.null_count or not rows or len(flat) % rows or not len(flat):
+        return None
+    width = len(flat) // rows
+    lengths = np.asarray(column.value_lengths().to_numpy(zero_copy_only=False))
+    return flat.reshape(rows, width) if (lengths == width).all() else None
+
+
+def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
+    """A table per episode of a LeRobot data set of version 3: its frames; names and tasks as facts.
+
+    Elements of a feature carry their names where ``meta/info.json`` lists them.
+
+    >>> list(read_lerobot(Path("pusht"), ""))  # doctest: +SKIP
+
+    Raises:
+        InputError: not such a data set, another version, or a file of it is damaged.
+    """
+    info = read_json(folder / "meta" / "info.json")
+    version, fps = str(info.get("codebase_version")), info.get("fps")
+    if not version.startswith("v3"):
+        raise InputError(
+            f"{folder} is a LeRobot data set of version {version}; expected v3.0. Convert it with LeRobot."
+        )
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps < 1e6:
+        raise InputError(f"{folder}/meta/info.json: fps is {fps!r}; expected frames per second.")
+    episodes = _episodes(folder)
+    names = _element_names(info)
+    files = sorted((folder / "data").glob("*/*.parquet"))
+    if not files:
+        raise InputError(f"{folder} has no data/*/*.parquet.")
+    for path in files:
+        with _reading(path, "Parquet"):
+            columns, _ = _columns(path)
+        if EPISODE not in columns:
+            raise InputError(f"{path} has no column {EPISODE}.")
+        columns = {names.get(key, key): values for key, values in columns.items()}
+        for episode in np.unique(columns[EPISODE]):
+            rows = columns[EPISODE] == episode
+            part = {key: values[rows] for key, values in columns.items() if key not in _OWN}
+            number = int(episode)
+            yield Table(f"{name}#{number:06d}".lstrip("#"), part, float(fps), facts=episodes.get(number, {}))
+
+
+def _element_names(info: Mapping[str, Any]) -> dict[str, str]:
+    """Column of an element -> FEATURE.NAME."""
+    features = info.get("features")
+    found: dict[str, str] = {}
+    for feature, entry in features.items() if isinstance(features, dict) else ():
+        listed = entry.get("names") if isinstance(entry, dict) else None
+        if isinstance(listed, dict):
+            listed = next(iter(listed.values()), None)
+        if isinstance(listed, list) and all(isinstance(one, str) for one in listed):
+            found |= {f"{feature}_{number}": f"{feature}.{one}" for number, one in enumerate(listed)}
+    return found
+
+
+def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
+    facts: dict[int, dict[str, str | float]] = {}
+    for path in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
+        with _reading(path, "Parquet"):
+            pq = require("pyarrow.parquet", "import")
+            check_declared(path, pq.read_metadata(path).num_rows * 8, check_file(path))
+            schema = pq.read_schema(path)
+            wanted = [key for key in schema.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
+            for row in pq.read_table(path, columns=wanted).to_pylist():
+                plain = {
+                    key: value for key, value in row.items() if isinstance(value, str | int | float) and key != EPISODE
+                }
+                if isinstance(row.get("tasks"), list):
+                    plain["task"] = "; ".join(map(str, row["tasks"]))
+                facts[int(row[EPISODE])] = {
+                    key: value if isinstance(value, str) else float(value) for key, value in plain.items()
+                }
+    return facts
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file.
+
+    >>> read_json(Path("dataset.json"))  # doctest: +SKIP
+
+    Raises:
+        InputError: missing, larger than 16 MiB, or not a JSON object.
+    """
+    check_file(path, 2**24)
+    try:
+        value = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {error}.") from None
+    if not isinstance(value, dict):
+        raise InputError(f"{path} is not a JSON object.")
+    return value

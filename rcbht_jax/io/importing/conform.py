@@ -1,0 +1,210 @@
+"""One steady grid for samples as they were recorded: filter, interpolation, and what is odd about them as notes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import require
+from rcbht_jax.errors import InputError
+
+JITTER = 0.25  # of a period: largest distance of a sample from a steady grid that is left as it is
+GAP = 5  # periods without a sample
+MISSING = 5  # samples in a row without a value that are interpolated
+HELD = 10  # samples in a row at the largest or smallest value
+MAX_SAMPLES = 2**27  # of one resampled recording, all axes
+EQUAL = 1e-3  # relative difference below which two rates are one
+NEAR = 0.05  # the same for recordings whose samples are not evenly spaced
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a recording was sampled."""
+
+    period: float  # s
+    steady: bool  # every sample lies within JITTER of the grid
+
+    @property
+    def rate(self) -> float:
+        """Samples per second."""
+        return 1 / self.period
+
+
+def tidy(
+    time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"]
+) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, "row axis"], list[str]]:
+    """Samples in order of time, each time once, without missing values; and notes.
+
+    Args:
+        time: s.
+        values: NaN = missing.
+
+    Raises:
+        InputError: times are missing or run backwards, fewer than two samples are left, or more than ``MISSING``
+            values in a row are missing. The sentence names no file.
+    """
+    notes: list[str] = []
+    if not np.isfinite(time).all():
+        raise InputError(f"sample {int(np.flatnonzero(~np.isfinite(time))[0])} has no time.")
+    back = np.flatnonzero(np.diff(time) < 0)
+    if len(back) > max(2, len(time) // 100):
+        raise InputError(
+            f"time runs backwards {len(back)} times, first at sample {int(back[0]) + 1}; if the table holds several "
+            "recordings, name the column that separates them with --group."
+        )
+    if len(back):
+        order = np.argsort(time, kind="stable")
+        if np.ptp(time[order] - time) > 0.1 * np.ptp(time):
+            raise InputError(
+                f"time starts anew at sample {int(back[0]) + 1}; if the table holds several recordings, name the "
+                "column that separates them with --group."
+            )
+        time, values = time[order], values[order]
+        notes.append(f"unordered:{len(back)}")
+    fresh = np.concatenate([[True], np.diff(time) > 0])
+    if not fresh.all():
+        notes.append(f"repeated:{int((~fresh).sum())}")
+        time, values = time[fresh], values[fresh]
+    if len(time) < 2:
+        raise InputError("there are fewer than two samples at different times.")
+    missing = ~np.isfinite(values)
+    if missing.any():
+        longest = max(int(runs(column).max(initial=0)) for column in missing.T)
+        if longest > MISSING or missing.all(0).any():
+            raise InputError(
+                f"{longest} values in a row are missing, first at sample {int(np.flatnonzero(missing.any(1))[0])}; "
+                f"at most {MISSING} are interpolated. Cut the recording there, or leave the channel out."
+            )
+        filled = [np.interp(time, time[~gone], column[~gone]) for column, gone in zip(values.T, missing.T, strict=True)]
+        values = np.stack(filled, 1)
+        notes.append(f"missing:{int(missing.sum())}")
+    return time, values, notes
+
+
+def runs(mask: Bool[np.ndarray, " sample"]) -> NDArray[np.int64]:
+    """Lengths of the stretches where a mask holds.
+
+    >>> runs(np.array([True, True, False, True])).tolist()
+    [2, 1]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges[1::2] - edges[::2]
+
+
+def clock(time: Float[np.ndarray, " sample"]) -> Clock:
+    """How increasing times of at least two samples are spaced.
+
+    >>> clock(np.arange(100) * 0.021).steady
+    True
+    """
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    away = time - time[0] - np.arange(len(time)) * period
+    if np.abs(away).max() <= JITTER * period:
+        return Clock(_short(period, JITTER / len(time)), True)
+    return Clock(1 / _nice(1 / float(np.median(np.diff(time)))), False)
+
+
+def _short(period: float, tolerance: float) -> float:
+    """The number with the fewest digits that differs by less than what can be measured."""
+    texts = (float(f"{value:.{digits}g}") for digits in range(1, 10) for value in (period,))
+    return next((value for value in texts if abs(value / period - 1) < min(tolerance, EQUAL)), float(period))
+
+
+def _nice(rate: float) -> float:
+    """A round rate within one percent."""
+    rounded = float(f"{rate:.2g}")
+    return rounded if abs(rounded / rate - 1) < 0.01 else float(f"{rate:.3g}")
+
+
+def common(clocks: list[Clock]) -> float:
+    """The period of most recordings, s: one of evenly sampled ones if there are any; at a draw the longest.
+
+    >>> common([Clock(0.005, True), Clock(0.005, True), Clock(0.001, True)])
+    0.005
+    """
+    candidates = {one.period for one in clocks if one.steady} or {one.period for one in clocks}
+
+    def votes(period: float) -> tuple[int, int, float]:
+        exact = sum(one.period == period for one in clocks)
+        return sum(agrees(one, period) for one in clocks), exact, period
+
+    return max(candidates, key=votes)
+
+
+def agrees(one: Clock, period: float) -> bool:
+    """Whether a recording has this period, as far as its samples tell."""
+    return abs(one.period / period - 1) < (EQUAL if one.steady else NEAR)
+
+
+def on_grid(
+    time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"], source: Clock, period: float
+) -> tuple[Float[np.ndarray, "row axis"], list[str]]:
+    """Samples on the steady grid that begins with the first one; and notes.
+
+    Evenly spaced samples of the same rate stay as they are. Those of a higher rate lose what the grid cannot hold in a
+    filter without delay (Butterworth, forwards and backwards, 0.4 of the new rate), then they are interpolated.
+
+    Args:
+        time: s, increasing.
+        values: finite.
+        source: how they are spaced.
+        period: of the grid, s.
+
+    Raises:
+        InputError: the grid would have too many samples, or scipy is missing.
+    """
+    gaps = np.diff(time)[np.diff(time) > GAP * source.period]
+    notes = [f"gap:{gaps.max():.3g}"] if len(gaps) else []
+    notes += [f"gaps:{len(gaps)}"] if len(gaps) > 1 else []
+    if source.steady and agrees(source, period):
+        return values, notes
+    rows = int((time[-1] - time[0]) / period + 1e-6) + 1
+    if rows * values.shape[1] > MAX_SAMPLES:
+        raise InputError(
+            f"{time[-1] - time[0]:.6g} s at {1 / period:g} samples per second are too many; is its unit s?"
+        )
+    if rows < 2:
+        raise InputError(f"it lasts {time[-1] - time[0]:.3g} s, less than two samples at {1 / period:g} Hz.")
+    if source.period < (1 - NEAR) * period:
+        values, time = _filtered(time, values, source.period, period)
+        notes.append("filtered")
+    grid = time[0] + np.arange(rows) * period
+    moved = np.stack([np.interp(grid, time, column) for column in values.T], 1)
+    # A clock that only jitters has the grid's rate.
+    near = abs(source.period / period - 1) < NEAR and not source.steady
+    return moved, [*notes, "uneven" if near else f"resampled:{source.rate:.4g}"]
+
+
+def _filtered(
+    time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"], source: float, period: float
+) -> tuple[Float[np.ndarray, "row axis"], Float[np.ndarray, " row"]]:
+    """Low-passed samples on an even grid of the source's own rate."""
+    rows = int((time[-1] - time[0]) / source + 1e-6) + 1
+    if rows * values.shape[1] > MAX_SAMPLES:
+        raise InputError(
+            f"{time[-1] - time[0]:.6g} s at {1 / source:g} samples per second are too many; is its unit s?"
+        )
+    grid = time[0] + np.arange(rows) * source
+    even = np.stack([np.interp(grid, time, column) for column in values.T], 1)
+    signal = require("scipy.signal", "import")
+    sections = signal.butter(6, 0.8 * source / period, output="sos")  # 0.8 of the new Nyquist frequency
+    return signal.sosfiltfilt(sections, even, axis=0, padlen=min(len(even) - 1, round(12 * period / source))), grid
+
+
+def saturated(values: Float[np.ndarray, "sample axis"]) -> list[int]:
+    """Numbers of the axes whose largest or smallest value is held for ``HELD`` samples, and is not that of rest.
+
+    >>> saturated(np.clip(np.linspace(-1, 9, 100), -2, 5)[:, None])
+    [0]
+    """
+    found = []
+    for number, column in enumerate(values.T):
+        # Zero and the first value are those of rest; a channel of a few steps holds its values anyway.
+        extremes = {float(column.min()), float(column.max())} - {0.0, float(column[0])}
+        held = max((int(runs(column == extreme).max(initial=0)) for extreme in extremes), default=0)
+        if held >= HELD and len(np.unique(column)) >= HELD:
+            found.append(number)
+    return found

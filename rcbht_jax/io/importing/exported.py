@@ -1,0 +1,180 @@
+"""What ``rcbht export`` writes, read back: CSV, Parquet, MCAP and LeRobot folders with a ``dataset.json``."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import require
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import columnar
+from rcbht_jax.io.importing.arrays import _reading
+from rcbht_jax.io.importing.table import check_declared, check_file
+from rcbht_jax.io.importing.text import MAX_TEXT_BYTES, read_csv
+from rcbht_jax.types import STANDARD_COLUMNS, Recordings
+
+_OURS = ("recording", "samples", "seconds")
+_TEXTS = ("trial", *STANDARD_COLUMNS)
+Columns = dict[str, NDArray[Any]]
+
+
+def read_export(folder: Path) -> Recordings:
+    """The recordings of an export, as the store had them that was exported.
+
+    Text and numbers of further columns are told apart by ``column_types`` of ``dataset.json``, else by their look.
+
+    >>> read_export(Path("hiro-csv"))  # doctest: +SKIP
+
+    Raises:
+        InputError: a file is missing or damaged, or the files contradict each other.
+    """
+    about = columnar.read_json(folder / "dataset.json")
+    dt, axes, units = _period(folder, about), *_axes(folder, about)
+    if (folder / "meta" / "info.json").is_file():
+        values, table = _lerobot(folder, axes)
+    else:
+        table = _table(folder, "trials", about)
+        count = len(table.get("trial", ()))
+        if (folder / "wrench.parquet").is_file():
+            values = list(_parquet(folder / "wrench.parquet", axes, count))
+        elif (folder / "wrench").is_dir():
+            values = [_csv(folder / "wrench" / f"{number:06d}.csv", axes) for number in range(count)]
+        else:
+            values = [_mcap(folder / f"{number:06d}.mcap", axes) for number in range(count)]
+    if not values or any(len(column) != len(values) for column in table.values()):
+        raise InputError(f"{folder} has {len(values)} recordings; its table of trials has another number.")
+    columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS}
+    for name in _TEXTS:
+        if name in columns:
+            columns[name] = columns[name].astype(np.str_)
+    marks = _annotations(folder, about, len(values))
+    recordings = Recordings.from_arrays(values, axes=axes, units=units, annotations=marks, **columns)
+    return replace(recordings, dt=dt)  # exact: the reciprocal of a rate need not be
+
+
+def _period(folder: Path, about: Mapping[str, Any]) -> float:
+    dt = about.get("dt")
+    if isinstance(dt, bool) or not isinstance(dt, int | float) or not 0 < dt < 1e4:
+        raise InputError(f"{folder}/dataset.json: dt is {dt!r}; expected seconds.")
+    return float(dt)
+
+
+def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    axes, units = about.get("axes"), about.get("units")
+    if isinstance(axes, dict):
+        units, axes = list(axes.values()), list(axes)
+    if not isinstance(axes, list) or not isinstance(units, list) or len(axes) != len(units) or not axes:
+        raise InputError(f"{folder}/dataset.json names no axes with units; expected an export of rcbht 0.3 or later.")
+    return tuple(map(str, axes)), tuple(map(str, units))
+
+
+def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
+    """A table with a row per recording or interval, from CSV or Parquet; empty if there is none."""
+    if (path := folder / f"{name}.parquet").is_file():
+        check_declared(path, 0, check_file(path))
+        with _reading(path, "Parquet"):
+            table = require("pyarrow.parquet", "import").read_table(path)
+            columns = {key: table.column(key).to_numpy() for key in table.column_names}
+        return {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
+    if not (path := folder / f"{name}.csv").is_file():
+        return {}
+    check_file(path, MAX_TEXT_BYTES)
+    types = about.get("column_types")
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error}.") from None
+    if not rows or any(len(row) != len(rows[0]) for row in rows):
+        raise InputError(f"{path} has lines of different lengths.")
+    content = zip(*rows[1:], strict=True) if len(rows) > 1 else [()] * len(rows[0])
+    known = types if isinstance(types, dict) else {}
+    pairs = zip(rows[0], content, strict=True)
+    texts = (*_TEXTS, "track", "label")
+    return {key: _typed(path, key, cells, "text" if key in texts else str(known.get(key, ""))) for key, cells in pairs}
+
+
+def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[Any]:
+    """Cells as numbers where all are (and the type does not say text), empty ones as NaN."""
+    if kind in ("text", "str"):
+        return np.array(cells, np.str_)
+    try:
+        if kind == "bool" or (not kind and cells and set(cells) <= {"True", "False"}):
+            return np.array([cell == "True" for cell in cells])
+        if not kind and cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
+            return np.array(cells, np.int64)
+        if kind or any(cells):
+            return np.array([cell or "nan" for cell in cells], np.float64).astype(kind or np.float64)
+    except (ValueError, TypeError, OverflowError):
+        if kind:
+            raise InputError(f"{path}: column {key} does not hold {kind}.") from None
+    return np.array(cells, np.str_)
+
+
+def _csv(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
+    [table] = read_csv(path, path.name)
+    return _wrench(path, table.columns, axes)
+
+
+def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ...]) -> NDArray[np.float32]:
+    if missing := [axis for axis in axes if axis not in columns or columns[axis].dtype.kind == "U"]:
+        raise InputError(f"{path} has no numbers for {', '.join(missing)}.")
+    return np.stack([columns[axis] for axis in axes], 1).astype(np.float32)
+
+
+def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[np.float32]]:
+    with _reading(path, "Parquet"):
+        columns, _ = columnar._columns(path)
+    if "recording" not in columns:
+        raise InputError(f"{path} has no column recording.")
+    wrench = _wrench(path, columns, axes)
+    bounds = np.searchsorted(columns["recording"], np.arange(count + 1))
+    for first, last in pairwise(bounds.tolist()):
+        yield wrench[first:last]
+
+
+def _mcap(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
+    from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
+
+    [table] = read_bag_tables(path, path.name, "/wrench")
+    values = [column for key, column in table.columns.items() if key != "stamp"]
+    if len(values) != len(axes):
+        raise InputError(f"{path} has {len(values)} numbers in a message for {len(axes)} axes.")
+    return np.stack(values, 1).astype(np.float32)
+
+
+def _lerobot(folder: Path, axes: tuple[str, ...]) -> tuple[list[NDArray[np.float32]], Columns]:
+    """Wrenches and columns of the episodes, in their order."""
+    values: list[NDArray[np.float32]] = []
+    facts: list[Mapping[str, str | float]] = []
+    for episode in columnar.read_lerobot(folder, ""):
+        named = {key.removeprefix("observation.wrench."): column for key, column in episode.columns.items()}
+        values.append(_wrench(folder, named, axes))
+        facts.append({key: value for key, value in episode.facts.items() if key != "task"})
+    return values, {name: np.array([fact.get(name, "") for fact in facts]) for name in (facts[0] if facts else ())}
+
+
+def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotations:
+    labels = about.get("annotation_labels", about.get("annotations", {}))
+    if not isinstance(labels, dict) or not all(isinstance(names, list) for names in labels.values()):
+        raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists.")
+    table = _table(
+        folder, "annotations", {"column_types": {"recording": "int32", "start": "float64", "end": "float64"}}
+    )
+    if not table:
+        return Annotations()
+    if missing := {"recording", "track", "label", "start", "end"} - set(table):
+        raise InputError(f"{folder}: the annotations have no column {', '.join(sorted(missing))}.")
+    numbers = table["recording"].astype(np.int32)
+    if len(numbers) and not (numbers.min() >= 0 and numbers.max() < count):
+        raise InputError(f"{folder}: an annotation is about recording {numbers.max()}; there are {count}.")
+    typed: Columns = {"recording": numbers, **{key: table[key].astype(np.float64) for key in ("start", "end")}}
+    return Annotations.from_table({**table, **typed}, labels)

@@ -1,0 +1,98 @@
+"""Files of a source and their kinds."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from rcbht_jax.errors import InputError
+
+SUFFIXES = {
+    ".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".pq": "parquet", ".npz": "npz", ".npy": "npz", ".h5": "hdf5",
+    ".hdf5": "hdf5", ".hdf": "hdf5", ".mat": "matlab", ".mcap": "mcap", ".bag": "bag", ".db3": "bag",
+}  # fmt: skip
+TEXTS = (".txt", ".dat", ".log", ".asc")  # tables where "csv" is asked for
+KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot")
+MAX_FILES = 200_000
+
+
+@dataclass(frozen=True)
+class Item:
+    """A file, or a folder that is one recording or data set."""
+
+    name: str  # relative to the source
+    path: Path
+    kind: str  # one of KINDS but "auto", or "export"
+
+
+def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
+    """What to read of a source, sorted, and the names of other files in it.
+
+    Args:
+        source: a file, or a folder of files in any sub-folders; hidden ones are not looked at.
+        kind: one of ``KINDS``; "auto" = by suffix.
+
+    Raises:
+        InputError: the source is missing, or holds no file of that kind.
+    """
+    if kind not in KINDS:
+        raise InputError(f"{kind!r} is not a kind of file; expected one of {', '.join(KINDS)}.")
+    if not source.exists():
+        raise InputError(f"{source} does not exist; expected a file or a folder.")
+    if not source.is_dir():
+        chosen = SUFFIXES.get(source.suffix.lower(), "") if kind == "auto" else kind
+        if not chosen or chosen == "lerobot":
+            raise InputError(
+                f"{source} is not a file of a known kind; say which, for example: rcbht import csv {source}."
+            )
+        return [Item(source.name, source, chosen)], []
+    if (whole := _whole(source)) and (whole == kind or kind in ("auto", "bag", "mcap") or whole == "export"):
+        return [Item("", source, whole)], []
+    if kind == "lerobot":
+        raise InputError(f"{source} has no meta/info.json; expected the folder of a LeRobot data set.")
+    items, others = list[Item](), list[str]()
+    for folder, folders, files in os.walk(source):
+        here = Path(folder)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        if here != source and (whole := _whole(here)):
+            items.append(Item(here.relative_to(source).as_posix(), here, whole))
+            folders.clear()
+            continue
+        for name in sorted(files):
+            if not name.startswith("."):
+                path = here / name
+                found = (
+                    "csv" if kind == "csv" and path.suffix.lower() in TEXTS else SUFFIXES.get(path.suffix.lower(), "")
+                )
+                relative = path.relative_to(source).as_posix()
+                if found and kind in ("auto", found):
+                    items.append(Item(relative, path, found))
+                else:
+                    others.append(relative)
+        if len(items) + len(others) > MAX_FILES:
+            raise InputError(f"{source} holds more than {MAX_FILES} files; import its folders one by one.")
+    if not items:
+        what = "of a known kind" if kind == "auto" else f"of the kind {kind}"
+        raise InputError(f"{source} holds no file {what}; it holds {', '.join(others[:5]) or 'none'}.")
+    return sorted(items, key=lambda item: _natural(item.name)), others
+
+
+def _whole(folder: Path) -> str:
+    """The kind of a folder that is one thing; "" = it is just a folder."""
+    marks = {"dataset.json": "export", "meta/info.json": "lerobot", "metadata.yaml": "bag"}
+    return next((kind for mark, kind in marks.items() if (folder / mark).is_file()), "")
+
+
+def _natural(name: str) -> list[tuple[int, int, str]]:
+    """Sorts run2 before run10."""
+    parts, number = list[tuple[int, int, str]](), ""
+    for letter in [*name, ""]:
+        if letter.isdecimal() and letter.isascii():
+            number += letter
+            continue
+        if number:
+            parts.append((0, int(number[:18]), number))
+            number = ""
+        parts.append((1, 0, letter))
+    return parts

@@ -1,0 +1,213 @@
+"""The meaning of columns from their names and values, where no mapping states it; never a unit that nothing states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import names
+from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.table import Table
+from rcbht_jax.types import STANDARD_COLUMNS
+
+MAX_LABELS = 64  # different values of a column of labels
+MAX_CHANNELS = 64  # where every numeric column is one
+TRUE = {"1": "success", "1.0": "success", "true": "success", "True": "success"}
+FALSE = {"0": "failure", "0.0": "failure", "false": "failure", "False": "failure"}
+
+
+@dataclass(frozen=True)
+class Understood:
+    """What a column was taken for."""
+
+    column: str
+    role: str  # "time", "channel Fx", "annotations phase", "column class", "group", "left out", ...
+    unit: str = ""
+
+
+def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Understood]]:
+    """The mapping of a table: what ``base`` states, and guesses for the rest.
+
+    Where ``base`` names channels, only the time is guessed.
+
+    >>> columns = {"t_ms": np.arange(9.0), "Fx": np.ones(9), "phase": np.array(["a"] * 5 + ["b"] * 4)}
+    >>> mapping, rows = guess(Table("a.csv", columns))
+    >>> [(row.column, row.role) for row in rows]
+    [('t_ms', 'time'), ('Fx', 'channel Fx'), ('phase', 'annotations phase')]
+
+    Raises:
+        InputError: no column is a channel, there are too many, or nothing states the time or the rate.
+    """
+    base = base or Mapping()
+    free = [name for name in table.columns if name not in _used(base)]
+    mapping = base
+    if not base.time and base.source_rate is None:
+        mapping = _time(table, mapping, free)
+        free = [name for name in free if name not in (mapping.time, mapping.nanoseconds)]
+    if base.channels:
+        return mapping, _table(table, mapping)
+    if not base.group:
+        mapping = replace(mapping, group=_group(table, free))
+        free = [name for name in free if name != mapping.group]
+    mapping = _words(table, mapping, free)
+    mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
+    return mapping, _table(table, mapping)
+
+
+def _used(mapping: Mapping) -> set[str]:
+    used = {channel.column for channel in mapping.channels} | {track.column for track in mapping.annotations}
+    used |= {value.column for value in mapping.columns.values()}
+    return used | {mapping.time, mapping.nanoseconds, mapping.group} - {""}
+
+
+def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
+    parsed = {name: names.base_and_unit(name) for name in free}
+    bases = {base: name for name, (base, _) in reversed(parsed.items())}
+    # Where several columns could be it, the order of the list decides.
+    for candidate in (bases[base] for base in names.TIMES if base in bases):
+        base, unit = parsed[candidate]
+        rest = next((bases[name] for name in names.NANOSECONDS if name in bases), "") if base.startswith("sec") else ""
+        values = table.columns[candidate]
+        if values.dtype.kind == "U" and not _dates(values):
+            continue
+        unit = table.units.get(candidate) or (unit if unit in ("s", "ms", "us", "ns") else _unit(values))
+        return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
+    if table.rate is not None:
+        return mapping
+    first = next(iter(table.columns), "")
+    if first in free and parsed[first][0] in ("c0", "unnamed: 0") and _clocklike(table.columns[first]):
+        return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
+    return mapping
+
+
+def _dates(values: NDArray[Any]) -> bool:
+    try:
+        values[:1].astype("datetime64[ns]")
+    except ValueError:
+        return False
+    return True
+
+
+def _unit(values: NDArray[Any]) -> str:
+    """Unit of time stamps without one: from 1973 on a count since 1970 shows by its size."""
+    if values.dtype.kind == "U" or not len(values) or not np.isfinite(values).any():
+        return "s"
+    largest = np.nanmax(np.abs(values))
+    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+
+
+def _clocklike(values: NDArray[Any]) -> bool:
+    """Whether a nameless column grows like time, and not like a counter of rows."""
+    if values.dtype.kind == "U" or len(values) < 3 or not np.isfinite(values).all():
+        return False
+    step = np.diff(values)
+    return bool(
+        (step > 0).all() and not (step == 1).all() and np.median(np.abs(step - np.median(step))) < np.median(step)
+    )
+
+
+def _group(table: Table, free: list[str]) -> str:
+    bases = {names.base_and_unit(name)[0]: name for name in free}
+    for base in names.GROUPS:
+        if base in bases and len(_distinct(table.columns[bases[base]])) > 1:
+            return bases[base]
+    return ""
+
+
+def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
+    """Columns of the data set and annotations, from columns of text and of labels."""
+    columns, tracks = dict(mapping.columns), list(mapping.annotations)
+    groups = _groups(table, mapping.group)
+    numbers: list[str] = []
+    for name in free:
+        values, base = table.columns[name], names.base_and_unit(name)[0]
+        short = base.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
+        text = values.dtype.kind == "U"
+        if base in names.COUNTERS or (not text and short not in (*names.LABELS, *STANDARD_COLUMNS, "success", "trial")):
+            continue
+        if not text and not _integers(values):
+            continue
+        target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
+        if all(len(_distinct(values[rows])) <= 1 for rows in groups):
+            if short == "success" and set(map(str, _distinct(values))) <= {*TRUE, *FALSE}:
+                columns.setdefault("outcome", Value(name, words=TRUE | FALSE))
+            columns.setdefault(target, Value(name))
+        elif not text:
+            numbers.append(name)
+        elif len(_distinct(values)) <= max(MAX_LABELS, len(values) // 20) and not mapping.annotations:
+            tracks.append(Track(target, name))
+    if not tracks:  # numbers stand for labels only where no text says them
+        tracks = [
+            Track(names.column_name(name), name)
+            for name in numbers
+            if len(_distinct(table.columns[name])) <= MAX_LABELS
+        ]
+    return replace(mapping, columns=columns, annotations=tuple(tracks))
+
+
+def _groups(table: Table, group: str) -> list[NDArray[np.bool_]]:
+    rows = len(next(iter(table.columns.values())))
+    if not group:
+        return [np.ones(rows, bool)]
+    values = table.columns[group]
+    return [values == value for value in _distinct(values)[:1000]]
+
+
+def _integers(values: NDArray[Any]) -> bool:
+    known = values[np.isfinite(values)]
+    return bool((known == np.round(known)).all())
+
+
+def _distinct(values: NDArray[Any]) -> NDArray[Any]:
+    return np.unique(values[values != ""] if values.dtype.kind == "U" else values[np.isfinite(values)])
+
+
+def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
+    numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
+    found = names.wrenches(numeric)
+    if found:
+        best = max(found, key=len)
+        return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
+    other = (*names.COUNTERS, *names.GROUPS, *names.TIMES, *names.NANOSECONDS)
+    rest = [name for name in numeric if names.base_and_unit(name)[0] not in other]
+    rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
+    if not rest:
+        raise InputError(f"{table.name} has no column of numbers to import; it has {_some(table.columns)}.")
+    if len(rest) > MAX_CHANNELS:
+        raise InputError(
+            f"{table.name} has {len(rest)} columns of numbers and none is a wrench; choose some with --map."
+        )
+    return tuple(Channel(name, name, _unit_of(table, name)) for name in rest)
+
+
+def _some(texts: Iterable[str]) -> str:
+    """The first names of many."""
+    listed = list(texts)
+    more = f" and {len(listed) - 12} more" if len(listed) > 12 else ""
+    return (", ".join(map(repr, listed[:12])) or "none") + more
+
+
+def _unit_of(table: Table, name: str) -> str:
+    return table.units.get(name, "") or names.base_and_unit(name)[1]
+
+
+def _table(table: Table, mapping: Mapping) -> list[Understood]:
+    """A row per column of the table."""
+    roles: dict[str, Understood] = {}
+    for track in mapping.annotations:
+        roles[track.column] = Understood(track.column, f"annotations {track.track}")
+    for name, value in mapping.columns.items():
+        roles[value.column] = Understood(value.column, f"column {name}")
+    for channel in mapping.channels:
+        roles[channel.column] = Understood(channel.column, f"channel {channel.name or channel.column}", channel.unit)
+    roles[mapping.group] = Understood(mapping.group, "group: a recording for each value")
+    roles[mapping.nanoseconds] = Understood(mapping.nanoseconds, "nanoseconds of the time", "ns")
+    roles[mapping.time] = Understood(mapping.time, "time", mapping.time_unit)
+    if not mapping.time:
+        roles.pop("", None)
+    return [roles.get(name, Understood(name, "left out")) for name in table.columns]

@@ -1,0 +1,220 @@
+"""Import of files of any robot: find, read, understand, bring onto one grid, report.
+
+Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
+that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
+``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT`` (samples), ``changes:COLUMN`` (one that should be constant),
+``beginning-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.importing import arrays, columnar, marks
+from rcbht_jax.io.importing.assemble import assemble
+from rcbht_jax.io.importing.exported import read_export
+from rcbht_jax.io.importing.find import Item, find
+from rcbht_jax.io.importing.guess import Understood, guess
+from rcbht_jax.io.importing.mapping import Mapping, Track, check
+from rcbht_jax.io.importing.record import Record, bounded, records
+from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
+from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.types import Recordings
+
+Progress = Callable[[list[Item]], Iterable[Item]]
+_ENDINGS = ("_labels", ".labels", "-labels", "_annotations", ".annotations", "-annotations", "_label", ".label")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Recordings, the mapping that was used, and what became of every file."""
+
+    recordings: Recordings
+    mapping: Mapping  # of the first file
+    report: ImportReport
+
+
+def read_source(
+    source: Path, kind: str = "auto", mapping: Mapping | None = None, progress: Progress = iter
+) -> Imported:
+    """Read a file, or every file below a folder; a broken one is reported and does not stop the import.
+
+    >>> imported = read_source(Path("runs"), "csv")  # doctest: +SKIP
+    >>> imported.recordings, imported.report.skipped  # doctest: +SKIP
+
+    Args:
+        source: a file or a folder.
+        kind: one of :data:`rcbht_jax.io.importing.find.KINDS`; "auto" = by suffix.
+        mapping: what the columns mean; what it leaves open is guessed by
+            :func:`~rcbht_jax.io.importing.guess.guess`.
+        progress: wraps the list of files, for a progress bar.
+
+    Raises:
+        InputError: the source holds no usable recording, the mapping contradicts itself, or a package is missing.
+    """
+    base = check(mapping or Mapping())
+    items, others = find(source, kind)
+    if items[0].kind == "export" and len(items) == 1:
+        if base != Mapping():
+            raise InputError(
+                f"{source} was written by rcbht export and is read as it is; leave out --map and its options."
+            )
+        return _exported(source, items[0])
+    report = ImportReport()
+    if others:
+        listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
+        report.remarks.append(f"{len(others)} other files were not looked at: {listed}.")
+    found, used, beside = _read(source, items, base, report, progress)
+    _attach(found, beside, report)
+    found = [_bounded(record, report) for record in found]
+    found = most_common(without_copies(found, report), report)
+    if not found:
+        reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
+        raise InputError(f"{source} holds no usable recording.{reason}")
+    recordings = assemble(found, source, base.rate, report)
+    first, rows = used[found[0].name]
+    report.understood = [asdict(row) for row in rows]
+    report.content_sha256 = _digest(items)
+    return Imported(recordings, first, report)
+
+
+def import_source(
+    source: Path,
+    path: Path,
+    kind: str = "auto",
+    mapping: Mapping | None = None,
+    overwrite: bool = False,
+    progress: Progress = iter,
+) -> Imported:
+    """Read a file or a folder as :func:`read_source` does, and write it as a store at ``path``.
+
+    >>> imported = import_source(Path("runs"), Path("runs.zarr"), "csv")  # doctest: +SKIP
+
+    Raises:
+        InputError: as :func:`read_source`, or ``path`` exists and ``overwrite`` is false.
+    """
+    store.check_target(path, overwrite)
+    imported = read_source(source, kind, mapping, progress)
+    report = imported.report
+    attrs = {"importer": kind, "source_sha256": report.content_sha256, "import_report": report.to_dict()}
+    store.write_recordings(path, imported.recordings, attrs, overwrite)
+    return imported
+
+
+def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
+    """The tables of a file, or of a folder that is one recording.
+
+    >>> list(read_item(Item("a.csv", Path("a.csv"), "csv"), Mapping()))  # doctest: +SKIP
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if item.kind in ("bag", "mcap"):
+        from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
+
+        return read_bag_tables(item.path, item.name or item.path.name, mapping.topic)
+    readers = {
+        "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
+        "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot,
+    }  # fmt: skip
+    return readers[item.kind](item.path, item.name)
+
+
+def _exported(source: Path, item: Item) -> Imported:
+    recordings = read_export(source)
+    names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
+    report = ImportReport(names, remarks=[f"{source.name} was written by rcbht export; read as it is."])
+    files = [path for path in sorted(source.rglob("*")) if path.is_file()]
+    report.content_sha256 = _digest([Item(path.relative_to(source).as_posix(), path, "") for path in files])
+    return Imported(recordings, Mapping(), report)
+
+
+def _read(
+    source: Path, items: list[Item], base: Mapping, report: ImportReport, progress: Progress
+) -> tuple[list[Record], dict[str, tuple[Mapping, list[Understood]]], list[Table]]:
+    """The recordings of all files, the mapping of each, and tables of intervals."""
+    rows = marks.rows_of(source, base)
+    found: list[Record] = []
+    used: dict[str, tuple[Mapping, list[Understood]]] = {}
+    beside: list[Table] = []
+    tables = {base.table, *(track.file for track in base.annotations)}
+    for item in progress(items):
+        if item.name in tables:
+            continue
+        try:
+            for table in read_item(item, base):
+                if item.kind == "csv" and marks.is_intervals(table.columns):
+                    beside.append(table)
+                    continue
+                mapping, understood = guess(table, base)
+                row = marks.row_for(rows, table.name) if base.table else None
+                if base.table and row is None:
+                    report.warnings.append((table.name, f"{base.table} has no row for it."))
+                extra = [track for track in base.annotations if not track.column]
+                for record in records(table, mapping, row):
+                    if isinstance(record, tuple):
+                        report.skipped.append(record)
+                        continue
+                    _beside(source, record, extra, report)
+                    found.append(record)
+                    used[record.name] = mapping, understood
+        except InputError as error:
+            report.skipped.append((item.name or item.path.name, str(error).replace(f"{source}/", "")))
+    return found, used, beside
+
+
+def _beside(source: Path, record: Record, tracks: list[Track], report: ImportReport) -> None:
+    """Add the intervals that files beside a recording hold; a missing file leaves the others."""
+    for track in tracks:
+        try:
+            intervals = marks.track_intervals(source, record.name, track)
+        except InputError as error:
+            report.warnings.append((record.name, str(error).replace(f"{source}/", "")))
+            continue
+        shift = record.origin if track.clock == "stamps" else 0.0
+        record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
+
+
+def _attach(found: list[Record], beside: list[Table], report: ImportReport) -> None:
+    """Give recordings the intervals of tables that name them, or that are named after them."""
+    for table in beside:
+        stem = PurePosixPath(table.name).with_suffix("").as_posix()
+        own = next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
+        named = {key.lower() for key in table.columns} & {"recording", "file", "trial", "name"}
+        count = 0
+        for record in found:
+            if named or marks.same_recording(own, record.name):
+                try:
+                    intervals = marks.intervals_of(table, Track("label", file=table.name), record.name if named else "")
+                except InputError as error:
+                    report.warnings.append((table.name, str(error)))
+                    break
+                record.intervals.extend(intervals)
+                count += len(intervals)
+        if not count:
+            report.warnings.append(
+                (table.name, "is a table of annotations, and no recording is named in it or like it.")
+            )
+
+
+def _bounded(record: Record, report: ImportReport) -> Record:
+    record, problems = bounded(record)
+    report.warnings += [(record.name, problem) for problem in problems]
+    return record
+
+
+def _digest(items: Iterable[Item]) -> str:
+    """Digest of files by relative name and content."""
+    total = hashlib.sha256()
+    for item in items:
+        for path in sorted(item.path.rglob("*")) if item.path.is_dir() else [item.path]:
+            if path.is_file():
+                with path.open("rb") as file:
+                    total.update(item.name.encode("utf-8", "replace") + hashlib.file_digest(file, "sha256").digest())
+    return total.hexdigest()

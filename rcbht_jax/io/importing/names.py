@@ -1,0 +1,128 @@
+"""What names of columns say: axes of a wrench, units, time, labels, groups."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from rcbht_jax.labels import AXES
+
+UNITS = {
+    "n": "N", "nm": "Nm", "n m": "Nm", "n.m": "Nm", "n*m": "Nm", "n·m": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN",
+    "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
+    "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
+}  # fmt: skip
+TIMES: tuple[str, ...] = (
+    "time",
+    "t",
+    "stamp",
+    "timestamp",
+    "times",
+    "timestamps",
+    "secs",
+    "sec",
+    "seconds",
+    "elapsed",
+    "%time",
+    "clock",
+)
+TIMES += ("header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt")
+NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
+COUNTERS: tuple[str, ...] = (
+    "index",
+    "sample",
+    "samples",
+    "frame",
+    "frame_index",
+    "step",
+    "row",
+    "seq",
+    "header.seq",
+    "unnamed: 0",
+)
+COUNTERS += ("field.header.seq", "task_index", "next.done")
+GROUPS = (
+    "instance",
+    "episode",
+    "episode_index",
+    "recording",
+    "series",
+    "series_id",
+    "run",
+    "demo",
+    "sequence",
+    "trial",
+)
+LABELS: tuple[str, ...] = (
+    "label",
+    "labels",
+    "label_name",
+    "state",
+    "phase",
+    "class",
+    "skill",
+    "primitive",
+    "mode",
+    "subtask",
+    "stage",
+)
+LABELS += ("sub_task", "segment", "annotation", "state_index", "action_label", "contact_state")
+
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
+_AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)[._/ \-]*([xyz])$")
+_ELEMENT = re.compile(r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|force|f|torque|moment|t|m)_([0-5])$")
+
+
+def base_and_unit(name: str) -> tuple[str, str]:
+    """Name of a column without its unit, in lower case, and the unit that it states, "" = none.
+
+    >>> base_and_unit("Force_X [N]"), base_and_unit("t_ms"), base_and_unit("Fx")
+    (('force_x', 'N'), ('t', 'ms'), ('fx', ''))
+    """
+    match = _BRACKETS.match(name.strip())
+    if match and (unit := UNITS.get(match[2].lower().strip())):
+        return match[1].lower(), unit
+    head, _, tail = name.strip().rpartition("_")
+    if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
+        return head.lower(), UNITS[tail.lower()]
+    return name.strip().lower(), ""
+
+
+def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
+    """The wrenches that columns hold: axis (Fx ... Mz) -> column; six axes, or the three forces alone.
+
+    >>> wrenches(["a.force.x", "a.force.y", "a.force.z", "speed"])
+    [{'Fx': 'a.force.x', 'Fy': 'a.force.y', 'Fz': 'a.force.z'}]
+    """
+    found: dict[str, dict[str, str]] = {}
+    rows: dict[tuple[str, str], dict[int, str]] = {}
+    for name in names:
+        base = base_and_unit(name)[0]
+        if match := _AXIS.match(base):
+            kind = "F" if match[2] in ("force", "f") else "M"
+            found.setdefault(match[1], {}).setdefault(kind + match[3], name)
+        elif match := _ELEMENT.match(base):
+            rows.setdefault((match[1], match[2]), {})[int(match[3])] = name
+    for (prefix, kind), elements in rows.items():
+        if set(elements) == set(range(6)) and not kind.startswith(("t", "m")):
+            found.setdefault(f"{prefix}{kind}_", {}).update(zip(AXES, (elements[n] for n in range(6)), strict=True))
+        elif set(elements) == {0, 1, 2} and kind not in ("wrench", "force_torque", "forcetorque", "ft"):
+            letter = "F" if kind in ("force", "f") else "M"
+            for number, axis in enumerate("xyz"):
+                found.setdefault(prefix, {}).setdefault(letter + axis, elements[number])
+    complete = []
+    for axes in found.values():
+        if {"Fx", "Fy", "Fz"} <= set(axes):
+            chosen = AXES if set(AXES) <= set(axes) else AXES[:3]
+            complete.append({axis: axes[axis] for axis in chosen})
+    return complete
+
+
+def column_name(text: str) -> str:
+    """A name that a store accepts for a column, as near as possible to the text.
+
+    >>> column_name("type of part (A/B)")
+    'type_of_part_A_B'
+    """
+    name = re.sub(r"[^\w.-]+", "_", text).strip("_.-")
+    return name if re.match(r"[^\W\d]", name) else f"c_{name}"

@@ -1,0 +1,231 @@
+"""Recordings of a table by a mapping: split, scaled, annotated, not yet on a common grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from collections.abc import Mapping as AnyMapping
+from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import conform
+from rcbht_jax.io.importing.mapping import SECONDS, Mapping, Track, Value
+from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.table import Interval, Table
+from rcbht_jax.labels import AXES
+
+MAX_GROUPS = 100_000
+Row = AnyMapping[str, str]  # of the table of recordings
+
+
+@dataclass(frozen=True)
+class Record:
+    """One recording as it was sampled."""
+
+    name: str  # unique in the source
+    time: Float[np.ndarray, " sample"]  # s, increasing
+    values: Float[np.ndarray, "sample axis"]  # finite, in the units of the axes
+    axes: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: dict[str, str | float] = field(default_factory=dict)
+    intervals: list[Interval] = field(default_factory=list)  # s from the first sample
+    notes: list[str] = field(default_factory=list)
+    origin: float = 0.0  # s, of the first sample on the source's clock
+
+
+def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[Record | tuple[str, str]]:
+    """The recordings of one table; for one that cannot be used its name and the reason.
+
+    >>> table = Table("a.csv", {"t": np.arange(4) * 0.1, "Fz": np.ones(4), "id": np.array([1.0, 1, 2, 2])})
+    >>> from rcbht_jax.io.importing.mapping import Channel
+    >>> mapping = Mapping((Channel("Fz", unit="kN", scale=0.001),), time="t", group="id")
+    >>> [(record.name, record.values[0, 0].item()) for record in records(table, mapping)]
+    [('a.csv#1', 0.001), ('a.csv#2', 0.001)]
+
+    Args:
+        table: as read.
+        mapping: names its columns.
+        row: of the table of recordings, for the columns that come from there.
+
+    Raises:
+        InputError: a column of the mapping is missing, or is text where numbers are needed.
+    """
+    _check(table, mapping)
+    rows = len(next(iter(table.columns.values())))
+    parts: dict[str, NDArray[Any]] = {"": np.arange(rows)}
+    if mapping.group:
+        group = table.columns[mapping.group]
+        if group.dtype.kind != "U" and not np.isfinite(group).all():
+            yield table.name, f"rows without a value in {mapping.group} belong to no recording."
+        values, which = np.unique(group, return_inverse=True)
+        if len(values) > MAX_GROUPS:
+            raise InputError(
+                f"{table.name}: {mapping.group} has {len(values)} values; it does not separate recordings."
+            )
+        order = np.argsort(which, kind="stable")
+        bounds = np.cumsum(np.bincount(which, minlength=len(values)))[:-1]
+        pairs = zip(values, np.split(order, bounds), strict=True)
+        parts = {text(value): part for value, part in pairs if text(value)}
+    for value, part in parts.items():
+        name = f"{table.name}#{value}" if value else table.name
+        try:
+            yield _record(table, mapping, part, name, row or {})
+        except InputError as error:
+            yield name, str(error)
+
+
+def text(value: Any) -> str:
+    """A value as text: whole numbers without a point, NaN as ""."""
+    if isinstance(value, str):
+        return str(value)
+    number = float(value)
+    if np.isnan(number):
+        return ""
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+
+
+def _check(table: Table, mapping: Mapping) -> None:
+    named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
+    others = [mapping.time, mapping.group, *(track.column for track in mapping.annotations)]
+    others += [value.column for value in mapping.columns.values() if value.column not in table.facts]
+    for name in filter(None, [*named, *others]):
+        if name not in table.columns:
+            listed = ", ".join(list(table.columns)[:20])
+            raise InputError(f"{table.name} has no column {name!r}; it has {listed}.")
+    for name in filter(None, named):
+        if table.columns[name].dtype.kind == "U":
+            raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
+    if not mapping.time and (mapping.source_rate or table.rate) is None:
+        raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
+
+
+def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row) -> Record:
+    stamps = _stamps(table, mapping, rows)
+    raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
+    values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
+    first = stamps.min() if len(stamps) else 0.0
+    time, values, notes = conform.tidy(stamps - first, values)
+    columns = {column_name(key): value for key, value in table.facts.items()}
+    for target, source in mapping.columns.items():
+        value = _value(table, source, rows, row)
+        if value is None:
+            notes.append(f"changes:{target}")
+        else:
+            columns[target] = value
+    intervals = list(table.intervals)
+    for track in mapping.annotations:
+        if track.column:
+            order = np.argsort(stamps, kind="stable")
+            intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
+    values = _moved(mapping, time, values)
+    return Record(
+        name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
+    )
+
+
+def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.float64]:
+    """Times of rows, s."""
+    if not mapping.time:
+        return np.arange(len(rows)) / float(mapping.source_rate or table.rate or 1)
+    column: NDArray[Any] = table.columns[mapping.time][rows]
+    if column.dtype.kind == "U":
+        try:
+            dates = column.astype("datetime64[ns]")
+            return np.asarray((dates - dates[:1]).astype(np.float64) * 1e-9)
+        except ValueError:
+            raise InputError(f"column {mapping.time!r} holds {str(column[0])!r}, which is not a time.") from None
+    scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]
+    return scaled + table.columns[mapping.nanoseconds][rows] * 1e-9 if mapping.nanoseconds else scaled
+
+
+def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | float | None:
+    """A column's value for a recording; None = it changes within it."""
+    if source.value:
+        return source.value
+    if source.table:
+        found = row.get(source.table, "")
+    elif source.column in table.columns:
+        values = np.unique(table.columns[source.column][rows])
+        if len(values) > 1:
+            return None
+        found = text(values[0])
+    else:
+        found = text(table.facts[source.column])
+    return source.words.get(found, found)
+
+
+def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
+    """An interval for every stretch of one value, to the beginning of the next; empty values mark nothing.
+
+    >>> stretches(Track("phase", "p"), np.arange(4) * 0.5, np.array(["a", "a", "", "b"]))
+    [('phase', 'a', 0.0, 1.0), ('phase', 'b', 1.5, 2.0)]
+    """
+    if column.dtype.kind != "U":
+        column = np.array([text(value) for value in column], np.str_)
+    begin = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1])
+    last = time[-1] + (time[-1] - time[0]) / max(len(time) - 1, 1)
+    end = np.append(time[begin[1:]], last)
+    found = []
+    for start, stop, value in zip(time[begin].tolist(), end.tolist(), column[begin].tolist(), strict=True):
+        label = track.words.get(value, value)
+        if label and label not in track.ignore:
+            found.append((track.track, label, start, stop))
+    return found
+
+
+def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bias, tare and rotation."""
+    if mapping.bias:
+        values = values - np.array(mapping.bias)
+    if mapping.tare:
+        values = values - values[time <= mapping.tare].mean(0)
+    matrix = mapping.matrix()
+    if matrix is None:
+        return values
+    values, triples = values.copy(), 0
+    for triple in (AXES[:3], AXES[3:]):
+        if set(triple) <= set(mapping.axes):
+            where = [mapping.axes.index(axis) for axis in triple]
+            values[:, where] = values[:, where] @ matrix.T
+            triples += 1
+    if not triples:
+        raise InputError("a rotation needs channels named Fx Fy Fz or Mx My Mz.")
+    return values
+
+
+def bounded(record: Record) -> tuple[Record, list[str]]:
+    """The recording without the intervals that it cannot have, and what was wrong with them.
+
+    An interval that begins after the end, or whose start is missing, is left out; the others stay.
+    """
+    last = float(record.time[-1] + (record.time[-1] - record.time[0]) / (len(record.time) - 1))
+    kept, problems = [], []
+    for track, label, start, end in record.intervals:
+        if not np.isfinite(start):
+            problems.append(f"{track} {label!r} has no start; left out, the other annotations are kept.")
+        elif not -1e-9 <= start < last:
+            where = "before the beginning" if start < 0 else f"after the end ({last:.6g} s)"
+            problems.append(f"{track} {label!r} at {start:.6g} s is {where}; left out, the other annotations are kept.")
+        elif end < start:
+            problems.append(f"{track} {label!r} ends before it begins ({end:.6g} < {start:.6g} s); its end is unknown.")
+            kept.append((track, label, start, float("nan")))
+        else:
+            kept.append((track, label, start, end if np.isfinite(end) else float("nan")))
+    return replace(record, intervals=kept), problems
+
+
+def arm_of(name: str) -> str:
+    """The part of a table's name that names a topic: what follows "#" if that is a path."""
+    part = name.partition("#")[2]
+    return part if part.startswith("/") else ""
+
+
+def folder_of(name: str) -> str:
+    """The folder of a file's relative name; "" = the source itself."""
+    parent = str(PurePosixPath(name.partition("#")[0]).parent)
+    return "" if parent == "." else parent

@@ -1,0 +1,108 @@
+"""What an import did with every file: imported, left out and why, copies, warnings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.io.importing.record import Record
+
+
+@dataclass
+class ImportReport:
+    """Result of an import. Names are relative to the source; a part of a file follows after "#"."""
+
+    imported: list[str] = field(default_factory=list)
+    skipped: list[tuple[str, str]] = field(default_factory=list)  # name, reason
+    duplicates: list[tuple[str, str]] = field(default_factory=list)  # name of the copy, what it copies
+    warnings: list[tuple[str, str]] = field(default_factory=list)  # name, what is odd
+    remarks: list[str] = field(default_factory=list)  # about all recordings
+    understood: list[dict[str, str]] = field(default_factory=list)  # column, role, unit: of the first file
+    content_sha256: str = ""  # of every file read
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as plain lists and strings."""
+        return asdict(self)
+
+
+def without_copies(records: Sequence[Record], report: ImportReport) -> list[Record]:
+    """The recordings, exact copies once, in their order; copies and beginnings of others are reported.
+
+    Copies whose columns or annotations contradict each other are all kept and noted ``contradictory-duplicate:OTHER``;
+    a recording that is the beginning of a longer one is kept and noted ``beginning-of:OTHER``.
+
+    >>> time, values = np.arange(5.0), np.arange(5.0)[:, None]
+    >>> one, two = (Record(name, time, values, ("Fz",), ("N",)) for name in "ab")
+    >>> report = ImportReport()
+    >>> [record.name for record in without_copies([one, two], report)], report.duplicates
+    (['a'], [('b', 'exact copy of a; imported once.')])
+    """
+    # Sorted by their bytes, a recording comes directly before those that begin with it.
+    content = [(record.axes, np.ascontiguousarray(record.values).tobytes()) for record in records]
+    order = sorted(range(len(records)), key=lambda number: (content[number], number))
+    dropped: set[int] = set()
+    same: list[int] = []  # recordings of equal values
+    for place, number in enumerate(order):
+        if same and content[number] != content[same[0]]:
+            same = []
+        twin = next((other for other in same if _facts(records[other]) == _facts(records[number])), None)
+        if twin is not None:
+            dropped.add(number)
+            report.duplicates.append((records[number].name, f"exact copy of {records[twin].name}; imported once."))
+            continue
+        if same:
+            first, name = records[same[0]], records[number].name
+            text = f"identical to {first.name}, which says something else about it; both are imported."
+            report.warnings.append((name, text))
+            _note(records[number], f"contradictory-duplicate:{first.name}")
+            _note(first, f"contradictory-duplicate:{name}")
+        same.append(number)
+        longer = _longer(content, order, place)
+        if longer is not None:
+            name = records[longer].name
+            report.duplicates.append((records[number].name, f"beginning of {name}; imported, and noted."))
+            _note(records[number], f"beginning-of:{name}")
+    return [record for number, record in enumerate(records) if number not in dropped]
+
+
+def _longer(content: Sequence[tuple[tuple[str, ...], bytes]], order: list[int], place: int) -> int | None:
+    """A recording that begins with that at a place of the order and goes on."""
+    axes, own = content[order[place]]
+    for number in order[place + 1 :]:
+        others, values = content[number]
+        if others != axes or not values.startswith(own):
+            return None
+        if len(values) > len(own):
+            return number
+    return None
+
+
+def _facts(record: Record) -> tuple[Any, ...]:
+    return tuple(sorted(record.columns.items())), tuple(record.intervals)
+
+
+def _note(record: Record, flag: str) -> None:
+    record.notes.append(flag.replace(";", ","))
+
+
+def most_common(records: Sequence[Record], report: ImportReport) -> list[Record]:
+    """The recordings with the most frequent axes and units; the others are reported."""
+    kinds = Counter((record.axes, record.units) for record in records)
+    if len(kinds) < 2:
+        return list(records)
+    [(common, count)] = kinds.most_common(1)
+    for record in records:
+        if (record.axes, record.units) != common:
+            own, others = _axes(record.axes, record.units), _axes(*common)
+            reason = f"has the axes {own}; {count} others have {others}. Import it on its own."
+            report.skipped.append((record.name, reason))
+    return [record for record in records if (record.axes, record.units) == common]
+
+
+def _axes(axes: Iterable[str], units: Iterable[str]) -> str:
+    pairs = [f"{axis} ({unit})" if unit else axis for axis, unit in zip(axes, units, strict=True)]
+    return ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more" if len(pairs) > 6 else "")

@@ -1,0 +1,168 @@
+"""What every reader yields: tables of columns over time; and the limits that keep a hostile file out."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+
+MAX_COLUMNS = 4096
+MAX_BYTES = 2**31  # of a file, and of the arrays that it declares
+SMALL = 2**26  # bytes; below this nobody asks how well a file is compressed
+MAX_RATIO = 200  # of declared bytes to bytes of the file: far above what measured signals reach
+RATE_NAMES = ("rate", "fs", "fps", "sampling_rate", "sample_rate", "frequency")
+PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
+
+Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length from one file, or from one part of it. Host arrays."""
+
+    name: str  # path relative to the source; a part of a file follows after "#"
+    columns: Mapping[str, NDArray[Any]]  # [row] float64, or text
+    rate: float | None = None  # samples per second, where the file states it
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the format states them
+    facts: Mapping[str, str | float] = field(default_factory=dict)  # what holds for the whole table
+    intervals: tuple[Interval, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def check_file(path: Path, most: int = MAX_BYTES) -> int:
+    """Size of a regular file in bytes, before anything is read.
+
+    Raises:
+        InputError: it is missing, a folder, a pipe or a device, empty, or larger than ``most`` bytes.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path} is not a file; expected one, not a folder, a pipe or a device.")
+    if not status.st_size:
+        raise InputError(f"{path} is empty.")
+    if status.st_size > most:
+        raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
+    return status.st_size
+
+
+def check_declared(path: Path, declared: int, size: int) -> None:
+    """Check how many bytes a file says that it unpacks to, before it is unpacked.
+
+    Args:
+        path: the file.
+        declared: bytes of its arrays.
+        size: bytes of the file.
+
+    Raises:
+        InputError: too many altogether, or too many for a file of this size.
+    """
+    if declared < 0 or declared > MAX_BYTES:
+        raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
+    if declared > max(SMALL, MAX_RATIO * size):
+        raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
+
+
+def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iterator[Table]:
+    """Tables of named arrays, as array files hold them.
+
+    Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
+    ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
+    ``[recording]`` beside it are facts. Scalars called dt or rate state the sampling, other scalars are facts.
+
+    >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.float64(0.01)})
+    >>> list(table.columns), table.rate
+    (['wrench_0', 'wrench_1'], 100.0)
+
+    Raises:
+        InputError: no array has at least two rows, or there are too many columns.
+    """
+    arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
+    rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
+    cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
+    if cubes:
+        count, rows = next(iter(cubes.values())).shape[:2]
+        for number in range(count):
+            part = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
+            part |= {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
+            part |= {
+                key: array[number]
+                for key, array in arrays.items()
+                if array.ndim == 2 and array.shape == (count, rows) and _usable(array)
+            }
+            own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
+            yield Table(f"{name}#{number}", _columns(path, part), rate, facts={**facts, **own})
+        return
+    flat = {key: _upright(array) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
+    lengths = [len(array) for array in flat.values() if len(array) > 1]
+    if not lengths:
+        raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
+    rows = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    chosen = {key: array for key, array in flat.items() if len(array) == rows}
+    others = tuple(
+        f"{key} has {len(array)} rows where most have {rows}" for key, array in flat.items() if key not in chosen
+    )
+    yield Table(name, _columns(path, chosen), rate, facts=facts, notes=others)
+
+
+def _usable(array: NDArray[Any]) -> bool:
+    return array.dtype.kind in "fiubUS"
+
+
+def _upright(array: NDArray[Any]) -> NDArray[Any]:
+    """Rows are time: MATLAB's vectors may lie, and nobody has more axes than samples by a factor of ten."""
+    if array.ndim == 1:
+        return array
+    if 1 in array.shape:
+        return array.ravel()
+    return array.T if array.shape[1] > 10 * array.shape[0] else array
+
+
+def _columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {}
+    for key, array in arrays.items():
+        width = 1 if array.ndim == 1 else array.shape[1]
+        if len(columns) + width > MAX_COLUMNS:
+            raise InputError(f"{path} has more than {MAX_COLUMNS} columns; that is not a recording.")
+        if array.ndim == 1:
+            columns[key] = plain(array)
+        else:
+            columns |= {f"{key}_{number}": plain(array[:, number]) for number in range(width)}
+    return columns
+
+
+def plain(array: NDArray[Any]) -> NDArray[Any]:
+    """A column ``[row]`` as float64 or text."""
+    if array.dtype.kind in "fiub":
+        return array.astype(np.float64)
+    if array.dtype.kind == "S":
+        return np.array([text.decode("utf-8", "replace") for text in array.tolist()], np.str_)
+    return array.astype(np.str_)
+
+
+def _scalars(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[str, str | float]]:
+    rate, facts = None, dict[str, str | float]()
+    for key, value in scalars.items():
+        if not _usable(value):
+            continue
+        short, fact = key.rsplit("/", 1)[-1].lower(), _fact(value[()])
+        if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
+            rate = fact if short in RATE_NAMES else 1 / fact
+        else:
+            facts[key] = fact
+    return rate, facts
+
+
+def _fact(value: Any) -> str | float:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value) if isinstance(value, str) else float(value)

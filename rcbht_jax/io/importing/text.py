@@ -1,0 +1,225 @@
+"""Tables as text: CSV with commas, semicolons, tabs or blanks, with or without a line of names."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_file
+
+MAX_TEXT_BYTES = 2**29
+MAX_LINE = 2**20  # bytes
+CHUNK = 20_000  # rows that are Python objects at a time
+NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+_PLAIN = b"0123456789+-.eE,;\t \r\n"
+
+
+def read_csv(path: Path, name: str) -> Iterator[Table]:
+    """The table of a text file.
+
+    Names are those of the first line; columns without one are called c0, c1, ... by their place. Empty cells are
+    missing values.
+
+    >>> Path("/tmp/a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
+    32
+    >>> [table] = read_csv(Path("/tmp/a.csv"), "a.csv")
+    >>> {key: values.tolist() for key, values in table.columns.items()}
+    {'t': [0.0, 0.1], 'Fz': [1.5, 2.0], 'phase': ['free', 'touch']}
+
+    Raises:
+        InputError: not a regular file, too large, not text, a line of another number of cells, or text in a column of
+            numbers; the sentence names the line.
+    """
+    check_file(path, MAX_TEXT_BYTES)
+    try:
+        with path.open("rb") as file:
+            head, comment = _head(file, path)
+            delimiter = _delimiter(head)
+            cells = _cells(head, delimiter)
+            titled = comment or not all(_is_number(cell) for cell in cells if cell)
+            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
+            body = file.tell() if titled else file.tell() - len(head)
+            columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    yield Table(name, dict(zip(names, columns, strict=True)))
+
+
+def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
+    """The first line with content, and whether it is a comment; of several comments the last."""
+    comment = b""
+    while line := file.readline(MAX_LINE):
+        if len(line) == MAX_LINE and not line.endswith(b"\n"):
+            raise InputError(f"{path} has a line of more than {MAX_LINE} bytes; that is not a table.")
+        if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
+            comment = line.lstrip(b"#% ")
+        elif line.strip():
+            # A comment is the line of names if it has as many of them as the first row has cells.
+            cells = _cells(line, _delimiter(line))
+            if comment and len(_cells(comment, _delimiter(comment))) == len(cells) and all(map(_is_number, cells)):
+                file.seek(file.tell() - len(line))
+                return comment, True
+            return line, False
+    raise InputError(f"{path} is empty; expected a table.")
+
+
+def _delimiter(line: bytes) -> str:
+    counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
+    best = max(counts, key=lambda mark: counts[mark])
+    return best if counts[best] else " "
+
+
+def _cells(line: bytes, delimiter: str) -> list[str]:
+    text = line.decode("utf-8-sig", "replace").strip("\r\n")
+    if delimiter == " ":
+        return text.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+    except csv.Error:
+        return [text]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell.lower() in NAN
+    return "_" not in cell
+
+
+def _names(cells: list[str], path: Path) -> list[str]:
+    if len(cells) > MAX_COLUMNS:
+        raise InputError(f"{path} has {len(cells)} columns; expected at most {MAX_COLUMNS}.")
+    if any(not cell.isprintable() for cell in cells):
+        raise InputError(f"{path} is not a table: its first line is not text.")
+    seen: dict[str, int] = {}
+    names = []
+    for number, title in enumerate(cells):
+        cell = title or f"c{number}"
+        count = seen[cell] = seen.get(cell, 0) + 1
+        names.append(cell if count == 1 else f"{cell}.{count}")
+    return names
+
+
+def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray[np.float64]] | None:
+    """All columns by NumPy's reader; None if the file does not consist of complete lines of plain numbers."""
+    file.seek(body)
+    if width > MAX_COLUMNS:
+        return None
+    while block := file.read(2**20):
+        if block.translate(None, _PLAIN):
+            return None
+    file.seek(body)
+    try:
+        lines = io.TextIOWrapper(file, "ascii", newline=None)
+        table = np.loadtxt(lines, delimiter=None if delimiter == " " else delimiter, comments=None, ndmin=2)
+        lines.detach()
+    except (ValueError, UserWarning):
+        lines.detach()
+        return None
+    if table.shape[1] != width or not len(table):
+        return None
+    return [np.ascontiguousarray(column) for column in table.T]
+
+
+def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str]) -> list[NDArray[np.generic]]:
+    """Row by row: text columns, empty cells, and a message that names the first bad line."""
+    file.seek(0)
+    before = sum(1 for _ in iter(lambda: file.readline(MAX_LINE) if file.tell() < body else b"", b""))
+    file.seek(body)
+    columns = [_Column(path, name) for name in names]
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    for number, cells in _rows(path, file, delimiter, before):
+        # A delimiter at the end of every line makes an empty cell more.
+        if len(cells) == len(names) + 1 and not cells[-1]:
+            cells = cells[:-1]
+        if len(cells) != len(names):
+            raise InputError(f"{path}, line {number}: {len(cells)} cells; expected {len(names)}. Is the line cut off?")
+        rows.append(cells)
+        numbers.append(number)
+        if len(rows) == CHUNK:
+            _flush(columns, rows, numbers)
+    _flush(columns, rows, numbers)
+    if not columns or not columns[0].count:
+        raise InputError(f"{path} has no rows; expected a table.")
+    return [column.array() for column in columns]
+
+
+def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:
+    def lines() -> Iterator[str]:
+        while raw := file.readline(MAX_LINE):
+            if len(raw) == MAX_LINE and not raw.endswith(b"\n"):
+                raise InputError(f"{path} has a line of more than {MAX_LINE} bytes; that is not a table.")
+            yield raw.decode("utf-8-sig")
+
+    blanks = (line.split() for line in lines())
+    reader = blanks if delimiter == " " else csv.reader(lines(), delimiter=delimiter)
+    number = before
+    while True:
+        try:
+            cells = next(reader)
+        except StopIteration:
+            return
+        except (csv.Error, UnicodeDecodeError) as error:
+            reason = "it is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+            raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
+        number += 1
+        if any(cell.strip() for cell in cells):
+            yield number, [cell.strip() for cell in cells]
+
+
+def _flush(columns: list[_Column], rows: list[list[str]], numbers: list[int]) -> None:
+    for column, cells in zip(columns, zip(*rows, strict=True), strict=False):
+        column.add(cells, numbers)
+    rows.clear()
+    numbers.clear()
+
+
+class _Column:
+    """A column that grows; it is text if its first cell with content is."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._path, self._name = path, name
+        self._parts: list[NDArray[np.generic]] = []
+        self._kind = ""  # "f", "U"; "" = nothing but empty cells so far
+        self.count = 0
+
+    def add(self, cells: tuple[str, ...], lines: list[int]) -> None:
+        self.count += len(cells)
+        if not self._kind:
+            filled = [cell for cell in cells if cell.lower() not in NAN]
+            # One stray word in a column of numbers is a mistake, not a label.
+            texts = sum(not _is_number(cell) for cell in filled)
+            self._kind = "" if not filled else "U" if 2 * texts > len(filled) else "f"
+        if self._kind == "U":
+            self._parts.append(np.array(cells, np.str_))
+        else:
+            self._parts.append(self._numbers(cells, lines))
+
+    def _numbers(self, cells: tuple[str, ...], lines: list[int]) -> NDArray[np.float64]:
+        try:
+            if not any("_" in cell for cell in cells):
+                return np.array(cells, np.float64)
+        except ValueError:
+            pass
+        values = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            if not _is_number(cell):
+                where = f"{self._path}, line {lines[row]}, column {self._name}"
+                raise InputError(f"{where}: {cell[:30]!r} is not a number.")
+            values[row] = np.nan if cell.lower() in NAN else float(cell)
+        return values
+
+    def array(self) -> NDArray[np.generic]:
+        if self._kind != "U":
+            return np.concatenate(self._parts)
+        parts = [np.full(len(part), "") if part.dtype.kind == "f" else part for part in self._parts]
+        return np.concatenate(parts)
