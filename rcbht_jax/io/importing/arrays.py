@@ -84,12 +84,17 @@ def _declared(file: Any) -> int:
     return count * max(dtype.itemsize, 1) if min(shape, default=0) >= 0 else -1
 
 
-def read_hdf5(path: Path, name: str) -> Iterator[Table]:
+def read_hdf5(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
     """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
 
     Arrays below a group are its columns, by their path in it; attributes are facts (dt, rate: the sampling).
 
     >>> list(read_hdf5(Path("demo.h5"), "demo.h5"))  # doctest: +SKIP
+
+    Args:
+        path: the file.
+        name: relative to the source.
+        turned: dimensions are stored in reverse, as MATLAB does.
 
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
@@ -111,39 +116,35 @@ def read_hdf5(path: Path, name: str) -> Iterator[Table]:
         check_declared(
             path, sum(int(np.prod(item.shape or (0,), dtype=object)) * item.dtype.itemsize for item in datasets), size
         )
-        parts = [(name, file)] if (group := _like(file, h5py)) is None else _members(name, group, h5py)
+        group = _like(file, h5py)
+        parts = [(name, file)] if group is None else [(f"{name}#{key}", one) for key, one in _groups(group, h5py)]
         for part, node in parts:
-            found = {item.name.removeprefix(node.name).lstrip("/"): item for item in datasets if _below(item, node)}
-            arrays = {key: _array(item) for key, item in found.items()} | {
-                key: np.asarray(value) for key, value in node.attrs.items()
-            }
-            yield from tables_of(
-                path,
-                part,
-                {key: array for key, array in arrays.items() if array is not None and array.dtype.kind in "fiubUS"},
-            )
+            prefix = node.name.rstrip("/") + "/"
+            found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
+            arrays: dict[str, Any] = {key: np.asarray(value) for key, value in [*file.attrs.items(), *node.attrs.items()]}
+            arrays |= {key: _array(one, turned) for key, one in found.items()}
+            usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
+            yield from tables_of(path, part, usable)
 
 
-def _below(item: Any, node: Any) -> bool:
-    return bool(node.name == "/" or item.name.startswith(f"{node.name}/"))
+def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
+    """Sub-groups that are there, not elsewhere by a link."""
+    hard = [key for key in group if group.get(key, getlink=True, getclass=True) is h5py.HardLink]
+    return [(key, group[key]) for key in hard if group.get(key, getclass=True) is h5py.Group]
 
 
 def _like(group: Any, h5py: Any) -> Any:
     """The outermost group whose sub-groups (two or more) hold the same names; None = there is none."""
-    children = [child for child in group.values() if isinstance(child, h5py.Group)]
+    children = [child for _, child in _groups(group, h5py)]
     if len(children) > 1 and len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]):
         return group
     return _like(children[0], h5py) if len(children) == 1 else None
 
 
-def _members(name: str, group: Any, h5py: Any) -> list[tuple[str, Any]]:
-    return [(f"{name}#{key}", child) for key, child in group.items() if isinstance(child, h5py.Group)]
-
-
-def _array(item: Any) -> NDArray[Any] | None:
+def _array(item: Any, turned: bool) -> NDArray[Any] | None:
     """A data set of numbers or text; None for anything else."""
     if item.dtype.kind in "fiub":
-        return np.asarray(item[()])
+        return np.asarray(item[()]).T if turned else np.asarray(item[()])
     if item.dtype.kind in "OS" and item.size and isinstance(np.asarray(item[()]).flat[0], bytes | str):
         return np.asarray(item.asstr()[()]).astype(np.str_)
     return None
@@ -164,7 +165,7 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
     with path.open("rb") as file:
         head = file.read(128)
     if head.startswith(b"\x89HDF") or b"MATLAB 7.3" in head:
-        yield from read_hdf5(path, name)
+        yield from read_hdf5(path, name, turned=True)
         return
     io = require("scipy.io", "import")
     with _reading(path, "MATLAB"):

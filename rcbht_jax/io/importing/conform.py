@@ -12,6 +12,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 
 JITTER = 0.25  # of a period: largest distance of a sample from a steady grid that is left as it is
+DRIFT = 0.02  # of a period, over a whole recording: by which its period may be rounded
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 HELD = 10  # samples in a row at the largest or smallest value
@@ -103,14 +104,16 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     period = (time[-1] - time[0]) / (len(time) - 1)
     away = time - time[0] - np.arange(len(time)) * period
     if np.abs(away).max() <= JITTER * period:
-        return Clock(_short(period, JITTER / len(time)), True)
-    return Clock(1 / _nice(1 / float(np.median(np.diff(time)))), False)
+        return Clock(_short(period, DRIFT / len(time)), True)
+    middle = float(np.median(np.diff(time)))
+    # The mean knows the rate better, if nothing is missing.
+    return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
 
 
 def _short(period: float, tolerance: float) -> float:
-    """The number with the fewest digits that differs by less than what can be measured."""
-    texts = (float(f"{value:.{digits}g}") for digits in range(1, 10) for value in (period,))
-    return next((value for value in texts if abs(value / period - 1) < min(tolerance, EQUAL)), float(period))
+    """The number with the fewest digits within a relative tolerance."""
+    rounded = (float(f"{period:.{digits}g}") for digits in range(1, 12))
+    return next((value for value in rounded if abs(value / period - 1) < min(tolerance, EQUAL)), float(period))
 
 
 def _nice(rate: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -126,11 +127,9 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     numbers: list[str] = []
     for name in free:
         values, base = table.columns[name], names.base_and_unit(name)[0]
-        short = base.rsplit(".", 1)[-1].rsplit("/", 1)[-1]
+        short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
-        if base in names.COUNTERS or (not text and short not in (*names.LABELS, *STANDARD_COLUMNS, "success", "trial")):
-            continue
-        if not text and not _integers(values):
+        if base in names.COUNTERS or not (text or (_is_label(name) and _integers(values))):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
         if all(len(_distinct(values[rows])) <= 1 for rows in groups):
@@ -158,6 +157,12 @@ def _groups(table: Table, group: str) -> list[NDArray[np.bool_]]:
     return [values == value for value in _distinct(values)[:1000]]
 
 
+def _is_label(name: str) -> bool:
+    """Whether whole numbers in a column of this name stand for words."""
+    short = re.split(r"[./]", names.base_and_unit(name)[0])[-1]
+    return short in (*names.LABELS, *STANDARD_COLUMNS, "success", "trial")
+
+
 def _integers(values: NDArray[Any]) -> bool:
     known = values[np.isfinite(values)]
     return bool((known == np.round(known)).all())
@@ -175,6 +180,7 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
     other = (*names.COUNTERS, *names.GROUPS, *names.TIMES, *names.NANOSECONDS)
     rest = [name for name in numeric if names.base_and_unit(name)[0] not in other]
+    rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:
         raise InputError(f"{table.name} has no column of numbers to import; it has {_some(table.columns)}.")

@@ -143,7 +143,7 @@ def _read(
     found: list[Record] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
-    tables = {base.table, *(track.file for track in base.annotations)}
+    tables = {base.table, *(track.file for track in base.annotations)} - {""}
     for item in progress(items):
         if item.name in tables:
             continue

@@ -102,7 +102,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iter
             own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
             yield Table(f"{name}#{number}", _columns(path, part), rate, facts={**facts, **own})
         return
-    flat = {key: _upright(array) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
+    vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
+    flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
     lengths = [len(array) for array in flat.values() if len(array) > 1]
     if not lengths:
         raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
@@ -118,13 +119,15 @@ def _usable(array: NDArray[Any]) -> bool:
     return array.dtype.kind in "fiubUS"
 
 
-def _upright(array: NDArray[Any]) -> NDArray[Any]:
-    """Rows are time: MATLAB's vectors may lie, and nobody has more axes than samples by a factor of ten."""
+def _upright(array: NDArray[Any], vectors: set[int]) -> NDArray[Any]:
+    """Rows are time: as long as a vector is, or not ten times fewer than the axes."""
     if array.ndim == 1:
         return array
     if 1 in array.shape:
         return array.ravel()
-    return array.T if array.shape[1] > 10 * array.shape[0] else array
+    rows, columns = array.shape
+    lies = columns in vectors if (columns in vectors) != (rows in vectors) else columns > 10 * rows
+    return array.T if lies else array
 
 
 def _columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

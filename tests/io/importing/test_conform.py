@@ -1,0 +1,127 @@
+"""One steady grid: against signals whose values are known at every time."""
+
+from __future__ import annotations
+
+import hypothesis.extra.numpy as hnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing import conform
+
+
+def signal(time: np.ndarray, *hertz: float) -> np.ndarray:
+    return np.stack([np.sin(2 * np.pi * f * time) for f in hertz], 1)
+
+
+def test_a_higher_rate_is_filtered_so_that_nothing_folds_back() -> None:
+    time = np.arange(4000) / 1000
+    values = signal(time, 20, 180)
+    source = conform.clock(time)
+    assert source.period == 0.001
+    moved, notes = conform.on_grid(time, values, source, 0.005)
+    assert notes == ["filtered", "resampled:1000"]
+    grid = np.arange(len(moved)) * 0.005
+    middle = slice(40, -40)
+    # 20 Hz passes without delay; 180 Hz, which would appear as 20 Hz, does not.
+    np.testing.assert_allclose(moved[middle, 0], signal(grid, 20)[middle, 0], atol=0.01)
+    assert np.abs(moved[middle, 1]).max() < 0.02
+    assert np.abs(values[::5, 1]).max() > 0.9  # what leaving samples out would have given
+
+
+def test_a_lower_rate_is_interpolated_and_said() -> None:
+    time = np.arange(100) / 20
+    moved, notes = conform.on_grid(time, signal(time, 0.5), conform.clock(time), 0.01)
+    assert notes == ["resampled:20"]
+    np.testing.assert_allclose(moved[:, 0], signal(np.arange(len(moved)) * 0.01, 0.5)[:, 0], atol=4e-3)
+
+
+def test_steady_samples_stay_as_they_are() -> None:
+    for period in (0.001, 0.0016666667, 0.005, 0.021, 0.05):
+        for origin in (0.0, 1.5e9):
+            time = origin + np.round(np.arange(300) * period, 5)
+            source = conform.clock(time - time[0])
+            assert source.steady
+            assert source.period == pytest.approx(period, rel=1e-4)
+            values = np.random.default_rng(0).normal(size=(300, 2))
+            moved, notes = conform.on_grid(time - time[0], values, source, source.period)
+            assert moved is values
+            assert notes == []
+
+
+def test_jitter_is_interpolated_at_its_own_rate() -> None:
+    time = np.sort(np.arange(2000) / 1000 + np.random.default_rng(0).uniform(-0.0004, 0.0004, 2000))
+    source = conform.clock(time)
+    assert not source.steady
+    assert source.period == pytest.approx(0.001)
+    moved, notes = conform.on_grid(time, signal(time, 5), source, 0.001)
+    assert notes == ["uneven"]
+    np.testing.assert_allclose(moved[:, 0], signal(time[0] + np.arange(len(moved)) * 0.001, 5)[:, 0], atol=1e-3)
+
+
+def test_gaps_are_noted() -> None:
+    time = np.delete(np.arange(1000) * 0.005, np.r_[300:369, 500:510])
+    source = conform.clock(time)
+    _, notes = conform.on_grid(time, signal(time, 1), source, 0.005)
+    assert notes == ["gap:0.35", "gaps:2", "uneven"]
+
+
+def test_saturation() -> None:
+    push = np.clip(40 * np.sin(np.linspace(0, 9, 900)), -30, 30)
+    rest = np.maximum(40 * np.sin(np.linspace(0, 9, 900)), 0)
+    few = np.repeat([0.0, 1.0, 2.0], 300)
+    assert conform.saturated(np.stack([push, rest, few, np.zeros(900)], 1)) == [0]
+
+
+def test_missing_values_and_repeated_stamps() -> None:
+    time = np.arange(50) * 0.1
+    values = np.stack([time, 2 * time], 1)
+    values[10:15, 1] = np.nan
+    times = time.copy()
+    times[20] = times[19]
+    tidied, filled, notes = conform.tidy(times, values)
+    assert notes == ["repeated:1", "missing:5"]
+    assert len(tidied) == 49
+    np.testing.assert_allclose(filled[:, 1], 2 * filled[:, 0])
+    values[10:16, 1] = np.nan
+    with pytest.raises(InputError, match="6 values in a row are missing, first at sample 10"):
+        conform.tidy(time, values)
+
+
+def test_a_few_samples_out_of_order_are_sorted() -> None:
+    time = np.arange(300) * 0.01
+    swapped = time.copy()
+    swapped[[100, 101]] = swapped[[101, 100]]
+    tidied, values, notes = conform.tidy(swapped, swapped[:, None])
+    assert notes == ["unordered:1"]
+    np.testing.assert_array_equal(tidied, time)
+    np.testing.assert_array_equal(values[:, 0], time)
+    with pytest.raises(InputError, match="starts anew at sample 150.*--group"):
+        conform.tidy(np.concatenate([time[:150], time[:150]]), np.zeros((300, 1)))
+
+
+def test_the_common_rate_is_that_of_most() -> None:
+    steady = [conform.Clock(0.001, True)] + [conform.Clock(0.005, True)] * 2
+    assert conform.common(steady) == 0.005
+    assert conform.common([*steady, conform.Clock(0.001, True)]) == 0.005  # at a draw the lower rate
+    uneven = [conform.Clock(1 / 38.5, False)] * 2 + [conform.Clock(0.025, False)] * 3
+    assert conform.common(uneven) == 0.025
+
+
+@given(
+    hnp.arrays(np.float64, st.integers(2, 60), elements=st.floats(1e-4, 5)),
+    st.sampled_from([0.001, 0.01, 0.1, 1.0]),
+)
+def test_any_spacing_gives_finite_values_within_the_signals_range(steps: np.ndarray, period: float) -> None:
+    time = np.cumsum(steps)
+    values = np.sin(time)[:, None]
+    source = conform.clock(time)
+    try:
+        moved, _ = conform.on_grid(time, values, source, period)
+    except InputError as error:
+        assert str(error).endswith((".", "?"))
+        return
+    assert np.isfinite(moved).all()
+    assert len(moved) >= 2

@@ -1,0 +1,136 @@
+"""What names say about columns, as a table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.guess import guess
+from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.names import base_and_unit, wrenches
+from rcbht_jax.io.importing.table import Table
+
+N = 30
+
+
+def table(*names: str, **values: object) -> Table:
+    """Columns of numbers that never repeat, but for those given."""
+    rng = np.random.default_rng(0)
+    columns = {name: rng.normal(size=N) for name in names}
+    return Table("a.csv", {name: np.asarray(values.get(name, column)) for name, column in columns.items()})
+
+
+@pytest.mark.parametrize(
+    ("names", "axes", "units"),
+    [
+        ("Fx Fy Fz Mx My Mz", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("Fx Fy Fz Tx Ty Tz px py", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("fx_N fy_N fz_N tx_Nm ty_Nm tz_Nm", "Fx Fy Fz Mx My Mz", "N,N,N,Nm,Nm,Nm"),
+        ("force_x force_y force_z torque_x torque_y torque_z q_0", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("field.wrench.force.x field.wrench.force.y field.wrench.force.z field.wrench.torque.x field.wrench.torque.y"
+         " field.wrench.torque.z", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("Fx[N] Fy[N] Fz[N] Mx[Nm] My[Nm] Mz[Nm]", "Fx Fy Fz Mx My Mz", "N,N,N,Nm,Nm,Nm"),
+        ("actual_TCP_force_0 actual_TCP_force_1 actual_TCP_force_2 actual_TCP_force_3 actual_TCP_force_4"
+         " actual_TCP_force_5 actual_q_0", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("F_0 F_1 F_2 T_0 T_1 T_2", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("wrench_0 wrench_1 wrench_2 wrench_3 wrench_4 wrench_5 quat_0", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("F.x F.y F.z speed", "Fx Fy Fz", ",,"),
+        ("force_norm torque_norm", "force_norm torque_norm", ","),
+        ("position.x position.y position.z", "position.x position.y position.z", ",,"),
+        ("tx ty tz px", "tx ty tz px", ",,,"),
+        ("strain [mm]", "strain [mm]", "mm"),
+    ],
+)  # fmt: skip
+def test_channels(names: str, axes: str, units: str) -> None:
+    listed = [names] if "strain" in names else names.split()
+    mapping, _ = guess(table("t", *listed, t=np.arange(N) * 0.1))
+    assert mapping.axes == ((axes,) if "strain" in axes else tuple(axes.split()))
+    assert mapping.units == tuple(units.split(","))
+    assert mapping.time == "t"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "unit"),
+    [
+        ("time", np.arange(N) * 0.1, "s"),
+        ("Time [ms]", np.arange(N) * 10.0, "ms"),
+        ("t_us", np.arange(N) * 10.0, "us"),
+        ("timestamp", 1.5e18 + np.arange(N) * 1e7, "ns"),
+        ("stamp", 1.5e15 + np.arange(N) * 1e4, "us"),
+        ("%time", 1.5e12 + np.arange(N) * 10, "ms"),
+        ("timestamp", 1.5e9 + np.arange(N) * 0.01, "s"),
+        ("c0", np.arange(N) * 0.05, "s"),
+        ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+    ],
+)
+def test_time(name: str, values: np.ndarray, unit: str) -> None:
+    mapping, _ = guess(Table("a.csv", {name: values, "Fz": np.ones(N)}))
+    assert (mapping.time, mapping.time_unit) == (name, unit)
+    assert mapping.axes == ("Fz",)
+
+
+def test_seconds_and_nanoseconds() -> None:
+    columns = {"sec": np.repeat([5.0, 6.0], N // 2), "nanosec": np.tile(np.arange(N // 2) * 1e7, 2), "Fz": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert (mapping.time, mapping.nanoseconds) == ("sec", "nanosec")
+
+
+def test_a_counter_is_neither_time_nor_channel() -> None:
+    mapping, _ = guess(Table("a.csv", {"c0": np.arange(N) * 1.0, "sample": np.arange(N) * 1.0, "Fz": np.ones(N)}, rate=5.0))
+    assert mapping.time == ""
+    assert mapping.axes == ("Fz",)
+
+
+def test_words_are_annotations_or_columns() -> None:
+    phase = np.array(["a"] * 10 + ["b"] * 20)
+    number = np.repeat([1.0, 2.0], N // 2)
+    columns = {"t": np.arange(N) * 0.1, "Fz": np.ones(N), "phase": phase, "label": number, "part": np.full(N, "peg")}
+    columns |= {"success": np.ones(N), "session": np.full(N, 3.0), "remark": np.array([f"row {k}" for k in range(N)] * 1)}
+    mapping, rows = guess(Table("a.csv", columns))
+    assert [(track.track, track.column) for track in mapping.annotations] == [("phase", "phase"), ("remark", "remark")]
+    assert set(mapping.columns) == {"part", "outcome", "success", "session"}
+    assert mapping.columns["outcome"].words["1"] == "success"
+    assert {row.column: row.role for row in rows}["label"] == "left out"
+    del columns["phase"], columns["remark"]
+    mapping, _ = guess(Table("a.csv", columns))
+    assert [track.column for track in mapping.annotations] == ["label"]
+
+
+def test_a_group_separates_recordings_only_if_it_changes() -> None:
+    columns = {"t": np.tile(np.arange(15) * 0.1, 2), "Fz": np.ones(N), "instance": np.repeat([0.0, 1.0], 15)}
+    columns["class"] = np.repeat(["ok", "stuck"], 15)
+    mapping, _ = guess(Table("a.csv", columns))
+    assert mapping.group == "instance"
+    assert set(mapping.columns) == {"class"}
+    columns["instance"] = np.zeros(N)
+    assert guess(Table("a.csv", columns))[0].group == ""
+
+
+def test_the_name_of_a_folder_says_nothing() -> None:
+    mapping, _ = guess(Table("my_unsuccessful_runs/failure.csv", {"t": np.arange(N) * 0.1, "Fz": np.ones(N)}))
+    assert "outcome" not in mapping.columns
+
+
+def test_stated_parts_are_not_guessed_again() -> None:
+    mapping, rows = guess(table("clock", "t", "Fz", t=np.arange(N) * 0.1), Mapping(time="clock"))
+    assert mapping.time == "clock"
+    assert [row.role for row in rows] == ["time", "left out", "channel Fz"]
+
+
+def test_too_many_channels_are_refused() -> None:
+    with pytest.raises(InputError, match="70 columns of numbers and none is a wrench"):
+        guess(table("t", *(f"x{k}" for k in range(70)), t=np.arange(N) * 1.0))
+
+
+def test_two_wrenches_are_two() -> None:
+    names = [f"{side}.{kind}.{axis}" for side in ("left", "right") for kind in ("force", "torque") for axis in "xyz"]
+    assert [wrench["Mx"] for wrench in wrenches(names)] == ["left.torque.x", "right.torque.x"]
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [("Fx", ("fx", "")), ("Fx (N)", ("fx", "N")), ("a_N", ("a", "N")), ("T [N m]", ("t", "Nm")), ("grip_n", ("grip_n", ""))],
+)
+def test_units_in_names(name: str, parts: tuple[str, str]) -> None:
+    assert base_and_unit(name) == parts

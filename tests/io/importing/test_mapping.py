@@ -1,0 +1,99 @@
+"""The mapping file: what is written is read back, and what is wrong in it is one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value, check, read_mapping, write_mapping
+from rcbht_jax.io.importing.record import records
+from rcbht_jax.io.importing.table import Table
+
+TEXT = st.text(max_size=12)
+NAME = st.text(min_size=1, max_size=12)
+NUMBER = st.floats(-1e6, 1e6)
+WORDS = st.dictionaries(TEXT, TEXT, max_size=3)
+
+
+@given(
+    st.lists(st.tuples(NAME, NAME, TEXT, NUMBER, NUMBER), max_size=4, unique_by=lambda row: row[1]),
+    st.lists(st.tuples(NAME, NAME, WORDS, st.lists(TEXT, max_size=2)), max_size=3),
+    st.dictionaries(NAME, st.tuples(NAME, WORDS), max_size=3),
+    st.lists(TEXT, min_size=5, max_size=5),
+    st.none() | st.floats(1, 1e4),
+)
+def test_a_mapping_comes_back_equal(
+    tmp_path_factory: pytest.TempPathFactory, channels: list, tracks: list, columns: dict, texts: list, rate: float | None
+) -> None:
+    time, nanoseconds, topic, group, table = texts
+    mapping = Mapping(
+        tuple(Channel(*row) for row in channels), time, "ms", nanoseconds, rate, topic, group,
+        tuple(Track(name, column, words=words, ignore=tuple(ignore)) for name, column, words, ignore in tracks),
+        {name: Value(value=value, words=words) for name, (value, words) in columns.items()}, table, "file", 0.5, (),
+        ((0.0, 0.0, 1.0, 1.0),), rate,
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("map") / "a.toml"
+    write_mapping(path, mapping)
+    assert read_mapping(path) == mapping
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("x = ", "not a mapping in TOML"),
+        ("\xff", "not a mapping in TOML"),
+        ("tyme = 't'", "has no key 'tyme'; there are channels, time"),
+        ("time = 3", "wrong value among time"),
+        ("time_unit = 'h'", "unit of time is 'h'"),
+        ("rate = -1", "rate is -1"),
+        ("rate = true", "wrong value among rate"),
+        ("rate = inf", "wrong value among rate"),
+        ("channels = 3", "channels is not a list"),
+        ("[[channels]]\nname = 'Fz'", "missing or wrong value among name"),
+        ("[[channels]]\ncolumn = 'a'\n[[channels]]\ncolumn = 'a'", "two channels have one name"),
+        ("bias = [1]\n[[channels]]\ncolumn = 'a'\n[[channels]]\ncolumn = 'b'", "bias has 1 values for 2 channels"),
+        ("rotation = [[1, 0], [0, 1]]", "neither three rows"),
+        ("rotation = [[0, 0, 0, 0]]", "neither three rows"),
+        ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "is not a rotation"),
+        ("[[annotations]]\ntrack = 'a'", "needs a column, a file, or ends and ids"),
+        ("[[annotations]]\ntrack = 'a'\ncolumn = 'b'\nclock = 'sun'", "expected start or stamps"),
+        ("[columns.outcome]", "needs a column, a table or a value"),
+        ("[columns.outcome]\ntable = 'x'", "the mapping names none"),
+        ("[columns]\noutcome = 3", "columns.outcome: 3 is not a table"),
+        ("[columns.outcome]\nvalue = 'x'\nwords = 3", "wrong value among value, words"),
+    ],
+)
+def test_a_wrong_mapping_is_one_sentence(tmp_path: Path, content: str, sentence: str) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_mapping(path)
+    assert str(path) in str(caught.value)
+
+
+def test_every_example_is_a_mapping() -> None:
+    files = sorted((Path(__file__).parents[3] / "examples" / "mappings").glob("*.toml"))
+    assert len(files) >= 4
+    for path in files:
+        assert check(read_mapping(path)).channels
+
+
+def test_scale_bias_tare_and_rotation() -> None:
+    time = np.arange(100) * 0.01
+    columns = {"t": time, "fx": np.full(100, 1000.0), "fy": np.where(time < 0.5, 2000.0, 5000.0), "fz": np.zeros(100)}
+    channels = (Channel("fx", "Fx", "N", 0.001, 1.0), Channel("fy", "Fy", "N", 0.001), Channel("fz", "Fz", "N"))
+    quarter = ((0.0, 0.0, 1.0, 1.0),)  # a quarter turn about z
+    mapping = Mapping(channels, time="t", bias=(1.0, 0.0, 0.0), tare=0.3, rotation=quarter)
+    [record] = records(Table("a", columns), mapping)
+    np.testing.assert_allclose(record.values[-1], [-3, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(record.values[0], 0, atol=1e-12)
+    matrix = Mapping(channels, time="t", rotation=((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    [record] = records(Table("a", columns), matrix)
+    np.testing.assert_allclose(record.values[-1], [-5, 2, 0], atol=1e-12)
+    [(_, reason)] = records(Table("a", columns), Mapping((Channel("fx"),), time="t", rotation=quarter))
+    assert "a rotation needs channels named" in reason
