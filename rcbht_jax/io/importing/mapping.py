@@ -159,7 +159,7 @@ def to_toml(mapping: Mapping) -> str:
         for entry in entries:
             lines += ["", f"[[{title}]]", *_pairs(entry)]
     for name, value in mapping.columns.items():
-        lines += ["", f"[columns.{json.dumps(name)}]", *_pairs(value)]
+        lines += ["", f"[columns.{_toml(name)}]", *_pairs(value)]
     return "\n".join(lines) + "\n"
 
 
@@ -171,11 +171,13 @@ def _pairs(entry: Any, skip: tuple[str, ...] = ()) -> list[str]:
 
 def _toml(value: Any) -> str:
     if isinstance(value, AnyMapping):
-        return "{" + ", ".join(f"{json.dumps(key)} = {_toml(text)}" for key, text in value.items()) + "}"
+        return "{" + ", ".join(f"{_toml(key)} = {_toml(text)}" for key, text in value.items()) + "}"
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
     # A string of JSON is one of TOML, but for the delete character.
-    return json.dumps(value).replace("\x7f", "\\u007f") if isinstance(value, str) else repr(float(value))
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(float(value))
 
 
 def _mapping(content: dict[str, Any]) -> Mapping:

@@ -1,0 +1,249 @@
+"""Whatever a file holds: a data set or one sentence, soon, and without much memory."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+import hypothesis.strategies as st
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+from hypothesis import given, settings
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import Mapping
+from tests.io.importing.test_readers import TIME, WRENCH, write_ros1
+
+SECONDS = 2.0
+
+
+def outcome(content: bytes, suffix: str, kind: str = "auto") -> None:
+    """A finite data set, or an InputError in one sentence; anything else escapes."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{suffix}"
+        path.write_bytes(content)
+        start = time.perf_counter()
+        try:
+            recordings = read_source(path, kind, Mapping(source_rate=100.0)).recordings
+            assert np.isfinite(recordings.wrench).all()
+        except InputError as error:
+            assert str(error).rstrip().endswith((".", "?")), error
+        assert time.perf_counter() - start < SECONDS
+
+
+def npz() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, t=TIME, wrench=WRENCH, who=np.array(["ann"]))
+    return file.getvalue()
+
+
+def csv() -> bytes:
+    rows = [f"{t},{','.join(map(str, row))},{'free' if t < 0.2 else 'push'}" for t, row in zip(TIME, WRENCH, strict=True)]
+    return "\n".join(["t,Fx,Fy,Fz,Mx,My,Mz,phase", *rows]).encode()
+
+
+def parquet() -> bytes:
+    file = io.BytesIO()
+    lists = pa.FixedSizeListArray.from_arrays(pa.array(WRENCH.ravel()), 6)
+    pq.write_table(pa.table({"t": TIME, "wrench": lists, "who": ["ann"] * len(TIME)}), file)
+    return file.getvalue()
+
+
+def matlab() -> bytes:
+    file = io.BytesIO()
+    scipy.io.savemat(file, {"t": TIME, "log": {"wrench": WRENCH, "who": "ann"}}, do_compression=True)
+    return file.getvalue()
+
+
+def bag() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write_ros1(Path(folder) / "a.bag")
+        return (Path(folder) / "a.bag").read_bytes()
+
+
+def hdf5() -> bytes:
+    h5py = pytest.importorskip("h5py")
+    file = io.BytesIO()
+    with h5py.File(file, "w") as group:
+        group["t"], group["log/wrench"], group.attrs["who"] = TIME, WRENCH, "ann"
+    return file.getvalue()
+
+
+VALID = {".csv": csv, ".npz": npz, ".parquet": parquet, ".mat": matlab, ".bag": bag, ".h5": hdf5}
+SUFFIXES = sorted([*VALID, ".npy", ".mcap", ".db3", ".tsv"])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=25)
+@given(st.data())
+def test_any_bytes(suffix: str, data: st.DataObject) -> None:
+    magic = {
+        ".npz": b"PK\x03\x04", ".npy": b"\x93NUMPY\x01\x00", ".parquet": b"PAR1", ".bag": b"#ROSBAG V2.0\n",
+        ".h5": b"\x89HDF\r\n\x1a\n", ".mcap": b"\x89MCAP0\r\n", ".db3": b"SQLite format 3\x00",
+        ".mat": b"MATLAB 5.0".ljust(124) + b"\x00\x01IM",
+    }.get(suffix, b"t,Fz\n")  # fmt: skip
+    head = data.draw(st.sampled_from([b"", magic]))
+    outcome(head + data.draw(st.binary(max_size=400)), suffix)
+
+
+@pytest.mark.parametrize("suffix", sorted(VALID))
+@settings(max_examples=40)
+@given(st.data())
+def test_valid_files_with_other_bytes(suffix: str, data: st.DataObject) -> None:
+    content = bytearray(VALID[suffix]())
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    outcome(bytes(content[: data.draw(st.sampled_from([len(content), len(content) // 2]))]), suffix)
+
+
+@pytest.mark.parametrize("suffix", sorted(VALID))
+def test_the_valid_files_are_valid(suffix: str, tmp_path: Path) -> None:
+    (tmp_path / f"a{suffix}").write_bytes(VALID[suffix]())
+    np.testing.assert_array_equal(read_source(tmp_path / f"a{suffix}").recordings.wrench[0], WRENCH)
+
+
+# --- Huge, and what is no file -------------------------------------------------------------------------------------
+
+
+def header(shape: tuple[int, ...]) -> bytes:
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+def zipped(*members: tuple[str, bytes]) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members:
+            archive.writestr(name, content)
+    return file.getvalue()
+
+
+def huge_hdf5() -> bytes:
+    h5py = pytest.importorskip("h5py")
+    file = io.BytesIO()
+    with h5py.File(file, "w") as group:
+        group.create_dataset("wrench", (10**9, 6), "f8", chunks=(1000, 6))
+    return file.getvalue()
+
+
+def huge_parquet() -> bytes:
+    file = io.BytesIO()
+    pq.write_table(pa.table({"t": np.zeros(30_000_000)}), file)
+    return file.getvalue()
+
+
+def huge_mat() -> bytes:
+    file = io.BytesIO()
+    scipy.io.savemat(file, {"wrench": np.zeros((3_000_000, 6))}, do_compression=True)
+    return file.getvalue()
+
+
+HUGE = {
+    "shape.npy": lambda: header((10**12, 6)),
+    "shape.npz": lambda: zipped(("wrench.npy", header((10**12, 6)))),
+    "bomb.npz": lambda: zipped(("wrench.npy", header((15_000_000, 1)) + bytes(120_000_000))),
+    "negative.npy": lambda: header((-5, 6)),
+    "columns.npy": lambda: header((2, 100_000)) + bytes(1_600_000),
+    "sparse.h5": huge_hdf5,
+    "constant.parquet": huge_parquet,
+    "zeros.mat": huge_mat,
+    "columns.csv": lambda: b",".join(b"a%d" % k for k in range(100_000)) + b"\n" + b"1," * 99_999 + b"1\n",
+    "line.csv": lambda: b"t,Fz\n" + b"1" * 50_000_000,
+    "noline.csv": lambda: b"x" * 50_000_000,
+    "zeros.csv": lambda: bytes(50_000_000),
+    "digits.csv": lambda: b"t,Fz\n0,1\n1," + b"9" * 900_000 + b"\n",
+}
+LIMITED = """
+import resource, sys, time
+from pathlib import Path
+import jax, pyarrow.parquet, scipy.io, scipy.signal
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.importer import read_source
+import rcbht_jax.io.importing.bags
+try: import h5py
+except ImportError: pass
+before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+try:
+    read_source(Path(sys.argv[1]))
+    print("read")
+except InputError as error:
+    print(error)
+print(time.perf_counter() - start, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+
+
+@pytest.mark.parametrize("name", sorted(HUGE))
+def test_huge_files_are_refused_soon_and_with_little_memory(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(HUGE[name]())
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path / name)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    sentence, numbers = done.stdout.strip().splitlines()
+    assert sentence != "read"
+    seconds, mebibytes = map(float, numbers.split())
+    assert seconds < SECONDS, sentence
+    assert mebibytes < 200, sentence
+
+
+def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
+    for suffix in SUFFIXES:
+        path = tmp_path / f"large{suffix}"
+        with path.open("wb") as file:
+            file.truncate(2**36)  # takes no room
+        with pytest.raises(InputError, match="has 68719476736 bytes; expected at most"):
+            read_source(path)
+
+
+def test_pipes_and_devices_are_no_files(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(InputError, match="not a folder, a pipe or a device"):
+        read_source(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="not a folder, a pipe or a device"):
+        read_source(tmp_path / "zero.csv")
+    (tmp_path / "gone.csv").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="gone"):
+        read_source(tmp_path)
+
+
+class _Opened:
+    def __reduce__(self) -> tuple:
+        return os.mkdir, ("opened-by-a-pickle",)
+
+
+def test_pickles_are_never_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savez(tmp_path / "a.npz", wrench=np.array([_Opened(), 1], object))
+    np.save(tmp_path / "b.npy", np.array([_Opened(), 1], object))
+    (tmp_path / "c.npy").write_bytes(pickle.dumps(_Opened()))
+    (tmp_path / "d.npz").write_bytes(pickle.dumps(_Opened()))
+    for path in sorted(tmp_path.glob("*.np*")):
+        with pytest.raises(InputError):
+            read_source(path)
+    assert not (tmp_path / "opened-by-a-pickle").exists()
+
+
+def test_links_inside_hdf5_are_not_followed(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["wrench"] = WRENCH
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["link"] = h5py.ExternalLink("secret.h5", "/wrench")
+        file["loop"] = h5py.SoftLink("/")
+    with pytest.raises(InputError, match="holds no array"):
+        read_source(tmp_path / "a.h5")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > 0
