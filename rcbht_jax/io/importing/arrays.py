@@ -121,7 +121,9 @@ def read_hdf5(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
-            arrays: dict[str, Any] = {key: np.asarray(value) for key, value in [*file.attrs.items(), *node.attrs.items()]}
+            arrays: dict[str, Any] = {
+                key: np.asarray(value) for key, value in [*file.attrs.items(), *node.attrs.items()]
+            }
             arrays |= {key: _array(one, turned) for key, one in found.items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             yield from tables_of(path, part, usable)

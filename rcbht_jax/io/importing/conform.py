@@ -12,7 +12,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 
 JITTER = 0.25  # of a period: largest distance of a sample from a steady grid that is left as it is
-DRIFT = 0.02  # of a period, over a whole recording: by which its period may be rounded
+DRIFT = 0.02  # of a period, after a whole recording: what rounding its period may cost
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 HELD = 10  # samples in a row at the largest or smallest value
@@ -44,7 +44,7 @@ def tidy(
         values: NaN = missing.
 
     Raises:
-        InputError: times are missing or run backwards, fewer than two samples are left, or more than ``MISSING``
+        InputError: a value is infinite, times are missing or run backwards, fewer than two samples are left, or more than ``MISSING``
             values in a row are missing. The sentence names no file.
     """
     notes: list[str] = []
@@ -71,7 +71,9 @@ def tidy(
         time, values = time[fresh], values[fresh]
     if len(time) < 2:
         raise InputError("there are fewer than two samples at different times.")
-    missing = ~np.isfinite(values)
+    if np.isinf(values).any():
+        raise InputError(f"sample {int(np.argwhere(np.isinf(values))[0, 0])} is infinite; expected numbers.")
+    missing = np.isnan(values)
     if missing.any():
         longest = max(int(runs(column).max(initial=0)) for column in missing.T)
         if longest > MISSING or missing.all(0).any():

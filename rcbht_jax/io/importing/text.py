@@ -28,7 +28,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     missing values.
 
     >>> Path("/tmp/a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
-    32
+    34
     >>> [table] = read_csv(Path("/tmp/a.csv"), "a.csv")
     >>> {key: values.tolist() for key, values in table.columns.items()}
     {'t': [0.0, 0.1], 'Fz': [1.5, 2.0], 'phase': ['free', 'touch']}

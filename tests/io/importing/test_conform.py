@@ -98,7 +98,7 @@ def test_a_few_samples_out_of_order_are_sorted() -> None:
     assert notes == ["unordered:1"]
     np.testing.assert_array_equal(tidied, time)
     np.testing.assert_array_equal(values[:, 0], time)
-    with pytest.raises(InputError, match="starts anew at sample 150.*--group"):
+    with pytest.raises(InputError, match=r"starts anew at sample 150.*--group"):
         conform.tidy(np.concatenate([time[:150], time[:150]]), np.zeros((300, 1)))
 
 
@@ -120,8 +120,8 @@ def test_any_spacing_gives_finite_values_within_the_signals_range(steps: np.ndar
     source = conform.clock(time)
     try:
         moved, _ = conform.on_grid(time, values, source, period)
-    except InputError as error:
-        assert str(error).endswith((".", "?"))
+    except InputError:
+        assert time[-1] - time[0] < period  # nothing but too short
         return
     assert np.isfinite(moved).all()
     assert len(moved) >= 2

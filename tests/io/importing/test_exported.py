@@ -23,8 +23,9 @@ def recordings() -> Recordings:
         (2, "who", "ann, or bob", 0.0, 0.3),
     ]  # fmt: skip
     made = Recordings.from_arrays(
-        [rng.normal(size=(count, 6)) for count in (80, 50, 60)], 200.0, annotations=rows, outcome=["good", "bad", "unknown"],
-        session=["1", "1", "2"], part=["peg", "", "peg, long"], depth=np.array([0.1, np.nan, 1 / 3]), tries=np.array([1, 2, 3]),
+        [rng.normal(size=(count, 6)) for count in (80, 50, 60)], 200.0, annotations=rows,
+        outcome=["good", "bad", "unknown"], session=["1", "1", "2"], part=["peg", "", "peg, long"],
+        depth=np.array([0.1, np.nan, 1 / 3]), tries=np.array([1, 2, 3]),
         trial=["a", "b", "c"], note=["", "x;y", ""],
     )  # fmt: skip
     return made
@@ -61,7 +62,11 @@ def test_an_export_is_read_as_it_is(exported: Path) -> None:
 
 def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
     about = json.loads((exported / "dataset.json").read_text())
-    for change, sentence in (({"dt": "x"}, "dt is 'x'"), ({"axes": None}, "names no axes"), ({"axes": {"Qx": "N"}}, "Qx|6 numbers")):
+    for change, sentence in (
+        ({"dt": "x"}, "dt is 'x'"),
+        ({"axes": None}, "names no axes"),
+        ({"axes": {"Qx": "N"}}, "Qx|6 numbers"),
+    ):
         (exported / "dataset.json").write_text(json.dumps(about | change))
         with pytest.raises(InputError, match=sentence):
             read_source(exported)

@@ -46,7 +46,14 @@ def test_caps_at_40_hz(external_dir: Path) -> None:
     recordings = read_source(folder, "csv", mapping("caps_40hz")).recordings
     assert len(recordings) == len(list(folder.glob("*.csv")))
     assert recordings.dt == 0.025
-    assert recordings.annotations.labels["phase"] == ("none", "free_space_motion", "align", "engage", "screw", "tighten")
+    assert recordings.annotations.labels["phase"] == (
+        "none",
+        "free_space_motion",
+        "align",
+        "engage",
+        "screw",
+        "tighten",
+    )
     guessed = read_source(folder, "csv").recordings
     assert guessed.annotations.labels == {"label_name": recordings.annotations.labels["phase"]}
     assert 0.025 < guessed.dt < 0.0275  # the recordings have 37 to 40 samples per second, unevenly

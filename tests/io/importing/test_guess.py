@@ -77,7 +77,9 @@ def test_seconds_and_nanoseconds() -> None:
 
 
 def test_a_counter_is_neither_time_nor_channel() -> None:
-    mapping, _ = guess(Table("a.csv", {"c0": np.arange(N) * 1.0, "sample": np.arange(N) * 1.0, "Fz": np.ones(N)}, rate=5.0))
+    mapping, _ = guess(
+        Table("a.csv", {"c0": np.arange(N) * 1.0, "sample": np.arange(N) * 1.0, "Fz": np.ones(N)}, rate=5.0)
+    )
     assert mapping.time == ""
     assert mapping.axes == ("Fz",)
 
@@ -86,7 +88,11 @@ def test_words_are_annotations_or_columns() -> None:
     phase = np.array(["a"] * 10 + ["b"] * 20)
     number = np.repeat([1.0, 2.0], N // 2)
     columns = {"t": np.arange(N) * 0.1, "Fz": np.ones(N), "phase": phase, "label": number, "part": np.full(N, "peg")}
-    columns |= {"success": np.ones(N), "session": np.full(N, 3.0), "remark": np.array([f"row {k}" for k in range(N)] * 1)}
+    columns |= {
+        "success": np.ones(N),
+        "session": np.full(N, 3.0),
+        "remark": np.array([f"row {k}" for k in range(N)] * 1),
+    }
     mapping, rows = guess(Table("a.csv", columns))
     assert [(track.track, track.column) for track in mapping.annotations] == [("phase", "phase"), ("remark", "remark")]
     assert set(mapping.columns) == {"part", "outcome", "success", "session"}
@@ -130,7 +136,13 @@ def test_two_wrenches_are_two() -> None:
 
 @pytest.mark.parametrize(
     ("name", "parts"),
-    [("Fx", ("fx", "")), ("Fx (N)", ("fx", "N")), ("a_N", ("a", "N")), ("T [N m]", ("t", "Nm")), ("grip_n", ("grip_n", ""))],
+    [
+        ("Fx", ("fx", "")),
+        ("Fx (N)", ("fx", "N")),
+        ("a_N", ("a", "N")),
+        ("T [N m]", ("t", "Nm")),
+        ("grip_n", ("grip_n", "")),
+    ],
 )
 def test_units_in_names(name: str, parts: tuple[str, str]) -> None:
     assert base_and_unit(name) == parts

@@ -93,7 +93,9 @@ def test_mixed_rates_become_the_most_common_one(tmp_path: Path) -> None:
     assert imported.recordings.length.tolist() == [200, 200, 200, 500]
     assert imported.recordings.note.tolist() == ["", "", "", "filtered;resampled:2000"]
     [remark] = [remark for remark in imported.report.remarks if "resampled" in remark]
-    assert remark.startswith("1 recordings were resampled to 500 Hz, from 2000 Hz (1); 1 of them low-passed before, at 200 Hz")
+    assert remark.startswith(
+        "1 recordings were resampled to 500 Hz, from 2000 Hz (1); 1 of them low-passed before, at 200 Hz"
+    )
     asked = read_source(tmp_path, mapping=Mapping(rate=100.0))
     assert asked.recordings.dt == 0.01
     assert asked.recordings.length.tolist() == [40, 40, 40, 100]
@@ -181,10 +183,13 @@ def test_pa10(tmp_path: Path) -> None:
     wrench = pa10(tmp_path / "pa10.dat")
     names = ("approach", "contact", "search", "insertion", "mating")
     channels = tuple(
-        Channel(f"c{8 + k}", axis, "N" if k < 3 else "Nm") for k, axis in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))
+        Channel(f"c{8 + k}", axis, "N" if k < 3 else "Nm")
+        for k, axis in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))
     )
     track = Track("state", "c16", words={str(number): name for number, name in enumerate(names)})
-    recordings = read_source(tmp_path / "pa10.dat", "csv", Mapping(channels, time="c0", annotations=(track,))).recordings
+    recordings = read_source(
+        tmp_path / "pa10.dat", "csv", Mapping(channels, time="c0", annotations=(track,))
+    ).recordings
     assert recordings.dt == 0.001
     np.testing.assert_allclose(recordings.wrench[0], wrench, rtol=1e-6)
     assert recordings.annotations.labels == {"state": names}

@@ -28,7 +28,12 @@ WORDS = st.dictionaries(TEXT, TEXT, max_size=3)
     st.none() | st.floats(1, 1e4),
 )
 def test_a_mapping_comes_back_equal(
-    tmp_path_factory: pytest.TempPathFactory, channels: list, tracks: list, columns: dict, texts: list, rate: float | None
+    tmp_path_factory: pytest.TempPathFactory,
+    channels: list,
+    tracks: list,
+    columns: dict,
+    texts: list,
+    rate: float | None,
 ) -> None:
     time, nanoseconds, topic, group, table = texts
     mapping = Mapping(

@@ -51,7 +51,7 @@ def test_a_table_without_names_has_the_time_first(tmp_path: Path) -> None:
 
 
 def test_text_quotes_empty_cells_and_words(tmp_path: Path) -> None:
-    rows = ["t,Fz,phase,who", *(f'{k / 10},{"" if k == 3 else k},{phase(k)},ann' for k in range(9))]
+    rows = ["t,Fz,phase,who", *(f"{k / 10},{'' if k == 3 else k},{phase(k)},ann" for k in range(9))]
     (tmp_path / "a.csv").write_text("\n".join(rows))
     recordings = read_source(tmp_path / "a.csv").recordings
     assert recordings.annotations.labels == {"phase": ("free", "push, hard")}
@@ -99,7 +99,9 @@ def test_parquet_with_lists_and_dictionaries(tmp_path: Path) -> None:
 def test_npz_of_one_recording_and_of_many(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", t=TIME, wrench=WRENCH, quat=np.zeros((N, 4)))
     same(read_source(tmp_path / "a.npz"))
-    np.savez(tmp_path / "b.npz", force_torque=np.stack([WRENCH] * 3), rate=1 / DT, outcome=np.array(["ok", "ok", "bad"]))
+    np.savez(
+        tmp_path / "b.npz", force_torque=np.stack([WRENCH] * 3), rate=1 / DT, outcome=np.array(["ok", "ok", "bad"])
+    )
     imported = read_source(tmp_path / "b.npz")
     assert imported.recordings.outcome.tolist() == ["ok", "bad"]  # the second is a copy of the first
     assert imported.report.duplicates == [("b.npz#1", "exact copy of b.npz#0; imported once.")]
@@ -141,7 +143,7 @@ def test_matlab_arrays_structures_and_version_7_3(tmp_path: Path) -> None:
     assert read_source(tmp_path / "new.mat").recordings.wrench.shape == (1, N, 6)
 
 
-def wrench_message(store, stamp: float, row: np.ndarray):  # noqa: ANN201
+def wrench_message(store, stamp: float, row: np.ndarray):
     types = store.types
     nanoseconds = round(stamp * 1e9)
     time = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
@@ -212,7 +214,12 @@ def test_lerobot(tmp_path: Path) -> None:
     (folder / "data/chunk-000").mkdir(parents=True)
     info = {"codebase_version": "v3.0", "fps": 100, "features": {"observation.wrench": {"names": list(AXES)}}}
     (folder / "meta/info.json").write_text(json.dumps(info))
-    episodes = {"episode_index": [0, 1], "tasks": [["plug"], ["unplug"]], "length": [N, N], "stats/x/min": [[0.0], [0.0]]}
+    episodes = {
+        "episode_index": [0, 1],
+        "tasks": [["plug"], ["unplug"]],
+        "length": [N, N],
+        "stats/x/min": [[0.0], [0.0]],
+    }
     pq.write_table(pa.table(episodes), folder / "meta/episodes/chunk-000/file-000.parquet")
     flat = np.concatenate([WRENCH, WRENCH + 1])
     frames = {
