@@ -44,8 +44,8 @@ def tidy(
         values: NaN = missing.
 
     Raises:
-        InputError: a value is infinite, times are missing or run backwards, fewer than two samples are left, or more than ``MISSING``
-            values in a row are missing. The sentence names no file.
+        InputError: a value is infinite, times are missing or run backwards, fewer than two samples are left, or more
+            than ``MISSING`` values in a row are missing. The sentence names no file.
     """
     notes: list[str] = []
     if not np.isfinite(time).all():

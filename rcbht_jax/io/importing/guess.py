@@ -188,7 +188,9 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
         raise InputError(
             f"{table.name} has {len(rest)} columns of numbers and none is a wrench; choose some with --map."
         )
-    return tuple(Channel(name, name, _unit_of(table, name)) for name in rest)
+    short = [names.split_unit(name)[0] for name in rest]
+    titles = short if len(set(short)) == len(rest) else rest
+    return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
 
 
 def _some(texts: Iterable[str]) -> str:

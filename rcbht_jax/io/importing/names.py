@@ -73,19 +73,29 @@ _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)[._/ \-]*([xyz])$"
 _ELEMENT = re.compile(r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|force|f|torque|moment|t|m)_([0-5])$")
 
 
-def base_and_unit(name: str) -> tuple[str, str]:
-    """Name of a column without its unit, in lower case, and the unit that it states, "" = none.
+def split_unit(name: str) -> tuple[str, str]:
+    """Name of a column without its unit, and the unit that it states, "" = none.
 
-    >>> base_and_unit("Force_X [N]"), base_and_unit("t_ms"), base_and_unit("Fx")
-    (('force_x', 'N'), ('t', 'ms'), ('fx', ''))
+    >>> split_unit("Force_X [N]"), split_unit("t_ms"), split_unit("Fx")
+    (('Force_X', 'N'), ('t', 'ms'), ('Fx', ''))
     """
     match = _BRACKETS.match(name.strip())
-    if match and (unit := UNITS.get(match[2].lower().strip())):
-        return match[1].lower(), unit
+    if match and match[1] and (unit := UNITS.get(match[2].lower().strip())):
+        return match[1], unit
     head, _, tail = name.strip().rpartition("_")
     if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):
-        return head.lower(), UNITS[tail.lower()]
-    return name.strip().lower(), ""
+        return head, UNITS[tail.lower()]
+    return name.strip(), ""
+
+
+def base_and_unit(name: str) -> tuple[str, str]:
+    """As :func:`split_unit`, the name in lower case.
+
+    >>> base_and_unit("Fx [N]")
+    ('fx', 'N')
+    """
+    base, unit = split_unit(name)
+    return base.lower(), unit
 
 
 def wrenches(names: Iterable[str]) -> list[dict[str, str]]:

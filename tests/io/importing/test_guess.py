@@ -39,7 +39,7 @@ def table(*names: str, **values: object) -> Table:
         ("force_norm torque_norm", "force_norm torque_norm", ","),
         ("position.x position.y position.z", "position.x position.y position.z", ",,"),
         ("tx ty tz px", "tx ty tz px", ",,,"),
-        ("strain [mm]", "strain [mm]", "mm"),
+        ("strain [mm]", "strain", "mm"),
     ],
 )  # fmt: skip
 def test_channels(names: str, axes: str, units: str) -> None:
