@@ -3,7 +3,15 @@
 # Words of the command -> (module:class, summary). A module is imported only when its command is called.
 COMMANDS: dict[str, tuple[str, str]] = {
     "import hiro": ("rcbht_jax.cli.store:ImportHiro", "read recorded trials of the HIRO robot into a store"),
-    "import": ("rcbht_jax.cli.importing:Import", "read files of any robot (CSV, bags, HDF5, ...) into a store"),
+    "import auto": ("rcbht_jax.cli.importing:ImportAuto", "read files of any robot into a store, kinds by suffix"),
+    "import csv": ("rcbht_jax.cli.importing:ImportCsv", "read tables as text into a store"),
+    "import parquet": ("rcbht_jax.cli.importing:ImportParquet", "read Parquet tables into a store"),
+    "import npz": ("rcbht_jax.cli.importing:ImportNpz", "read NumPy arrays into a store"),
+    "import hdf5": ("rcbht_jax.cli.importing:ImportHdf5", "read HDF5 files into a store"),
+    "import matlab": ("rcbht_jax.cli.importing:ImportMatlab", "read MATLAB files into a store"),
+    "import mcap": ("rcbht_jax.cli.importing:ImportMcap", "read MCAP files into a store"),
+    "import bag": ("rcbht_jax.cli.importing:ImportBag", "read bags of ROS 1 and ROS 2 into a store"),
+    "import lerobot": ("rcbht_jax.cli.importing:ImportLerobot", "read LeRobot data sets into a store"),
     "info": ("rcbht_jax.cli.store:Info", "summarise and verify a store"),
     "encode": ("rcbht_jax.cli.encode:Encode", "encode every recording of a store as labels"),
     "calibrate": ("rcbht_jax.cli.calibrate:Calibrate", "find gradient thresholds from recorded trials"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -14,22 +14,21 @@ from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
 if TYPE_CHECKING:
     from rcbht_jax.io.importing.mapping import Mapping
 
-Kind = Literal["auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot"]
 MOST = 20  # lines of one list in the text
+_HELP = """Import {what} into a store: a file, or a folder of files.
+
+Columns are guessed from their names, and a table says what was understood; --map states them instead, and
+--write-map saves them for editing. Recordings are brought onto one steady grid. What is left out, and why, is
+reported; exact copies are imported once. A folder of "rcbht export" comes back as it was.
+
+Example: rcbht import {kind} {example}"""
 
 
 @dataclass(frozen=True)
 class Import(Command):
-    """Import a file, or a folder of files, of any robot into a store.
+    """Base of the commands that import files of one kind."""
 
-    Columns are guessed from their names, and a table says what was understood; --map states them instead, and
-    --write-map saves them for editing. Recordings are brought onto one steady grid. What is left out, and why, is
-    reported; exact copies are imported once. A folder of "rcbht export" comes back as it was.
-
-    Example: rcbht import csv runs runs.zarr
-    """
-
-    kind: Annotated[Kind, tyro.conf.Positional, option("Kind of the files; auto = by their suffix.", metavar="KIND")]
+    KIND: ClassVar[str] = "auto"
     source: Annotated[Path, tyro.conf.Positional, option("File, or folder of files.", metavar="SOURCE")]
     out: OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
@@ -54,7 +53,7 @@ class Import(Command):
         if self.write_map is not None and not self.write_map.parent.is_dir():
             raise InputError(f"{self.write_map.parent} is not a folder; create it first.")
         imported = import_source(
-            self.source, self.out, self.kind, self._mapping(), self.overwrite,
+            self.source, self.out, self.KIND, self._mapping(), self.overwrite,
             lambda items: progress_bar("import", "files", iterable=items),
         )  # fmt: skip
         if self.write_map is not None:
@@ -115,3 +114,21 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> Iterable[str]:
     more = [f"  ... and {len(rows) - MOST} more; --json lists them all"] if len(rows) > MOST else []
     sentences = (reason if reason.startswith(name) else f"{name}: {reason}" for name, reason in rows[:MOST])
     return [f"{title}: {len(rows)}", *(f"  {sentence}" for sentence in sentences), *more]
+
+
+def _command(kind: str, what: str, example: str) -> type[Import]:
+    """The command that imports files of one kind."""
+    text = _HELP.format(kind=kind, what=what, example=example)
+    members = {"__doc__": text, "__module__": __name__, "KIND": kind}
+    return dataclass(frozen=True)(type(f"Import{kind.capitalize()}", (Import,), members))
+
+
+ImportAuto = _command("auto", "files of any kind, told apart by their suffix,", "recordings recordings.zarr")
+ImportCsv = _command("csv", "tables as text (.csv, .tsv, .txt, .dat)", "runs runs.zarr")
+ImportParquet = _command("parquet", "Parquet tables", "runs runs.zarr")
+ImportNpz = _command("npz", "NumPy arrays (.npz, .npy)", "runs runs.zarr --source-rate 500")
+ImportHdf5 = _command("hdf5", "HDF5 files", "demos.hdf5 demos.zarr")
+ImportMatlab = _command("matlab", "MATLAB files", "runs runs.zarr")
+ImportMcap = _command("mcap", "MCAP files", "run.mcap run.zarr --topic /wrench")
+ImportBag = _command("bag", "bags of ROS 1 and ROS 2", "bags bags.zarr")
+ImportLerobot = _command("lerobot", "LeRobot data sets of version 3", "pusht pusht.zarr")

@@ -14,6 +14,8 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from rcbht_jax.cli.commands import COMMANDS
+from rcbht_jax.cli.main import command_class
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import KINDS
 from rcbht_jax.io.importing.importer import Imported, read_source
@@ -238,9 +240,7 @@ def test_lerobot(tmp_path: Path) -> None:
         read_source(folder)
 
 
-def test_kinds_are_those_of_the_command() -> None:
-    from typing import get_args
-
-    from rcbht_jax.cli.importing import Kind
-
-    assert get_args(Kind) == KINDS
+def test_every_kind_has_a_command() -> None:
+    named = {words.split()[1] for words in COMMANDS if words.startswith("import ")}
+    assert named == {*KINDS, "hiro"}
+    assert {command_class(f"import {kind}").KIND for kind in KINDS} == set(KINDS)
