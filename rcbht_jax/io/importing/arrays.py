@@ -25,8 +25,14 @@ _HEADERS: dict[tuple[int, int], Callable[..., tuple[tuple[int, ...], bool, np.dt
 
 
 @contextmanager
-def _reading(path: Path, what: str) -> Iterator[None]:
-    """Turn any exception of a reader into one InputError."""
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Turn any exception of a reader into one InputError.
+
+    >>> with reading(Path("a.npz"), "NPZ"):
+    ...     raise ValueError("bad magic")
+    Traceback (most recent call last):
+    rcbht_jax.errors.InputError: a.npz is not a readable NPZ file: bad magic.
+    """
     try:
         yield
     except InputError:
@@ -51,7 +57,7 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
         InputError: not a regular file, damaged, holds Python objects, or declares arrays too large for it.
     """
     size = check_file(path)
-    with _reading(path, "NPZ"):
+    with reading(path, "NPZ"):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
                 check_declared(path, _declared(file), size)
@@ -101,7 +107,7 @@ def read_hdf5(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
     """
     size = check_file(path)
     h5py = require("h5py", "import")
-    with _reading(path, "HDF5"), h5py.File(path, "r") as file:
+    with reading(path, "HDF5"), h5py.File(path, "r") as file:
         datasets: list[Any] = []
 
         def visit(_: str, item: Any) -> None:
@@ -170,7 +176,7 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
         yield from read_hdf5(path, name, turned=True)
         return
     io = require("scipy.io", "import")
-    with _reading(path, "MATLAB"):
+    with reading(path, "MATLAB"):
         if head[124:128] not in (b"\x00\x01IM", b"\x01\x00MI"):
             raise InputError(f"{path} is not a MATLAB file of version 5 or later; save it with -v7.")
         check_declared(path, _unpacked(path, head), size)

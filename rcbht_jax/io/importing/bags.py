@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.bombs import bound_chunks, check_mcap
 from rcbht_jax.io.importing.table import MAX_COLUMNS, Interval, Table, check_file
 from rcbht_jax.io.messages import Malformed
 from rcbht_jax.io.rosbags import WRENCH, messages, open_bag, stamp_of
@@ -37,7 +39,10 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
     """
     for part in sorted(path.iterdir()) if path.is_dir() else [path]:
         check_file(part, MAX_BAG_BYTES)
+        if part.suffix == ".mcap":
+            check_mcap(part)
     with open_bag(path) as reader:
+        bound_chunks(reader)
         every = sorted({connection.topic for connection in reader.connections})
         chosen = [c for c in reader.connections if (c.topic == topic if topic else c.msgtype in WRENCH)]
         if not chosen:
@@ -73,7 +78,7 @@ class _Topic:
 
     def __init__(self, msgtype: str) -> None:
         self._wrench = msgtype in WRENCH
-        self._rows: list[tuple[float, ...]] = []
+        self._values = array("d")  # message after message
         self._names: tuple[str, ...] = ()
         self.received: list[int] = []
         self.other = 0  # messages of another shape than the first
@@ -87,13 +92,12 @@ class _Topic:
         if tuple(numbers) != self._names:
             self.other += 1
             return 0
-        self._rows.append((stamp_of(message, received), *numbers.values()))
+        self._values.extend((stamp_of(message, received), *numbers.values()))
         self.received.append(received)
         return len(numbers) + 1
 
     def table(self, name: str, spoken: dict[str, list[tuple[int, str]]], notes: tuple[str, ...]) -> Table:
-        values = np.array(self._rows, np.float64)
-        self._rows = []
+        values = np.frombuffer(self._values).reshape(len(self.received), -1)
         columns = dict(zip(("stamp", *self._names), np.ascontiguousarray(values.T), strict=True))
         units = {key: UNITS[key.split(".")[-2]] for key in self._names} if self._wrench else {}
         flags = (*notes, f"other-shape:{self.other}") if self.other else notes

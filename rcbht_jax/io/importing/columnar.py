@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.arrays import _reading
+from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_declared, check_file
 
 EPISODE = "episode_index"
@@ -28,13 +28,19 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    with _reading(path, "Parquet"):
-        columns, facts = _columns(path)
+    with reading(path, "Parquet"):
+        columns, facts = read_columns(path)
     yield Table(name, columns, facts.get("rate"))
 
 
-def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
-    """Columns that can be read, and the rate where the metadata state it."""
+def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
+    """Columns of a Parquet file that can be read, and the rate where its metadata state it.
+
+    >>> read_columns(Path("run.parquet"))  # doctest: +SKIP
+
+    Raises:
+        InputError: as :func:`read_parquet`.
+    """
     size = check_file(path)
     pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
     with pq.ParquetFile(path, thrift_string_size_limit=2**24, thrift_container_size_limit=2**20) as file:
@@ -122,8 +128,8 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     if not files:
         raise InputError(f"{folder} has no data/*/*.parquet.")
     for path in files:
-        with _reading(path, "Parquet"):
-            columns, _ = _columns(path)
+        with reading(path, "Parquet"):
+            columns, _ = read_columns(path)
         if EPISODE not in columns:
             raise InputError(f"{path} has no column {EPISODE}.")
         columns = {names.get(key, key): values for key, values in columns.items()}
@@ -150,7 +156,7 @@ def _element_names(info: Mapping[str, Any]) -> dict[str, str]:
 def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
     facts: dict[int, dict[str, str | float]] = {}
     for path in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
-        with _reading(path, "Parquet"):
+        with reading(path, "Parquet"):
             pq = require("pyarrow.parquet", "import")
             check_declared(path, pq.read_metadata(path).num_rows * 8, check_file(path))
             schema = pq.read_schema(path)

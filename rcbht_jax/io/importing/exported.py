@@ -16,7 +16,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import columnar
-from rcbht_jax.io.importing.arrays import _reading
+from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.table import check_declared, check_file
 from rcbht_jax.io.importing.text import MAX_TEXT_BYTES, read_csv
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -80,7 +80,7 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     """A table with a row per recording or interval, from CSV or Parquet; empty if there is none."""
     if (path := folder / f"{name}.parquet").is_file():
         check_declared(path, 0, check_file(path))
-        with _reading(path, "Parquet"):
+        with reading(path, "Parquet"):
             table = require("pyarrow.parquet", "import").read_table(path)
             columns = {key: table.column(key).to_numpy() for key in table.column_names}
         return {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
@@ -131,8 +131,8 @@ def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ..
 
 
 def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[np.float32]]:
-    with _reading(path, "Parquet"):
-        columns, _ = columnar._columns(path)
+    with reading(path, "Parquet"):
+        columns, _ = columnar.read_columns(path)
     if "recording" not in columns:
         raise InputError(f"{path} has no column recording.")
     wrench = _wrench(path, columns, axes)

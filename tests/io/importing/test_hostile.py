@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import struct
 import subprocess
 import sys
 import tempfile
@@ -19,6 +20,9 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 from hypothesis import given, settings
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import storage_mcap
+from rosbags.typesys import Stores, get_typestore
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.importer import read_source
@@ -162,7 +166,32 @@ def huge_mat() -> bytes:
     return file.getvalue()
 
 
+def bomb_bag(compression: Writer1.CompressionFormat) -> bytes:
+    """One chunk of a bag with a text of 300 MB zeros."""
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "std_msgs/msg/String"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bag"
+        writer = Writer1(path)
+        writer.set_compression(compression)
+        with writer:
+            connection = writer.add_connection("/wrench", "geometry_msgs/msg/WrenchStamped", typestore=store)
+            text = writer.add_connection("/text", kind, typestore=store)
+            writer.write(text, 1, (300_000_000).to_bytes(4, "little") + bytes(300_000_000))
+            writer.write(connection, 2, bytes(64))
+        return path.read_bytes()
+
+
+def bomb_mcap() -> bytes:
+    """A chunk that declares 1000 bytes and unpacks to 300 MB."""
+    packed = vars(storage_mcap)["zstd"].compress(bytes(300_000_000))
+    chunk = struct.pack("<QQQII", 0, 0, 1000, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    return b"\x89MCAP0\r\n" + b"\x06" + struct.pack("<Q", len(chunk)) + chunk
+
+
 HUGE = {
+    "bz2.bag": lambda: bomb_bag(Writer1.CompressionFormat.BZ2),
+    "lz4.bag": lambda: bomb_bag(Writer1.CompressionFormat.LZ4),
+    "zstd.mcap": bomb_mcap,
     "shape.npy": lambda: header((10**12, 6)),
     "shape.npz": lambda: zipped(("wrench.npy", header((10**12, 6)))),
     "bomb.npz": lambda: zipped(("wrench.npy", header((15_000_000, 1)) + bytes(120_000_000))),
