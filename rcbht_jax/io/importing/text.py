@@ -1,9 +1,10 @@
-"""Tables as text: CSV with commas, semicolons, tabs or blanks, with or without a line of names."""
+"""Tables as text: CSV with commas, semicolons (and decimal commas), tabs or blanks, with or without a line of names."""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -18,6 +19,7 @@ MAX_TEXT_BYTES = 2**29
 MAX_LINE = 2**20  # bytes
 CHUNK = 20_000  # rows that are Python objects at a time
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
+_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 _PLAIN = b"0123456789+-.eE,;\t \r\n"
 
 
@@ -71,6 +73,8 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
 
 
 def _delimiter(line: bytes) -> str:
+    if b";" in line and all(map(_is_number, _cells(line, ";"))):
+        return ";"  # its commas are those of numbers
     counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
@@ -81,7 +85,7 @@ def _cells(line: bytes, delimiter: str) -> list[str]:
     if delimiter == " ":
         return text.split()
     try:
-        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+        return [_plain(cell.strip(), delimiter) for cell in next(csv.reader([text], delimiter=delimiter), [])]
     except csv.Error:
         return [text]
 
@@ -173,7 +177,12 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[t
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
         if any(cell.strip() for cell in cells):
-            yield number, [cell.strip() for cell in cells]
+            yield number, [_plain(cell.strip(), delimiter) for cell in cells]
+
+
+def _plain(cell: str, delimiter: str) -> str:
+    """A cell with a point where a table with semicolons has a decimal comma."""
+    return _COMMA.sub(r"\1.\2", cell) if delimiter == ";" and "," in cell else cell
 
 
 def _flush(columns: list[_Column], rows: list[list[str]], numbers: list[int]) -> None:

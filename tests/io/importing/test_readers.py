@@ -45,6 +45,14 @@ def test_text_tables(tmp_path: Path, delimiter: str, end: str, head: str) -> Non
     same(read_source(tmp_path / "run.csv"))
 
 
+def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
+    rows = [";".join(repr(float(v)).replace(".", ",") for v in [t, *row]) for t, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([";".join(["time", *AXES]), *rows]))
+    same(read_source(tmp_path / "run.csv"))
+    (tmp_path / "bare.csv").write_text("\n".join(rows))
+    assert read_source(tmp_path / "bare.csv").recordings.wrench.shape == (1, N, 6)
+
+
 def test_a_table_without_names_has_the_time_first(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "run.txt", np.column_stack([TIME, WRENCH]))
     imported = read_source(tmp_path / "run.txt", "csv")
