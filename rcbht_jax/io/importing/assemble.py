@@ -44,8 +44,10 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     filtered = uneven = 0
     for record, source_clock in zip(records, clocks, strict=True):
         try:
-            moved, flags = conform.on_grid(record.time, record.values, source_clock, period)
-            if not np.isfinite(wrench := moved.astype(np.float32)).all():
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+                moved, flags = conform.on_grid(record.time, record.values, source_clock, period)
+                wrench = moved.astype(np.float32)
+            if not np.isfinite(wrench).all():
                 raise InputError("a value is too large for single precision; scale the channel in a map.")
         except InputError as error:
             report.skipped.append((record.name, str(error)))

@@ -74,7 +74,9 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
         try:
-            yield _record(table, mapping, part, name, row or {})
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+                record = _record(table, mapping, part, name, row or {})
+            yield record
         except InputError as error:
             yield name, str(error)
 
