@@ -104,7 +104,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         >>> recordings = Recordings.from_arrays(np.zeros((3, 400, 6)), outcome=["success", "failure", "unknown"])
         >>> items = labelled_intervals(recordings, TaskSpec("outcome"))
         >>> items.classes, items.y.tolist(), items.dropped
-        (('failure', 'success'), [1, 0], {'class not in the list': 1})
+        (('failure', 'success'), [1, 0], {'class unknown': 1})
     """
     dropped: Counter[str] = Counter()
     rows = _rows(recordings, _chosen(recordings, spec), spec.arms, dropped)

@@ -178,7 +178,14 @@ def test_csv_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
 def test_mcap_opens_in_its_own_reader(data: DataSet, tmp_path: Path) -> None:
     export(data, tmp_path / "out", "mcap")
     folder_is_clean(
-        tmp_path / "out", "000000.mcap", "000001.mcap", "000002.mcap", "trials.csv", "README.md", "dataset.json"
+        tmp_path / "out",
+        "000000.mcap",
+        "000001.mcap",
+        "000002.mcap",
+        "trials.csv",
+        "annotations.csv",
+        "README.md",
+        "dataset.json",
     )
     values, events, last = [], [], None
     with (tmp_path / "out/000001.mcap").open("rb") as file:

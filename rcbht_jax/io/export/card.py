@@ -36,6 +36,10 @@ def description(data: DataSet) -> dict[str, Any]:
         "dt": data.recordings.dt,
         "axes": dict(zip(data.recordings.axes, data.recordings.units, strict=True)),
         "annotations": {track: list(names) for track, names in data.recordings.annotations.labels.items()},
+        "column_types": {
+            name: "text" if values.dtype.kind == "U" else str(values.dtype)
+            for name, values in data.recordings.columns.items()
+        },
         "recordings": len(data.recordings),
         "columns": COLUMNS,
         "alphabets": {

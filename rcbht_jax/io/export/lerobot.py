@@ -6,7 +6,7 @@ Source: the LeRobotDataset v3.0 documentation (folder layout, ``meta/info.json``
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,12 @@ QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 _LAYOUT = """LeRobotDataset v3.0: `LeRobotDataset("any/name", root="this folder")` reads it. One episode is one
-recording (one arm of one trial); names, outcome and starts of states are further columns of `meta/episodes`. The tasks
-are the data sets. There are no actions and no images.
+recording (one arm of one trial); names, outcome and further columns are in `meta/episodes`, annotations in
+`annotations.parquet`. The tasks are the data sets. There are no actions and no images.
 
-* `observation.wrench`: Fx Fy Fz Mx My Mz, N and N m;
-* `observation.state_index`: 0 approach, 1 rotation, 2 insertion, 3 mating (harmonised boundaries); -1 = unknown;
+* `observation.wrench`: axes and units as in `dataset.json`;
+* `observation.state_index`: number, from 0, of the annotated label of the first track of `dataset.json`, or of its
+  corrected variant where it has one; -1 = none;
 * `observation.label.primitive`, `.mc`, `.llb`: codes per axis, 0 = none. Labels of the streaming encoder start when
   they were published, so that no frame depends on later ones; offline labels cover the span that they describe and
   do depend on later frames;
@@ -47,6 +48,8 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     pd, fps = require("pandas", "export"), _fps(data.recordings.dt)
     tasks = list(dict.fromkeys(source or "unnamed" for source in data.recordings.source.tolist()))
     episodes, total = _write_frames(data, folder, fps, tasks, progress)
+    if intervals := tables.intervals(data.recordings):
+        _write_table(intervals, folder / "annotations.parquet")
     meta = folder / "meta"
     (meta / "episodes" / "chunk-000").mkdir(parents=True)
     flat = {key: [episode[key] for episode in episodes] for key in episodes[0]}
@@ -214,7 +217,7 @@ def _combined(name: str, values: NDArray[Any], weight: NDArray[np.float64]) -> N
     return values.sum(0) if name == "count" else (values * weight).sum(0) / weight.sum()
 
 
-def _write_table(columns: dict[str, list[Any]], path: Path) -> None:
+def _write_table(columns: Mapping[str, Any], path: Path) -> None:
     require("pyarrow.parquet", "export").write_table(require("pyarrow", "export").table(columns), path)
 
 

@@ -72,7 +72,7 @@ def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tupl
     if isinstance(axes, dict):
         units, axes = list(axes.values()), list(axes)
     if not isinstance(axes, list) or not isinstance(units, list) or len(axes) != len(units) or not axes:
-        raise InputError(f"{folder}/dataset.json names no axes with units; expected an export of rcbht 0.3 or later.")
+        raise InputError(f"{folder}/dataset.json names no axes with units; expected an export of rcbht 0.2 or later.")
     return tuple(map(str, axes)), tuple(map(str, units))
 
 
