@@ -112,12 +112,12 @@ class PlotBeliefs(Command):
     starts: str = "harmonised"
     """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
     variant where there is one, detected = found by the model (train-online --detect)."""
-    rate: float = 10.0
-    """Beliefs per second."""
+    rate: float | None = None
+    """Beliefs per second; default about 10."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.events import Belief
-        from rcbht_jax.introspection.introspector import Introspector
+        from rcbht_jax.introspection.introspector import Introspector, usual_rate
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
         from rcbht_jax.io.playback import read_store
@@ -125,7 +125,9 @@ class PlotBeliefs(Command):
         from rcbht_jax.plots.beliefs import belief_map
 
         detect = self.starts == "detected"
-        session = Session(Introspector(load(self.model), self.rate, detect=detect))
+        model = load(self.model)
+        rate = usual_rate(model.encoder.dt) if self.rate is None else self.rate
+        session = Session(Introspector(model, rate, detect=detect), max(0.05, 4 * model.encoder.dt))
         messages = read_store(self.store, (self.trial,), self.arm, "none" if self.starts == "detected" else self.starts)
         events = list(session.run(messages))
         beliefs = sum(isinstance(event, Belief) for event in events)

@@ -133,14 +133,14 @@ class Source(Command):
     --detect)."""
     topic: str = ""
     """Topic of a bag, if several have wrenches."""
-    rate: float = 10.0
-    """Beliefs per second; 0 = one per window."""
+    rate: float | None = None
+    """Beliefs per second; 0 = one per window; default about 10."""
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
     speed: float = 0.0
     """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
-    max_gap: float = 0.05
-    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder."""
+    max_gap: float | None = None
+    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
     compile_cache: CompileCache = None
@@ -154,7 +154,7 @@ class Source(Command):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
-        from rcbht_jax.introspection.introspector import Introspector
+        from rcbht_jax.introspection.introspector import Introspector, usual_rate
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
 
@@ -162,10 +162,11 @@ class Source(Command):
             raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
         messages = self._messages()
         compile_cache.use(self.compile_cache)
-        introspector = Introspector(
-            load(self.model), self.rate or None, self.certainty, detect=self.starts == "detected"
-        )
-        session = Session(introspector, self.max_gap)
+        model = load(self.model)
+        dt = model.encoder.dt
+        rate = usual_rate(dt) if self.rate is None else self.rate or None
+        introspector = Introspector(model, rate, self.certainty, detect=self.starts == "detected")
+        session = Session(introspector, max(0.05, 4 * dt) if self.max_gap is None else self.max_gap)
         introspector.warm_up()
         return session, messages
 

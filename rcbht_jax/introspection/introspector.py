@@ -285,6 +285,15 @@ def _head(model: IntrospectionModel, name: str) -> Head:
     )
 
 
+def usual_rate(dt: float) -> float:
+    """The rate of beliefs nearest to ten per second that fits a sampling period of ``dt`` s.
+
+    >>> usual_rate(0.005), usual_rate(0.05), round(usual_rate(0.021), 3)
+    (10.0, 10.0, 9.524)
+    """
+    return 1 / (dt * max(1, round(0.1 / dt)))
+
+
 def _samples_between(rate: float | None, config: EncoderConfig) -> int | None:
     """Samples from one belief to the next; None = one per window."""
     if rate is None:
