@@ -267,8 +267,9 @@ def _of_track(
     marks = recordings.annotations.of(track)
     labels = np.array(marks.labels[track], np.str_)
     start = np.rint(marks.start / recordings.dt)
-    end = np.nan_to_num(np.rint(marks.end / recordings.dt), nan=-1.0)
-    usable = (start >= 0) & (end > start) & (end <= recordings.length[marks.recording])
+    # What lasts beyond the record is cut off there; an unknown end is before every start.
+    end = np.minimum(np.nan_to_num(np.rint(marks.end / recordings.dt), nan=-1.0), recordings.length[marks.recording])
+    usable = (start >= 0) & (end > start)
     if spec.complete:
         usable &= _complete(marks, usable, len(recordings))[marks.recording]
     if spec.classes:
@@ -284,7 +285,7 @@ def _of_track(
     items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
     left = np.isin(marks.recording, rows[:, 0]) & ~usable
     if not spec.complete and not spec.classes and left.any():
-        _count(dropped, "intervals that are empty, end beyond the record or have no known end", int(left.sum()))
+        _count(dropped, "intervals that are empty, begin after the record or have no known end", int(left.sum()))
     return _Found(
         marks.recording[items].astype(np.int64), labels[marks.code[items[:, 0]]],
         start[items].astype(np.int64), end[items].astype(np.int64),

@@ -141,16 +141,17 @@ def _states(recordings: Recordings, track: str) -> tuple[str, ...]:
 
 def _by_state(track: LabelTrack, rows: Rows, recordings: Recordings, annotated: str, states: tuple[str, ...]) -> Codes:
     """Codes by state, ``POINTS_PER_STATE`` columns each, 0 where a state is missing; the first of several."""
-    starts = recordings.starts(recordings.annotations.choose(annotated)) / recordings.dt
-    axes = len(recordings.axes)
+    name, axes = recordings.annotations.choose(annotated), len(recordings.axes)
     codes = np.zeros((len(rows), axes, len(states), POINTS_PER_STATE), np.int8)
     fractions = (np.arange(POINTS_PER_STATE) + 0.5) / POINTS_PER_STATE
     for row, index in enumerate(rows.tolist()):
-        edges = np.append(starts[index], np.nan)
-        for state, start in enumerate(edges[:-1]):
-            if np.isnan(start):
-                continue
-            stop = min([*edges[edges > start], recordings.length[index]])
+        marks = recordings.annotations.of_recording(index).of(name)
+        length = float(recordings.length[index])
+        for state in np.unique(marks.code).tolist():
+            first = np.flatnonzero(marks.code == state)[0]
+            start, end = marks.start[first] / recordings.dt, marks.end[first] / recordings.dt
+            following = marks.start[marks.start > marks.start[first]] / recordings.dt
+            stop = min(end if np.isfinite(end) else min(following, default=length), length)
             moments = start + fractions * max(stop - start, 0.0)
             for axis in range(axes):
                 codes[row, axis, state] = _codes_at(track, index, axis, moments)

@@ -126,7 +126,7 @@ def test_a_trial_that_lacks_a_mark_keeps_its_other_intervals(recordings):
     items = labelled_intervals(marked(recordings, onset), TaskSpec(boundaries="recorded"))
     of = items.intervals[0].recording == 0
     assert [items.classes[y] for y in items.y[of]] == ["insertion", "mating"]
-    assert items.dropped == {"intervals that are empty, end beyond the record or have no known end": 1}
+    assert items.dropped == {"intervals that are empty, begin after the record or have no known end": 1}
 
 
 def test_two_arms_are_paired_by_trial(recordings):
