@@ -43,7 +43,7 @@ class Schedule:
 
 
 def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS) -> Schedule:
-    """Longest recording first onto the slot that is free first; slots are as many as keep busy.
+    """Longest recording first onto the slot that is free first; slots are a power of two, as many as keep busy.
 
     Args:
         length: int ``[recording]``, samples.
@@ -52,7 +52,8 @@ def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS)
     """
     pieces = np.maximum(-(-length.astype(np.int64) // samples), 1)
     busy = int(pieces.sum() // pieces.max())  # more slots than this would wait for the longest recording
-    slots = max(1, min(most_slots, busy))
+    # A power of two: data sets of all sizes share a few compiled programs.
+    slots = 1 << (max(1, min(most_slots, busy)).bit_length() - 1)
     free = [(0, slot) for slot in range(slots)]
     starts = np.empty((len(pieces), 2), np.int64)
     for index in np.argsort(-pieces, kind="stable"):
