@@ -12,6 +12,10 @@ import tests.support.typechecking  # noqa: F401  # the hook below finds it by at
 # Shapes and types are checked at run time under pytest only; must come before any import of the packages.
 install_import_hook(["rcbht_jax", "sim_mjx"], "tests.support.typechecking.check")
 
+# Both workers and all commands that tests start share what one of them has compiled: half of the time is compilation.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import pytest  # noqa: E402
