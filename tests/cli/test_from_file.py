@@ -29,8 +29,8 @@ def phases(samples: int, rate: float, number: int) -> np.ndarray:
 
 def pa10(folder: Path, _: Path) -> Path:
     """17 columns without names at 1 kHz: time, joints, wrench, wrist pose, state from 0 to 4."""
-    for number in range(4):
-        wrench = phases(2000, 1000, number)
+    for number in range(3):
+        wrench = phases(1000, 1000, number)
         time = np.arange(len(wrench))[:, None] / 1000
         state = np.repeat(np.arange(5), len(wrench) // 5)[:, None]
         rest = np.random.default_rng(number).normal(size=(len(wrench), 9))
@@ -50,8 +50,8 @@ def ur5(folder: Path, _: Path) -> Path:
     head = ",".join(
         ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"actual_TCP_force_{k}" for k in range(6)), "phase"]
     )
-    for number in range(4):
-        wrench = phases(1500, 500, number)
+    for number in range(3):
+        wrench = phases(1000, 500, number)
         lines = [head]
         for k, row in enumerate(wrench):
             name = ("move", "move", "touch", "slide", "press")[5 * k // len(wrench)]

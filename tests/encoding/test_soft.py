@@ -171,7 +171,7 @@ def two_class_corpus(trials: int, seed: int) -> CalibrationData:
 @pytest.mark.parametrize(("kind", "batch"), [("logistic", 0), ("hinge", 4), ("fit", 0)])
 def test_training_moves_a_limit_between_the_classes(kind, batch):
     start = preset()
-    options = GradientOptions(steps=60, rate=0.1, loss=kind, temperature=(0.7, 0.1), batch=batch)
+    options = GradientOptions(steps=40, rate=0.15, loss=kind, temperature=(0.7, 0.1), batch=batch)
     held_out = two_class_corpus(4, 1) if kind == "logistic" else None
     trained = calibrate(two_class_corpus(6, 0), CONFIG, start, options, held_out=held_out)
     assert trained.history[-1][1] < 0.5 * trained.history[0][1]

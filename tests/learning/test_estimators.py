@@ -119,7 +119,7 @@ def test_pandas_output_names_every_column():
 
 def test_window_and_thresholds_are_found_by_a_grid_search_over_groups():
     huge = np.tile([7e6, 6e6, 5e6, 4e6], (6, 1))  # N/s: every segment is constant, so nothing can be told apart
-    grid = {"thresholds": [huge, preset("hiro"), "pa10"], "window": [5, 10]}
+    grid = {"thresholds": [huge, preset("hiro")], "window": [5, 10]}
     chain = StateClassifier(features=FeatureSpec(("histogram",)), classifier=SvmClassifier(kernel="linear"))
     search = GridSearchCV(chain, grid, cv=GroupKFold(3)).fit(wrenches(), STATE, groups=TRIAL)
     assert search.best_score_ == 1
