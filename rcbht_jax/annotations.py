@@ -95,7 +95,8 @@ class Annotations:
             raise InputError(f"the annotation {error.args[0]} is not among the labels of its track.") from None
         track, code = np.array(pairs, np.int32).reshape(-1, 2).T
         order = {name: tuple(map(str, names)) for name, names in labels.items()}
-        return Annotations(table["recording"], track.astype(np.int16), code, table["start"], table["end"], order)
+        start, end = table["start"], table["end"]
+        return Annotations(table["recording"], track.astype(np.int16), code, start, end, order)._sorted()
 
     @staticmethod
     def from_starts(track: str, labels: Sequence[str], starts: ArrayLike, end: ArrayLike) -> Annotations:
@@ -123,7 +124,7 @@ class Annotations:
         return Annotations(
             recording.astype(np.int32), np.zeros(len(code), np.int16), code.astype(np.int32),
             begin[recording, code], until[recording, code], {track: tuple(labels)},
-        )  # fmt: skip
+        )._sorted()  # fmt: skip
 
     def choose(self, track: str = "") -> str:
         """The named track; without a name the first one, or its variant FIRST-harmonised; "" = there is none.
@@ -174,15 +175,13 @@ class Annotations:
         name = self.choose(track)
         if not name:
             return np.zeros(0)
-        return np.sort(self.of_recording(recording).of(name).start)
+        return self.of_recording(recording).of(name).start
 
     def take(self, rows: NDArray[np.integer]) -> Annotations:
         """The annotations of some recordings ``[new recording]``, which may repeat, numbered anew."""
-        by_recording = np.argsort(self.recording, kind="stable")
-        bounds = np.searchsorted(self.recording[by_recording], np.stack([rows, rows + 1]))
-        counts = bounds[1] - bounds[0]
-        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        chosen = by_recording[np.repeat(bounds[0], counts) + within]
+        first, last = np.searchsorted(self.recording, np.stack([rows, rows + 1]))
+        counts = last - first
+        chosen = np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
         return replace(self._rows(chosen), recording=np.repeat(np.arange(len(rows), dtype=np.int32), counts))
 
     @staticmethod

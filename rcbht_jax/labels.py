@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 UNITS = ("N", "N", "N", "Nm", "Nm", "Nm")  # of AXES
+UNIT_OF = dict(zip(AXES, UNITS, strict=True))
 LAYERS = ("primitive", "mc", "llb")
 
 

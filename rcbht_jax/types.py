@@ -303,7 +303,7 @@ class Recordings:
         count, width = len(parts), wrench.shape[2]
         names = axis_names(width) if axes is None else tuple(axes)
         if units is None:
-            units = [dict(zip(labels.AXES, labels.UNITS, strict=True)).get(name, "") for name in names]
+            units = [labels.UNIT_OF.get(name, "") for name in names]
         if len(names) != width or len(units) != width:
             raise InputError(f"There are {len(names)} names and {len(units)} units for {width} axes.")
         values: dict[str, Any] = {name: np.full(count, text) for name, text in STANDARD_COLUMNS.items()}

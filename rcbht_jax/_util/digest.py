@@ -57,7 +57,8 @@ def files_hash(root: Path, paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         try:
-            content = hashlib.sha256(path.read_bytes()).digest()
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").digest()
         except OSError:
             continue
         digest.update(path.relative_to(root).as_posix().encode("utf-8", "replace") + content)

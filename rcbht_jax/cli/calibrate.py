@@ -148,10 +148,11 @@ class Calibrate(EncodingCommand):
         from rcbht_jax._util.digest import data_hash
         from rcbht_jax.calibration.rest import rest_thresholds
         from rcbht_jax.encoding.thresholds import write_thresholds
+        from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings
 
         start = time.perf_counter()
-        chosen = np.isin(recordings.session, self.session) if self.session else np.ones(len(recordings), bool)
-        chosen &= np.isin(recordings.source, self.source) if self.source else True
+        spec = TaskSpec(sources=self.source, sessions=self.session, outcomes=())
+        chosen = chosen_recordings(recordings, spec)
         if not chosen.any():
             raise InputError("No recording passes the filters.")
         thresholds = rest_thresholds(recordings.take(chosen), self.window).thresholds

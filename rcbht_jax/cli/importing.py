@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import tyro
 
 from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
+from rcbht_jax.cli.store import sentence
 
 if TYPE_CHECKING:
     from rcbht_jax.io.importing.mapping import Mapping
@@ -74,13 +75,7 @@ class Import(Command):
         from rcbht_jax.io.importing.mapping import Mapping, Track, Value, read_mapping
 
         mapping = read_mapping(self.map) if self.map else Mapping()
-        given: dict[str, Any] = {
-            "rate": self.rate,
-            "source_rate": self.source_rate,
-            "tare": self.tare,
-            "group": self.group,
-        }
-        given["topic"] = self.topic
+        given = {name: getattr(self, name) for name in ("rate", "source_rate", "tare", "group", "topic")}
         mapping = replace(mapping, **{name: value for name, value in given.items() if value not in (None, "")})
         if self.labels:
             mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
@@ -112,8 +107,7 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> Iterable[str]:
     if not rows:
         return []
     more = [f"  ... and {len(rows) - MOST} more; --json lists them all"] if len(rows) > MOST else []
-    sentences = (reason if reason.startswith(name) else f"{name}: {reason}" for name, reason in rows[:MOST])
-    return [f"{title}: {len(rows)}", *(f"  {sentence}" for sentence in sentences), *more]
+    return [f"{title}: {len(rows)}", *(f"  {sentence(name, reason)}" for name, reason in rows[:MOST]), *more]
 
 
 def _command(kind: str, what: str, example: str) -> type[Import]:

@@ -117,22 +117,22 @@ class PlotBeliefs(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.events import Belief
-        from rcbht_jax.introspection.introspector import Introspector, usual_rate
+        from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
-        from rcbht_jax.io.playback import read_store
+        from rcbht_jax.io.playback import play
+        from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
         from rcbht_jax.plots.beliefs import belief_map
 
         detect = self.starts == "detected"
-        model = load(self.model)
-        rate = usual_rate(model.encoder.dt) if self.rate is None else self.rate
-        session = Session(Introspector(model, rate, detect=detect), max(0.05, 4 * model.encoder.dt))
-        messages = read_store(self.store, (self.trial,), self.arm, "none" if self.starts == "detected" else self.starts)
-        events = list(session.run(messages))
+        session = Session(Introspector(load(self.model), self.rate or "auto", detect=detect))
+        recordings = read_recordings(self.store)
+        starts = "none" if detect else self.starts
+        events = list(session.run(play(recordings, (self.trial,), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
         # No event announces the first sub-task, which begins with the trial.
-        names = () if detect else _names(self.store, self.trial, self.starts)[1:]
+        names = () if detect else _names(recordings, self.trial, self.starts)[1:]
         save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
@@ -140,18 +140,15 @@ class PlotBeliefs(Command):
         return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
 
 
-def _names(store: Path, trial: str, starts: str) -> tuple[str, ...]:
+def _names(recordings: Recordings, trial: str, starts: str) -> tuple[str, ...]:
     """Labels of the intervals of a trial, in order of time."""
-    from rcbht_jax.io.store import read_recordings
+    from rcbht_jax.io.playback import track_of_starts
 
-    recordings = read_recordings(store)
-    known = recordings.annotations
-    track = known.choose() if starts == "harmonised" else next(iter(known.labels), "")
+    track = recordings.annotations.choose(track_of_starts(recordings.annotations, starts))
     if not track:
         return ()
-    track = track if starts in ("harmonised", "recorded") else known.choose(starts)
-    marks = known.of_recording(int(np.flatnonzero(recordings.trial == trial)[0])).of(track)
-    return tuple(marks.names()[np.argsort(marks.start)].tolist())
+    row = int(np.flatnonzero(recordings.trial == trial)[0])
+    return tuple(recordings.annotations.of_recording(row).of(track).names().tolist())
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -49,11 +49,11 @@ class ImportHiro(Command):
         for title, key in (("left out", "skipped"), ("exact copies", "duplicates"), ("warnings", "warnings")):
             if result[key]:
                 lines.append(f"{title}: {len(result[key])}")
-                lines += [f"  {_sentence(path, reason)}" for path, reason in result[key]]
+                lines += [f"  {sentence(path, reason)}" for path, reason in result[key]]
         return "\n".join(lines)
 
 
-def _sentence(path: str, reason: str) -> str:
+def sentence(path: str, reason: str) -> str:
     """Messages of the parser begin with the path already."""
     return reason if reason.startswith(path) else f"{path}: {reason}"
 

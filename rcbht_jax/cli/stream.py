@@ -154,7 +154,7 @@ class Source(Command):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
-        from rcbht_jax.introspection.introspector import Introspector, usual_rate
+        from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
 
@@ -162,11 +162,9 @@ class Source(Command):
             raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
         messages = self._messages()
         compile_cache.use(self.compile_cache)
-        model = load(self.model)
-        dt = model.encoder.dt
-        rate = usual_rate(dt) if self.rate is None else self.rate or None
-        introspector = Introspector(model, rate, self.certainty, detect=self.starts == "detected")
-        session = Session(introspector, max(0.05, 4 * dt) if self.max_gap is None else self.max_gap)
+        rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
+        introspector = Introspector(load(self.model), rate, self.certainty, detect=self.starts == "detected")
+        session = Session(introspector, self.max_gap)
         introspector.warm_up()
         return session, messages
 

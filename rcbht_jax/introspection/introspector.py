@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -101,7 +101,8 @@ class Introspector:
 
     Args:
         model: see :mod:`rcbht_jax.introspection.model`.
-        rate: beliefs per second; None = one per window. The clock is the number of samples received.
+        rate: beliefs per second; "auto" = nearest to ten that fits the sampling period; None = one per window. The
+            clock is the number of samples received.
         k: certainty level: a belief is certain when its probability exceeds ``k``, 0.5 to 1 (paper: 0.70 to 0.95).
         margin: a certain belief stays certain until its probability falls below ``k - margin``.
         hold: seconds for which an alarm must stay above its level (the classifier's own, else ``k``) before it is
@@ -128,7 +129,7 @@ class Introspector:
     def __init__(
         self,
         model: IntrospectionModel,
-        rate: float | None = 10.0,
+        rate: float | Literal["auto"] | None = "auto",
         k: float = CERTAINTY_LEVELS[0],
         margin: float = 0.05,
         hold: float = 0.1,
@@ -285,19 +286,12 @@ def _head(model: IntrospectionModel, name: str) -> Head:
     )
 
 
-def usual_rate(dt: float) -> float:
-    """The rate of beliefs nearest to ten per second that fits a sampling period of ``dt`` s.
-
-    >>> usual_rate(0.005), usual_rate(0.05), round(usual_rate(0.021), 3)
-    (10.0, 10.0, 9.524)
-    """
-    return 1 / (dt * max(1, round(0.1 / dt)))
-
-
-def _samples_between(rate: float | None, config: EncoderConfig) -> int | None:
+def _samples_between(rate: float | Literal["auto"] | None, config: EncoderConfig) -> int | None:
     """Samples from one belief to the next; None = one per window."""
     if rate is None:
         return None
+    if rate == "auto":
+        return max(1, round(0.1 / config.dt))
     if not 0 < rate < float("inf"):
         raise InputError(f"{rate} beliefs per second were asked for; expected a positive number, or none.")
     every = round(1 / (rate * config.dt))

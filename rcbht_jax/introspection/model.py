@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.labels import AXES, UNITS
+from rcbht_jax.labels import UNIT_OF
 from rcbht_jax.learning.model_io import read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.types import axis_names
@@ -103,8 +103,7 @@ class IntrospectionModel:
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the axes; "" = not stated."""
-        known = dict(zip(AXES, UNITS, strict=True))
-        return tuple(self.extra.get("units", [known.get(axis, "") for axis in self.axes]))
+        return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
     @property
     def thresholds(self) -> GradientThresholds:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.messages import Sample
+from rcbht_jax.labels import AXES
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
 JITTER = 0.25  # of a period: readings further off the grid are reported, once per second
@@ -52,18 +53,21 @@ class Resampler:
 
     Args:
         dt: period of the grid.
-        bridge: s; gaps up to this long are bridged by a straight line.
+        bridge: s; gaps up to this long are bridged by a straight line; None = 0.05 s, or four periods if they are
+            longer.
+        axes: values of a reading.
 
     Raises:
         InputError: the bridge is shorter than two periods or longer than a minute.
     """
 
-    def __init__(self, dt: float, bridge: float = 0.05) -> None:
+    def __init__(self, dt: float, bridge: float | None = None, axes: int = len(AXES)) -> None:
+        bridge = max(0.05, 4 * dt) if bridge is None else bridge
         if not 2 * dt <= bridge <= 60:
             raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to 60 s.")
         self._dt, self._bridge = dt, bridge
         self._origin = self._last = 0.0
-        self._value: Float[np.ndarray, " axis"] = np.zeros(0)
+        self._value: Float[np.ndarray, " axis"] = np.zeros(axes)
         self._index = -1  # of the latest grid sample; -1 = none yet
         self._skipped = 0  # readings without a time that were left out since the latest good one
         self._off, self._off_since = 0, 0
@@ -97,7 +101,7 @@ class Resampler:
         return self._origin + (self._index + 1 + self._skipped) * self._dt
 
     def _nothing(self, kind: Kind, text: str) -> Resampled:
-        return Resampled(np.zeros((0, max(len(self._value), 1)), np.float32), self._last, reports=[Report(kind, text)])
+        return Resampled(np.zeros((0, len(self._value)), np.float32), self._last, reports=[Report(kind, text)])
 
     def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
         self._origin = self._last = time

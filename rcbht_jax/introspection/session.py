@@ -16,11 +16,11 @@ from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Sile
 class Session:
     """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`."""
 
-    def __init__(self, introspector: Introspector, bridge: float = 0.05) -> None:
+    def __init__(self, introspector: Introspector, bridge: float | None = None) -> None:
         self.introspector = introspector
-        self._dt = introspector.model.encoder.dt
-        self._bridge = bridge
-        self._resampler = Resampler(self._dt, bridge)
+        self._axes = len(introspector.model.limits)
+        self._grid = introspector.model.encoder.dt, bridge, self._axes
+        self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
@@ -34,16 +34,16 @@ class Session:
             return self.introspector.begin()
         if isinstance(message, Reset):
             self.introspector.reset()
-            self._resampler = Resampler(self._dt, self._bridge)
+            self._resampler = Resampler(*self._grid)
             return []
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
-        axes = len(self.introspector.model.limits)
-        if len(sample.wrench) != axes:
-            return [self._notice("malformed", f"a reading has {len(sample.wrench)} values; the model has {axes} axes")]
+        if len(sample.wrench) != self._axes:
+            text = f"a reading has {len(sample.wrench)} values; the model has {self._axes} axes"
+            return [self._notice("malformed", text)]
         resampled = self._resampler.feed(sample)
         self.time = resampled.time
         events: list[Event] = []

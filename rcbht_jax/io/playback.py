@@ -13,6 +13,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.types import Recordings
 
 NONE, RECORDED = "none", "recorded"
 
@@ -32,17 +33,31 @@ def read_store(
     Raises:
         InputError: ``path`` is not a store, or has no such trial or arm.
     """
-    recordings = read_recordings(path)
+    yield from play(read_recordings(path), trials, arm, starts, str(path))
+
+
+def play(
+    recordings: Recordings,
+    trials: tuple[str, ...] = (),
+    arm: str = "R",
+    starts: str = "harmonised",
+    name: str = "the data set",
+) -> Iterator[Message]:
+    """Trials of a data set of some name, as :func:`read_store` reads them from a store.
+
+    Raises:
+        InputError: the data set has no such trial or arm.
+    """
     unknown = set(trials) - set(recordings.trial.tolist())
     if unknown:
-        raise InputError(f"{path} has no trial {', '.join(sorted(unknown))}.")
+        raise InputError(f"{name} has no trial {', '.join(sorted(unknown))}.")
     arms = sorted(set(recordings.arm.tolist()))
     chosen = (recordings.arm == (arms[0] if len(arms) == 1 else arm)) & (
         np.isin(recordings.trial, trials) if trials else True
     )
     if not chosen.any():
-        raise InputError(f"{path} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
-    track = _track(recordings.annotations, starts)
+        raise InputError(f"{name} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
+    track = track_of_starts(recordings.annotations, starts)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
@@ -51,7 +66,8 @@ def read_store(
         yield from _trial(time, wrench, begins, recordings.dt)
 
 
-def _track(annotations: Annotations, starts: str) -> str:
+def track_of_starts(annotations: Annotations, starts: str) -> str:
+    """The track whose intervals begin the sub-tasks; "" = the usual one, see :meth:`Annotations.choose`."""
     if starts == RECORDED:
         return next(iter(annotations.labels), "")
     return "" if starts in ("harmonised", NONE) else annotations.choose(starts)

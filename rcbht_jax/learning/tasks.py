@@ -84,7 +84,7 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIn
         InputError: a filter names an unknown source or session.
     """
     dropped: Counter[str] = Counter()
-    rows = _rows(recordings, _chosen(recordings, spec, unknown=spec.outcomes is None), spec.arms, dropped)
+    rows = _rows(recordings, chosen_recordings(recordings, spec, unknown=spec.outcomes is None), spec.arms, dropped)
     track = track_of(recordings, spec)
     if track:
         found = _of_track(recordings, rows, track, spec, dropped)
@@ -107,7 +107,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         (('failure', 'success'), [1, 0], {'class unknown': 1})
     """
     dropped: Counter[str] = Counter()
-    rows = _rows(recordings, _chosen(recordings, spec), spec.arms, dropped)
+    rows = _rows(recordings, chosen_recordings(recordings, spec), spec.arms, dropped)
     track = track_of(recordings, spec)
     if track:
         found = _of_track(recordings, rows, track, spec, dropped)
@@ -141,7 +141,7 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     for track in (f"{spec.task}-{spec.boundaries}", spec.task):
         if track in tracks:
             return track
-    if spec.task not in column_names(recordings) and spec.task.replace("-", "_") not in column_names(recordings):
+    if not _column(recordings, spec):
         known = (*tracks, *column_names(recordings))
         raise InputError(f"There is no track or column {spec.task!r} for the task; there are {', '.join(known)}.")
     return ""
@@ -221,10 +221,22 @@ def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:
 
 
 def _column(recordings: Recordings, spec: TaskSpec) -> str:
-    return spec.task if spec.task in column_names(recordings) else spec.task.replace("-", "_")
+    """The column of a task, which may be spelt with hyphens; "" = there is none."""
+    known = column_names(recordings)
+    return next((name for name in (spec.task, spec.task.replace("-", "_")) if name in known), "")
 
 
-def _chosen(recordings: Recordings, spec: TaskSpec, unknown: bool = False) -> NDArray[np.bool_]:
+def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = False) -> NDArray[np.bool_]:
+    """The recordings ``[recording]`` of the sources, sessions and outcomes of a task.
+
+    Args:
+        recordings: the data set.
+        spec: names them.
+        unknown: recordings of unknown outcome pass as well.
+
+    Raises:
+        InputError: a filter names a source, session or outcome that the data set has not.
+    """
     filters: list[tuple[str, NDArray[np.str_], Sequence[str]]] = [
         ("source", recordings.source, spec.sources),
         ("session", recordings.session, spec.sessions),
@@ -274,10 +286,9 @@ def _of_track(
         usable &= _complete(marks, usable, len(recordings))[marks.recording]
     if spec.classes:
         usable &= np.isin(labels[marks.code], spec.classes)
-    order = np.lexsort((marks.start, marks.recording))
-    order = order[usable[order]]
-    bounds = np.searchsorted(marks.recording[order], np.arange(len(recordings) + 1))
-    of_trials = [[order[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
+    chosen = np.flatnonzero(usable)
+    bounds = np.searchsorted(marks.recording[chosen], np.arange(len(recordings) + 1))
+    of_trials = [[chosen[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
     there = [arms for arms in of_trials if all(len(arm) for arm in arms)]
     _count(dropped, "a state is missing" if spec.complete else "no annotation", len(of_trials) - len(there))
     same = [arms for arms in there if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from itertools import groupby
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import rcbht_jax
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.introspector import Introspector, usual_rate
+from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.io.export.card import confounds
 from rcbht_jax.io.export.dataset import DataSet
@@ -33,7 +33,7 @@ class Options:
     title: str = "Wrench introspection"
     results: Results | None = None  # None = no table of results
     model: IntrospectionModel | None = None  # model whose beliefs are shown over time
-    rate: float | None = None  # beliefs per second; None = about 10
+    rate: float | Literal["auto"] = "auto"  # beliefs per second, see Introspector
     trials: tuple[str, ...] = ()  # names of the trials to show; () = evenly spaced ones
     most: int = 100  # largest number of recordings, where none are named
 
@@ -105,8 +105,7 @@ def _introspector(recordings: Recordings, options: Options) -> Introspector | No
             f"The model was trained on samples {options.model.encoder.dt:g} s apart, the store's are "
             f"{recordings.dt:g} s apart; train one on this store."
         )
-    rate = usual_rate(recordings.dt) if options.rate is None else options.rate
-    return Introspector(options.model, rate)
+    return Introspector(options.model, options.rate)
 
 
 def _asset(file: str) -> str:

@@ -89,8 +89,7 @@ def _words(records: list[Record]) -> None:
         for name in tracks & set(record.columns):
             label = str(record.columns.pop(name))
             if label and not any(track == name for track, *_ in record.intervals):
-                step = (record.time[-1] - record.time[0]) / (len(record.time) - 1)
-                record.intervals.append((name, label, 0.0, float(record.time[-1] + step)))
+                record.intervals.append((name, label, 0.0, record.end))
 
 
 def _annotations(records: list[Record]) -> Annotations:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_declared, check_file
+from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_declared, check_file, read_object
 
 EPISODE = "episode_index"
 _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
@@ -114,7 +113,7 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not such a data set, another version, or a file of it is damaged.
     """
-    info = read_json(folder / "meta" / "info.json")
+    info = read_object(folder / "meta" / "info.json")
     version, fps = str(info.get("codebase_version")), info.get("fps")
     if not version.startswith("v3"):
         raise InputError(
@@ -171,21 +170,3 @@ def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
                     key: value if isinstance(value, str) else float(value) for key, value in plain.items()
                 }
     return facts
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file.
-
-    >>> read_json(Path("dataset.json"))  # doctest: +SKIP
-
-    Raises:
-        InputError: missing, larger than 16 MiB, or not a JSON object.
-    """
-    check_file(path, 2**24)
-    try:
-        value = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {error}.") from None
-    if not isinstance(value, dict):
-        raise InputError(f"{path} is not a JSON object.")
-    return value

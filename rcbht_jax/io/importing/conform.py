@@ -166,11 +166,7 @@ def on_grid(
     notes += [f"gaps:{len(gaps)}"] if len(gaps) > 1 else []
     if source.steady and agrees(source, period):
         return values, notes
-    rows = int((time[-1] - time[0]) / period + 1e-6) + 1
-    if rows * values.shape[1] > MAX_SAMPLES:
-        raise InputError(
-            f"{time[-1] - time[0]:.6g} s at {1 / period:g} samples per second are too many; is its unit s?"
-        )
+    rows = _rows(time, period, values.shape[1])
     if rows < 2:
         raise InputError(f"it lasts {time[-1] - time[0]:.3g} s, less than two samples at {1 / period:g} Hz.")
     if source.period < (1 - NEAR) * period:
@@ -183,15 +179,21 @@ def on_grid(
     return moved, [*notes, "uneven" if near else f"resampled:{source.rate:.4g}"]
 
 
+def _rows(time: Float[np.ndarray, " sample"], period: float, axes: int) -> int:
+    """Samples of a grid from the first to the last time."""
+    rows = int((time[-1] - time[0]) / period + 1e-6) + 1
+    if rows * axes > MAX_SAMPLES:
+        raise InputError(
+            f"{time[-1] - time[0]:.6g} s at {1 / period:g} samples per second are too many; is its unit s?"
+        )
+    return rows
+
+
 def _filtered(
     time: Float[np.ndarray, " sample"], values: Float[np.ndarray, "sample axis"], source: float, period: float
 ) -> tuple[Float[np.ndarray, "row axis"], Float[np.ndarray, " row"]]:
     """Low-passed samples on an even grid of the source's own rate."""
-    rows = int((time[-1] - time[0]) / source + 1e-6) + 1
-    if rows * values.shape[1] > MAX_SAMPLES:
-        raise InputError(
-            f"{time[-1] - time[0]:.6g} s at {1 / source:g} samples per second are too many; is its unit s?"
-        )
+    rows = _rows(time, source, values.shape[1])
     grid = time[0] + np.arange(rows) * source
     even = np.stack([np.interp(grid, time, column) for column in values.T], 1)
     signal = require("scipy.signal", "import")

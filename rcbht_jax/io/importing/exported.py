@@ -17,7 +17,7 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import columnar
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.table import check_declared, check_file
+from rcbht_jax.io.importing.table import check_declared, check_file, read_object
 from rcbht_jax.io.importing.text import MAX_TEXT_BYTES, read_csv
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
@@ -36,7 +36,7 @@ def read_export(folder: Path) -> Recordings:
     Raises:
         InputError: a file is missing or damaged, or the files contradict each other.
     """
-    about = columnar.read_json(folder / "dataset.json")
+    about = read_object(folder / "dataset.json")
     dt, axes, units = _period(folder, about), *_axes(folder, about)
     if (folder / "meta" / "info.json").is_file():
         values, table = _lerobot(folder, axes)
@@ -68,12 +68,10 @@ def _period(folder: Path, about: Mapping[str, Any]) -> float:
 
 
 def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    axes, units = about.get("axes"), about.get("units")
-    if isinstance(axes, dict):
-        units, axes = list(axes.values()), list(axes)
-    if not isinstance(axes, list) or not isinstance(units, list) or len(axes) != len(units) or not axes:
+    axes = about.get("axes")
+    if not isinstance(axes, dict) or not axes:
         raise InputError(f"{folder}/dataset.json names no axes with units; expected an export of rcbht 0.2 or later.")
-    return tuple(map(str, axes)), tuple(map(str, units))
+    return tuple(map(str, axes)), tuple(map(str, axes.values()))
 
 
 def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
@@ -164,7 +162,7 @@ def _lerobot(folder: Path, axes: tuple[str, ...]) -> tuple[list[NDArray[np.float
 
 
 def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotations:
-    labels = about.get("annotation_labels", about.get("annotations", {}))
+    labels = about.get("annotations", {})
     if not isinstance(labels, dict) or not all(isinstance(names, list) for names in labels.values()):
         raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists.")
     table = _table(

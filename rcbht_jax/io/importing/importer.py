@@ -8,11 +8,11 @@ that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:CO
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
+from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
@@ -80,7 +80,7 @@ def read_source(
     recordings = assemble(found, source, base.rate, report)
     first, rows = used[found[0].name]
     report.understood = [asdict(row) for row in rows]
-    report.content_sha256 = _digest(items)
+    report.content_sha256 = _digest(source, items)
     return Imported(recordings, first, report)
 
 
@@ -130,8 +130,7 @@ def _exported(source: Path, item: Item) -> Imported:
     recordings = read_export(source)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
     report = ImportReport(names, remarks=[f"{source.name} was written by rcbht export; read as it is."])
-    files = [path for path in sorted(source.rglob("*")) if path.is_file()]
-    report.content_sha256 = _digest([Item(path.relative_to(source).as_posix(), path, "") for path in files])
+    report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report)
 
 
@@ -209,12 +208,8 @@ def _bounded(record: Record, report: ImportReport) -> Record:
     return record
 
 
-def _digest(items: Iterable[Item]) -> str:
-    """Digest of files by relative name and content."""
-    total = hashlib.sha256()
-    for item in items:
-        for path in sorted(item.path.rglob("*")) if item.path.is_dir() else [item.path]:
-            if path.is_file():
-                with path.open("rb") as file:
-                    total.update(item.name.encode("utf-8", "replace") + hashlib.file_digest(file, "sha256").digest())
-    return total.hexdigest()
+def _digest(source: Path, items: Iterable[Item]) -> str:
+    """Digest of the files of a source by relative name and content."""
+    files = (sorted(item.path.rglob("*")) if item.path.is_dir() else [item.path] for item in items)
+    root = source if source.is_dir() else source.parent
+    return files_hash(root, (path for some in files for path in some if path.is_file()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
@@ -11,7 +10,7 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.mapping import Mapping, Track
 from rcbht_jax.io.importing.record import text
-from rcbht_jax.io.importing.table import Interval, Table, check_file
+from rcbht_jax.io.importing.table import Interval, Table, check_file, read_json
 from rcbht_jax.io.importing.text import read_csv
 
 MAX_ROWS = 1_000_000
@@ -125,11 +124,7 @@ def rows_of(source: Path, mapping: Mapping) -> dict[str, dict[str, str]]:
         return {}
     path = beside(source, "", mapping.table)
     if path.suffix.lower() == ".json":
-        check_file(path, 2**26)
-        try:
-            content = json.loads(path.read_bytes())
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} is not JSON: {error}.") from None
+        content = read_json(path, 2**26)
         if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
             raise InputError(f"{path} is not a list of objects, one per recording.")
         rows = [{str(key): _word(value) for key, value in row.items()} for row in content]

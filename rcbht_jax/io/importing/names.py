@@ -12,61 +12,22 @@ UNITS = {
     "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
 }  # fmt: skip
-TIMES: tuple[str, ...] = (
-    "time",
-    "t",
-    "stamp",
-    "timestamp",
-    "times",
-    "timestamps",
-    "secs",
-    "sec",
-    "seconds",
-    "elapsed",
-    "%time",
-    "clock",
-)
-TIMES += ("header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt")
+TIMES = (
+    "time", "t", "stamp", "timestamp", "times", "timestamps", "secs", "sec", "seconds", "elapsed", "%time", "clock",
+    "header.stamp", "field.header.stamp", "time_stamp", "elapsed_time", "rosbagtimestamp", "receipt",
+)  # fmt: skip
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanoseconds")
-COUNTERS: tuple[str, ...] = (
-    "index",
-    "sample",
-    "samples",
-    "frame",
-    "frame_index",
-    "step",
-    "row",
-    "seq",
-    "header.seq",
-    "unnamed: 0",
-)
-COUNTERS += ("field.header.seq", "task_index", "next.done")
+COUNTERS = (
+    "index", "sample", "samples", "frame", "frame_index", "step", "row", "seq", "header.seq", "unnamed: 0",
+    "field.header.seq", "task_index", "next.done",
+)  # fmt: skip
 GROUPS = (
-    "instance",
-    "episode",
-    "episode_index",
-    "recording",
-    "series",
-    "series_id",
-    "run",
-    "demo",
-    "sequence",
-    "trial",
-)
-LABELS: tuple[str, ...] = (
-    "label",
-    "labels",
-    "label_name",
-    "state",
-    "phase",
-    "class",
-    "skill",
-    "primitive",
-    "mode",
-    "subtask",
-    "stage",
-)
-LABELS += ("sub_task", "segment", "annotation", "state_index", "action_label", "contact_state")
+    "instance", "episode", "episode_index", "recording", "series", "series_id", "run", "demo", "sequence", "trial",
+)  # fmt: skip
+LABELS = (
+    "label", "labels", "label_name", "state", "phase", "class", "skill", "primitive", "mode", "subtask", "stage",
+    "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state",
+)  # fmt: skip
 
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)[._/ \-]*([xyz])$")

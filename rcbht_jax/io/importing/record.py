@@ -37,6 +37,11 @@ class Record:
     notes: list[str] = field(default_factory=list)
     origin: float = 0.0  # s, of the first sample on the source's clock
 
+    @property
+    def end(self) -> float:
+        """One period after the last sample, s."""
+        return float(self.time[-1] + (self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
 
 def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[Record | tuple[str, str]]:
     """The recordings of one table; for one that cannot be used its name and the reason.
@@ -205,7 +210,7 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
 
     An interval that begins after the end, or whose start is missing, is left out; the others stay.
     """
-    last = float(record.time[-1] + (record.time[-1] - record.time[0]) / (len(record.time) - 1))
+    last = record.end
     kept, problems = [], []
     for track, label, start, end in record.intervals:
         if not np.isfinite(start):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -53,6 +54,31 @@ def check_file(path: Path, most: int = MAX_BYTES) -> int:
     if status.st_size > most:
         raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
     return status.st_size
+
+
+def read_json(path: Path, most: int = 2**24) -> Any:
+    """A JSON value from a file of at most so many bytes.
+
+    Raises:
+        InputError: missing, too large, or not JSON.
+    """
+    check_file(path, most)
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {error}.") from None
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """A JSON object from a file.
+
+    Raises:
+        InputError: missing, larger than 16 MiB, or not a JSON object.
+    """
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise InputError(f"{path} is not a JSON object.")
+    return value
 
 
 def check_declared(path: Path, declared: int, size: int) -> None:
