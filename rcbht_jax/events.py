@@ -47,6 +47,20 @@ class Belief(Event):
 
 
 @dataclass(frozen=True)
+class Word(Event):
+    """A label of one axis that the encoder has published; it will not change any more."""
+
+    layer: str  # primitive, mc or llb
+    axis: str
+    label: str
+    code: int  # of the label in its layer's alphabet, see rcbht_jax.labels
+    begin: int  # first sample
+    end: int  # sample after the last
+    start: float  # s, the time stamp of the first sample
+    stop: float  # s, that of the sample after the last
+
+
+@dataclass(frozen=True)
 class AnomalyRaised(Event):
     """The abnormal class has been certain for the hold time."""
 

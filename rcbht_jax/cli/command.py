@@ -58,6 +58,11 @@ NewWindow = Annotated[
     int | None, option("Encode now with this many samples per linear fit.", "use the stored labels", metavar="INT")
 ]
 Model = Annotated[Path, option('Model file of "rcbht train-online".', aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
+OnlineModel = Annotated[
+    Path | None,
+    option('Model file of "rcbht train-online".', "none: words alone", aliases=["-m"], metavar="MODEL"),
+    ONLINE_MODEL,
+]
 OutModel = Annotated[Path, option("Model file to write: arrays and JSON, no code.", aliases=["-o"], metavar="MODEL")]
 OutFigure = Annotated[
     Path,

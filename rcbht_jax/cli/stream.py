@@ -6,7 +6,6 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +16,9 @@ import tyro
 
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
-    Arm,
     Command,
-    CompileCache,
     EncodingCommand,
     Flag,
-    Model,
     OutModel,
     Sessions,
     Sources,
@@ -30,7 +26,7 @@ from rcbht_jax.cli.command import (
     Task,
     progress_bar,
 )
-from rcbht_jax.errors import InputError
+from rcbht_jax.cli.source import Source
 
 if TYPE_CHECKING:
     from rcbht_jax.events import Event
@@ -118,81 +114,13 @@ class TrainOnline(EncodingCommand):
 
 
 @dataclass(frozen=True)
-class Source(Command):
-    """Options of the commands that read a stream."""
-
-    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
-    """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
-    model: Model = Path("online.model")
-    trial: tuple[str, ...] = ()
-    """Trials of a store; default all, one after the other."""
-    arm: Arm = "R"
-    starts: str = "harmonised"
-    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first one,
-    harmonised = its corrected variant where there is one, none, detected = found by the model (train-online
-    --detect)."""
-    topic: str = ""
-    """Topic of a bag, if several have wrenches."""
-    rate: float | None = None
-    """Beliefs per second; 0 = one per window; default about 10."""
-    certainty: float = 0.70
-    """Probability above which a belief counts as certain."""
-    speed: float = 0.0
-    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
-    max_gap: float | None = None
-    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
-    timeout: float = 1.0
-    """Report a live source that is silent for this many seconds."""
-    compile_cache: CompileCache = None
-
-    FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
-
-    def opened(self) -> tuple[Session, Iterator[Message]]:
-        """A session with its model compiled, and the messages for it.
-
-        Raises:
-            InputError: no such model, no such source, or options that contradict each other.
-        """
-        from rcbht_jax._util import compile_cache
-        from rcbht_jax.introspection.introspector import Introspector
-        from rcbht_jax.introspection.model import load
-        from rcbht_jax.introspection.session import Session
-
-        if not 0 <= self.speed < float("inf"):
-            raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
-        messages = self._messages()
-        compile_cache.use(self.compile_cache)
-        rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
-        introspector = Introspector(load(self.model), rate, self.certainty, detect=self.starts == "detected")
-        session = Session(introspector, self.max_gap)
-        introspector.warm_up()
-        return session, messages
-
-    def _messages(self) -> Iterator[Message]:
-        from rcbht_jax.io.messages import read_live
-        from rcbht_jax.io.playback import read_folder, read_store
-        from rcbht_jax.io.rosbags import is_bag, read_bag
-
-        if self.source == "-":
-            return read_live(sys.stdin.buffer, self.timeout)
-        path = Path(self.source)
-        starts = "none" if self.starts == "detected" else self.starts
-        if is_bag(path):
-            return read_bag(path, self.topic)
-        if (path / "zarr.json").is_file():
-            return read_store(path, self.trial, self.arm, starts)
-        if path.is_dir():
-            return read_folder(path, self.arm, starts)
-        raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
-
-
-@dataclass(frozen=True)
 class Stream(Source):
-    """Compute beliefs and events from a stream of wrenches, as JSON lines.
+    """Compute words, beliefs and events from a stream of wrenches, as JSON lines.
 
-    INPUT is a store, the folder of one trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard
-    input, such as {"time": 0.005, "wrench": [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins.
-    Irregularities of the stream (gaps, repeated or late samples, NaN, jitter, silence) are reported as events.
+    Without --model the words of any axes are reported, with one the beliefs. INPUT is a store, the folder of one
+    trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input, such as {"time": 0.005, "wrench":
+    [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
+    or late samples, NaN, jitter, silence) are reported as events.
 
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
     """
@@ -200,19 +128,21 @@ class Stream(Source):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
     """File for the events; default standard output."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
-    """MCAP file for wrench, labels, beliefs and events, to open in Foxglove or PlotJuggler."""
+    """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
+    words: Flag = False
+    """With a model, report words as well; without one they always are."""
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.introspection.session import paced
         from rcbht_jax.io.rosbags import McapWriter
 
-        session, messages = self.opened()
+        session, messages = self.opened(self.words)
+        session.introspector.warm_up()
         counts: Counter[str] = Counter()
         with ExitStack() as stack:
             out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
-            mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.model.axes)) if self.mcap else None
-            for message in paced(messages, self.speed):
-                events = session.feed(message)
+            mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
+
+            def report(events: list[Event], message: Message | None = None) -> None:
                 for event in events:
                     counts[type(event).__name__] += 1
                     out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
@@ -220,6 +150,10 @@ class Stream(Source):
                     out.flush()
                 if mcap is not None:
                     _record(mcap, session, message, events)
+
+            for message in messages:
+                report(session.feed(message), message)
+            report(session.finish())
         return {"source": self.source, "messages": dict(session.counts), "events": dict(counts)}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -230,12 +164,12 @@ class Stream(Source):
 
 @dataclass(frozen=True)
 class Serve(Source):
-    """Show a stream on a live web page: the wrench, its labels and the beliefs.
+    """Show a stream on a live web page: the wrench, its words and, with a model, the beliefs.
 
-    INPUT is as for "rcbht stream". The page loads nothing from the network, accepts no input, and is reachable from
-    this machine only, unless --host is given. Ctrl-C stops the server.
+    Any number of axes is shown. INPUT is as for "rcbht stream". The page loads nothing from the network, accepts no
+    input, and is reachable from this machine only, unless --host is given. Ctrl-C stops the server.
 
-    Example: rcbht serve hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model
+    Example: rcbht serve recording.bag --topic /wrench --robot auto
     """
 
     host: str = "127.0.0.1"
@@ -248,16 +182,23 @@ class Serve(Source):
     """Exit when the input ends, instead of showing its end until Ctrl-C."""
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.introspection.session import paced
         from rcbht_jax.report.live_page import Frames, PageServer
 
-        session, messages = self.opened()
-        with PageServer(session, self.host, self.port) as server:
+        # What is wrong with the options is said before the page opens, and so is what is wrong with a recording.
+        ready = None if self.source == "-" and self.model is None else self.opened(words=True)
+        self.check()
+        with PageServer(host=self.host, port=self.port) as server:
             print(f"Open {server.url} in a browser; Ctrl-C stops the server.", file=sys.stderr, flush=True)
+            server.status("waiting for the first readings")
+            session, messages = ready or self.opened(words=True, say=server.status)
+            server.show(session)
+            server.status("compiling the encoder, a few seconds")
+            session.introspector.warm_up()
+            server.status("")
             frames = Frames(session, server.broadcast)
-            for message in paced(messages, self.speed):
+            for message in messages:
                 frames.feed(message)
-            frames.flush()
+            frames.finish()
             while self.stay:
                 time.sleep(0.5)
         return {"source": self.source, "messages": dict(session.counts)}
@@ -295,16 +236,17 @@ class ExportModel(Command):
         return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
 
 
-def _record(mcap: McapWriter, session: Session, message: Message, events: list[Event]) -> None:
+def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event]) -> None:
     """Write one message's part of the MCAP."""
-    from rcbht_jax.events import Belief
+    from rcbht_jax.events import Belief, Word
     from rcbht_jax.io.messages import Sample
 
-    if isinstance(message, Sample) and np.isfinite(message.wrench).all():
-        mcap.wrench(session.time, message.wrench)
+    values = message.wrench if isinstance(message, Sample) else ()
+    if len(values) == len(session.introspector.axes) and np.isfinite(values).all():
+        mcap.wrench(session.time, values)
     for event in events:
         mcap.event(event)
-    if any(isinstance(event, Belief) for event in events):
+    if any(isinstance(event, Belief | Word) for event in events):
         mcap.labels(session.time, session.introspector.labels[:, 0])
 
 

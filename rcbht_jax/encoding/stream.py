@@ -5,12 +5,13 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, flush, init, step, unpack
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LabelTracks
+from rcbht_jax.types import Array, LabelTracks
 
 _step = jax.jit(step, static_argnums=0)
 _unpack = jax.jit(unpack)
@@ -48,6 +49,14 @@ class WindowBuffer:
         self.samples[self.count : self.count + len(part)] = part
         self.count += len(part)
         return chunk[len(part) :]
+
+
+def held(
+    config: EncoderConfig, limits: Float[Array, "axis 4"], state: EncoderState, buffer: WindowBuffer
+) -> LabelTracks:
+    """Labels that a stream would still publish if it ended now, as host arrays ``[axis, slot]``; nothing changes."""
+    count = jnp.full(limits.shape[0], buffer.count, jnp.int32)
+    return jax.tree.map(np.asarray, _flush(config, limits, state, jnp.array(buffer.samples), count))
 
 
 class Encoder:
@@ -107,13 +116,15 @@ class Encoder:
 
     def peek(self) -> LabelTracks:
         """Provisional labels as if the stream ended now; nothing changes."""
-        count = jnp.full(self._axes, self._buffer.count, jnp.int32)
-        tracks = _flush(self._config, self._limits, self._state, jnp.array(self._buffer.samples), count)
-        return jax.tree.map(np.asarray, tracks)
+        return held(self._config, self._limits, self._state, self._buffer)
 
     def flush(self) -> LabelTracks:
         """End of the stream: the labels still held. The stream starts anew afterwards."""
         tracks = self.peek()
+        self.restart()
+        return tracks
+
+    def restart(self) -> None:
+        """Start a new stream; what is still held is forgotten."""
         self._state = init((self._axes,), self._buffer.samples.dtype)
         self._buffer.count = 0
-        return tracks

@@ -11,12 +11,13 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
-from rcbht_jax.encoding.stream import WindowBuffer
+from rcbht_jax.encoding.stream import WindowBuffer, held
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted, Word
 from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
 from rcbht_jax.introspection.model import Head, IntrospectionModel
+from rcbht_jax.introspection.words import words_of_tracks, words_of_window
 from rcbht_jax.learning.metrics import CERTAINTY_LEVELS
 from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
 from rcbht_jax.types import Array
@@ -109,6 +110,7 @@ class Introspector:
             raised, and below 0.5 before it is cleared.
         detect: find the start of each sub-task with the model's classifier "phase" instead of :meth:`begin`; see
             :class:`rcbht_jax.introspection.alarms.PhaseFilter`. Features of the sub-task then start at its detection.
+        words: also report each published label, as a :class:`rcbht_jax.events.Word`.
 
     Beliefs depend on the samples and on :meth:`begin`, not on how the samples are cut into chunks, bit for bit.
 
@@ -134,8 +136,10 @@ class Introspector:
         margin: float = 0.05,
         hold: float = 0.1,
         detect: bool = False,
+        words: bool = False,
     ) -> None:
         self.model = model
+        self.certainty, self._words = k, words
         self._chain = Chain.of(model)
         self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
@@ -163,9 +167,40 @@ class Introspector:
         """Samples received so far."""
         return self._complete + self._buffer.count
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self.model.axes
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each axis."""
+        return self.model.units
+
+    @property
+    def config(self) -> EncoderConfig:
+        """Options of the encoder."""
+        return self._config
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The classifiers."""
+        return self.model.heads
+
     def warm_up(self) -> None:
         """Compile the chain now, which takes seconds, not in the first :meth:`push`; the stream is unchanged."""
         jax.block_until_ready(self._call())
+        if self._words:
+            self.provisional()
+
+    def provisional(self) -> list[Word]:
+        """Words that would be published if the stream ended now; nothing changes."""
+        tracks = held(self._config, self._limits, self._state.encoder, self._buffer)
+        return words_of_tracks(tracks, self.axes, self.received, self._now(), self._config.dt)
+
+    def finish(self) -> list[Event]:
+        """The words still held at the end of a stream, if words are reported; :meth:`reset` begins the next one."""
+        return list(self.provisional()) if self._words else []
 
     def begin(self, detected: bool = False) -> list[Event]:
         """Start a sub-task with the next sample; ``detected`` says that no controller announced it."""
@@ -233,6 +268,8 @@ class Introspector:
             self._complete, self._buffer.count = self._complete + self._config.window, 0
             new = np.asarray(published.ints).reshape(3, 3, -1)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
+            if self._words:
+                events += words_of_window(new, self.axes, self.received, self._now(), self._config.dt)
         return events
 
     def _answer(self, probabilities: list[NDArray[np.float32]]) -> list[Event]:

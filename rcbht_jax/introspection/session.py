@@ -10,16 +10,30 @@ from typing import Any
 from rcbht_jax.events import Event, Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
+from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
 
 class Session:
-    """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`."""
+    """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`.
 
-    def __init__(self, introspector: Introspector, bridge: float | None = None) -> None:
+    Args:
+        introspector: with a model, or a :class:`rcbht_jax.introspection.words.WordIntrospector` for words alone.
+        bridge: see :class:`rcbht_jax.introspection.resampling.Resampler`.
+
+    Example:
+        >>> from rcbht_jax.encoding.encoder import EncoderConfig
+        >>> from rcbht_jax.encoding.thresholds import preset
+        >>> session = Session(WordIntrospector(EncoderConfig(dt=0.01), preset("hiro", ["grip"]), ["grip"], ["N"]))
+        >>> events = list(session.run(Sample((5.0 * (k > 101),), 0.01 * k) for k in range(200)))
+        >>> [word.label for word in events + session.finish() if word.layer == "llb"]
+        ['CT', 'FX']
+    """
+
+    def __init__(self, introspector: Introspector | WordIntrospector, bridge: float | None = None) -> None:
         self.introspector = introspector
-        self._axes = len(introspector.model.limits)
-        self._grid = introspector.model.encoder.dt, bridge, self._axes
+        self._axes = len(introspector.axes)
+        self._grid = introspector.config.dt, bridge, self._axes
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
@@ -33,16 +47,17 @@ class Session:
         if isinstance(message, Begin):
             return self.introspector.begin()
         if isinstance(message, Reset):
+            events = self.introspector.finish()
             self.introspector.reset()
             self._resampler = Resampler(*self._grid)
-            return []
+            return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
         if len(sample.wrench) != self._axes:
-            text = f"a reading has {len(sample.wrench)} values; the model has {self._axes} axes"
+            text = f"a reading has {len(sample.wrench)} values; there are {self._axes} axes"
             return [self._notice("malformed", text)]
         resampled = self._resampler.feed(sample)
         self.time = resampled.time
@@ -52,6 +67,7 @@ class Session:
             events.append(self._notice("resumed", "readings arrive again"))
         events += [self._notice(report.kind, report.text, report.count) for report in resampled.reports]
         if resampled.anew:
+            events += self.introspector.finish()
             self.introspector.reset()
         if len(resampled.samples):
             events += self.introspector.push(resampled.samples, resampled.time)
@@ -66,6 +82,10 @@ class Session:
     def _notice(self, kind: Any, text: str, count: int = 1) -> Notice:
         self.counts[kind] += count
         return Notice(self.introspector.received, self.time, kind, text, count)
+
+    def finish(self) -> list[Event]:
+        """Events of the end of the stream: the words still held, if words are reported."""
+        return self.introspector.finish()
 
     def run(self, messages: Iterable[Message]) -> Iterator[Event]:
         """Events of all messages."""

@@ -17,7 +17,7 @@ from jaxtyping import Int
 from rcbht_jax._util.atomic import draft_of
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import LEVELS, Belief, Event
+from rcbht_jax.events import LEVELS, Belief, Event, Word
 from rcbht_jax.io.messages import Malformed, Message, Sample
 from rcbht_jax.labels import AXES, LAYERS, name
 
@@ -52,6 +52,14 @@ int32 level_code
 float64 certain_for
 string[] classes
 float64[] probabilities
+"""
+_WORD = """std_msgs/Header header
+string layer
+string axis
+string label
+int32 code
+float64 start
+float64 stop
 """
 _EVENT = """std_msgs/Header header
 string event
@@ -152,10 +160,11 @@ def stamp_of(message: Any, received: int) -> float:
 
 
 class McapWriter:
-    """Context manager that writes wrench, labels, beliefs and events as an MCAP file for Foxglove and PlotJuggler.
+    """Context manager that writes a stream as an MCAP file for Foxglove and PlotJuggler.
 
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where there are not six axes), ``/labels`` (codes
-    and names per axis), ``/belief/HEAD`` and ``/events`` (JSON). The file appears when the block ends without an error.
+    and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file appears
+    when the block ends without an error.
 
     Raises:
         InputError: the folder of the file does not exist.
@@ -167,7 +176,13 @@ class McapWriter:
         self._path, self._axes = path, list(axes)
         self._folder = draft_of(path)  # the writer makes a folder with the file in it
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        for kind, text in (("Labels", _LABELS), ("Signal", _SIGNAL), ("Belief", _BELIEF), ("Event", _EVENT)):
+        for kind, text in (
+            ("Labels", _LABELS),
+            ("Signal", _SIGNAL),
+            ("Belief", _BELIEF),
+            ("Word", _WORD),
+            ("Event", _EVENT),
+        ):
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
 
@@ -216,7 +231,11 @@ class McapWriter:
         self._write("/labels", "rcbht_msgs/msg/Labels", time, **fields)
 
     def event(self, event: Event) -> None:
-        """One event; the beliefs of every head have their own topic."""
+        """One event; words, and the beliefs of every head, have their own topics."""
+        if isinstance(event, Word):
+            fields = {key: getattr(event, key) for key in ("layer", "axis", "label", "code", "start", "stop")}
+            self._write("/words", "rcbht_msgs/msg/Word", event.time, **fields)
+            return
         if not isinstance(event, Belief):
             text = json.dumps(event.to_json(), allow_nan=False)
             self._write("/events", "rcbht_msgs/msg/Event", event.time, event=type(event).__name__, json=text)

@@ -2,13 +2,15 @@
 
 The server answers GET and HEAD of ``/``, ``/frames`` and ``/description`` and nothing else; it takes no input from
 viewers. All its memory is bounded: the last frames, the number of viewers, the frames a slow viewer may lag behind, and
-the time a connection may idle.
+the time a connection may idle. It may be opened before anything is known about the stream; then the page says what is
+being waited for.
 """
 
 from __future__ import annotations
 
 import json
 import queue
+import secrets
 import threading
 from collections import deque
 from collections.abc import Iterable
@@ -17,12 +19,12 @@ from importlib.resources import files
 from typing import Any
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, Event
+from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.messages import Message, Sample
 from rcbht_jax.labels import ALPHABETS, COLORS, LAYERS, MEANING, name
 
-HISTORY = 400  # frames that a new viewer gets at once
+HISTORY = 600  # frames that a new viewer gets at once
 FRAME = 0.05  # s of stream per frame
 VIEWERS = 16
 IDLE = 10.0  # s until a connection that sends no request is closed
@@ -33,15 +35,23 @@ _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inl
 
 def description(session: Session) -> dict[str, Any]:
     """Constants that a viewer needs to draw the frames."""
+    introspector = session.introspector
     return {
-        "axes": session.introspector.model.axes,
-        "units": session.introspector.model.units,
+        "axes": introspector.axes,
+        "units": introspector.units,
         "layers": LAYERS,
         "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},
         "meanings": {layer: ["nothing yet", *MEANING[layer]] for layer in LAYERS},
         "colors": {layer: ["#ffffff", *COLORS[layer]] for layer in LAYERS},
-        "dt": session.introspector.model.encoder.dt,
-        "heads": {head.name: head.classes for head in session.introspector.model.heads},
+        "dt": introspector.config.dt,
+        "window": introspector.config.window,
+        "heads": {head.name: head.classes for head in introspector.heads},
+        "certainty": introspector.certainty,
+        "alarms": {
+            head.name: {"class": head.alarm, "level": head.alarm_level or introspector.certainty}
+            for head in introspector.heads
+            if head.alarm
+        },
     }
 
 
@@ -49,94 +59,148 @@ def _alphabets() -> Iterable[tuple[str, range]]:
     return ((layer, range(1, len(alphabet) + 1)) for layer, alphabet in zip(LAYERS, ALPHABETS, strict=True))
 
 
+def _packet(kind: str, value: Any) -> bytes:
+    """One server-sent event."""
+    return f"event: {kind}\ndata: {json.dumps(value, allow_nan=False, separators=(',', ':'))}\n\n".encode()
+
+
 class Broadcast:
-    """Frames to any number of viewers up to ``VIEWERS``; a slow one loses frames, never the stream."""
+    """Frames to any number of viewers up to ``VIEWERS``; a slow one loses frames, never the stream.
+
+    A viewer first gets the latest ``about`` (what the frames mean) and ``status`` (what is being waited for), then the
+    latest frames, each with its number, so that after a lost connection none is shown twice.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._history: deque[str] = deque(maxlen=HISTORY)
-        self._viewers: list[queue.Queue[str | None]] = []
+        self._lasting: dict[str, bytes] = {}
+        self._history: deque[bytes] = deque(maxlen=HISTORY)
+        self._viewers: list[queue.Queue[bytes | None]] = []
+        self._number = 0
 
     def publish(self, frame: dict[str, Any]) -> None:
         """Send a frame to all viewers."""
-        text = json.dumps(frame, allow_nan=False)
         with self._lock:
-            self._history.append(text)
-            for viewer in self._viewers:
-                self._put(viewer, text)
+            self._number += 1
+            packet = _packet("frame", {"number": self._number, **frame})
+            self._history.append(packet)
+            self._send(packet)
+
+    def tell(self, kind: str, value: Any) -> None:
+        """Send a lasting message, in place of the former one of this kind, to present viewers and those to come."""
+        packet = _packet(kind, value)
+        with self._lock:
+            self._lasting[kind] = packet
+            self._send(packet)
 
     def close(self) -> None:
         """Signal the end of the stream to all viewers."""
         with self._lock:
-            for viewer in self._viewers:
-                self._put(viewer, None)
+            self._send(None)
 
-    @staticmethod
-    def _put(viewer: queue.Queue[str | None], text: str | None) -> None:
-        if viewer.full():
-            viewer.get_nowait()
-        viewer.put_nowait(text)
+    def _send(self, packet: bytes | None) -> None:
+        for viewer in self._viewers:
+            if viewer.full():
+                viewer.get_nowait()
+            viewer.put_nowait(packet)
 
-    def join(self) -> queue.Queue[str | None] | None:
-        """A queue of frames that begins with the latest ones; None if there are already ``VIEWERS``."""
+    def join(self) -> queue.Queue[bytes | None] | None:
+        """A queue of messages that begins with the latest ones; None if there are already ``VIEWERS``."""
         with self._lock:
             if len(self._viewers) >= VIEWERS:
                 return None
-            viewer: queue.Queue[str | None] = queue.Queue(2 * HISTORY)
-            for text in self._history:
-                viewer.put_nowait(text)
+            viewer: queue.Queue[bytes | None] = queue.Queue(2 * HISTORY)
+            for packet in (*self._lasting.values(), *self._history):
+                viewer.put_nowait(packet)
             self._viewers.append(viewer)
             return viewer
 
-    def leave(self, viewer: queue.Queue[str | None]) -> None:
+    def leave(self, viewer: queue.Queue[bytes | None]) -> None:
         """Remove a viewer that has disconnected."""
         with self._lock:
             self._viewers = [other for other in self._viewers if other is not viewer]
 
 
 class Frames:
-    """Collects ``FRAME`` seconds of a stream into one frame."""
+    """Collects ``FRAME`` seconds of a stream into one frame.
+
+    Args:
+        session: whose introspector reports words.
+        broadcast: of the page's server.
+    """
 
     def __init__(self, session: Session, broadcast: Broadcast) -> None:
         self._session, self._broadcast = session, broadcast
+        axes = session.introspector.axes
+        self._lane = {(layer, axis): (l, a) for l, layer in enumerate(LAYERS) for a, axis in enumerate(axes)}
+        self._size = max(1, round(FRAME / session.introspector.config.dt))
         self._samples: list[list[float]] = []
+        self._words: list[list[float]] = []
         self._events: list[dict[str, Any]] = []
         self._beliefs: dict[str, Any] = {}
-        self._due = 0
+        self._received = self._sent = 0  # samples
+        self._time = session.time
+        self._trial = 0
 
     def feed(self, message: Message) -> list[Event]:
         """Feed a message to the session and return its events."""
+        before, when = self._received, self._time
         events = self._session.feed(message)
-        if isinstance(message, Sample) and all(abs(v) < 1e7 for v in message.wrench):
-            self._samples.append([round(self._session.time, 6), *(round(v, 5) for v in message.wrench)])
-        for event in events:
-            if isinstance(event, Belief):
-                self._beliefs[event.head] = event.to_json()
-            else:
-                self._events.append(event.to_json())
-        received = self._session.introspector.received
-        if len(self._samples) >= 200 or len(self._events) >= 50 or not 0 <= received - self._due < self._size:
+        self._received, self._time = self._session.introspector.received, self._session.time
+        anew = self._received < before
+        if anew:  # the words that end the former trial
+            self._take(event for event in events if event.sample > self._received)
+            self._publish(before, when, [])
+            self._trial += 1
+        self._take(event for event in events if not (anew and event.sample > self._received))
+        # One reading at most for each sample of the encoder: those left out, or between samples, are not shown.
+        if isinstance(message, Sample) and (anew or self._received > before):
+            self._samples.append([round(self._session.time, 6), *(round(value, 5) for value in message.wrench)])
+        waiting = bool(self._events) and not isinstance(message, Sample)  # such as silence: no sample may follow
+        if waiting or len(self._samples) >= 200 or len(self._events) >= 50 or self._due:
             self.flush()
-            self._due = received
         return events
 
     @property
-    def _size(self) -> int:
-        return max(1, round(FRAME / self._session.introspector.model.encoder.dt))
+    def _due(self) -> bool:
+        return self._received - self._sent >= self._size
+
+    def _take(self, events: Iterable[Event]) -> None:
+        for event in events:
+            if isinstance(event, Word):
+                self._words.append(self._packed(event))
+            elif isinstance(event, Belief):
+                self._beliefs[event.head] = event.to_json()
+            else:
+                self._events.append(event.to_json())
+
+    def _packed(self, word: Word) -> list[float]:
+        return [*self._lane[word.layer, word.axis], word.code, round(word.start, 6), round(word.stop, 6)]
 
     def flush(self) -> None:
-        """Publish the frame collected so far."""
-        introspector = self._session.introspector
+        """Publish the frame collected so far, with the words that are provisional now."""
+        held = self._session.introspector.provisional() if self._received else []
+        self._publish(self._received, self._time, [self._packed(word) for word in held])
+
+    def finish(self) -> None:
+        """Publish the end of the stream: what was provisional is published now."""
+        self._take(self._session.finish())
+        self._publish(self._received, self._time, [])
+
+    def _publish(self, sample: int, time: float, provisional: list[list[float]]) -> None:
         frame = {
-            "sample": introspector.received,
-            "time": self._session.time,
+            "sample": sample,
+            "time": round(time, 6),
+            "trial": self._trial,
             "wrench": self._samples,
-            "labels": introspector.labels.tolist(),
+            "words": self._words,
+            "provisional": provisional,
             "beliefs": self._beliefs,
             "events": self._events,
         }
         self._broadcast.publish(frame)
-        self._samples, self._events, self._beliefs = [], [], {}
+        self._samples, self._words, self._events, self._beliefs = [], [], [], {}
+        self._sent = self._received
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -161,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == "/":
             self._send(self.server.document, "text/html; charset=utf-8", body)
         elif path == "/description":
-            self._send(self.server.description, "application/json", body)
+            self._send(json.dumps(self.server.about).encode(), "application/json", body)
         elif path == "/frames" and body:
             self._stream()
         else:
@@ -191,12 +255,12 @@ class _Handler(BaseHTTPRequestHandler):
             self.end_headers()
             while True:
                 try:
-                    text = viewer.get(timeout=1.0)
+                    packet = viewer.get(timeout=1.0)
                 except queue.Empty:
                     self.wfile.write(b": still here\n\n")
                     continue
-                self.wfile.write(b"event: end\ndata: 0\n\n" if text is None else f"data: {text}\n\n".encode())
-                if text is None:
+                self.wfile.write(_packet("end", 0) if packet is None else packet)
+                if packet is None:
                     return
         except OSError:
             return  # the viewer has gone
@@ -205,6 +269,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Suppress the request log: standard error is for the user."""
+
+
+def document() -> bytes:
+    """The page: markup with its style and scripts in it."""
+    parts = {"STYLE": ("live_page.css",), "SCRIPT": ("live_page.js", "live_controls.js", "live_draw.js")}
+    folder = files("rcbht_jax.report")
+    text = folder.joinpath("live_page.html").read_text(encoding="utf-8")
+    for mark, names in parts.items():
+        text = text.replace(f"@@{mark}@@", "".join(folder.joinpath(part).read_text(encoding="utf-8") for part in names))
+    return text.encode()
 
 
 def _host(value: str) -> str:
@@ -218,7 +292,7 @@ class PageServer(ThreadingHTTPServer):
     """Serves the page of one session in the background; a context manager.
 
     Args:
-        session: whose frames are shown.
+        session: whose frames are shown; None = to be told by :meth:`show`.
         host: address to bind; anything but loopback lets others look.
         port: 0 = any free one, see :attr:`url`.
 
@@ -229,16 +303,28 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()
         self.local = host in LOOPBACK
-        self.document = files("rcbht_jax.report").joinpath("live_page.html").read_bytes()
-        self.description = json.dumps(description(session)).encode()
+        self.document = document()
+        self.about: dict[str, Any] = {}
+        if session is not None:
+            self.show(session)
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
             raise InputError(f"The page cannot be served at {host}:{port}: {error}; choose another --port.") from error
         self.url = f"http://{host}:{self.server_address[1]}/"
+
+    def show(self, session: Session) -> None:
+        """Tell viewers what the frames of a session mean."""
+        # The name tells a viewer that comes back whether it still is the same stream.
+        self.about = {"stream": secrets.token_hex(8), **description(session)}
+        self.broadcast.tell("about", self.about)
+
+    def status(self, text: str) -> None:
+        """Tell viewers what is being waited for; "" = nothing any more."""
+        self.broadcast.tell("status", text)
 
     def __enter__(self) -> PageServer:
         threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()

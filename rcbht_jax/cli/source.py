@@ -1,0 +1,162 @@
+"""The options that say where a stream comes from and how it is encoded."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import tyro
+
+from rcbht_jax.cli.command import Arm, CompileCache, EncodingCommand, OnlineModel
+from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from rcbht_jax.introspection.introspector import Introspector
+    from rcbht_jax.introspection.session import Session
+    from rcbht_jax.introspection.words import WordIntrospector
+    from rcbht_jax.io.messages import Message
+
+    AnyIntrospector = Introspector | WordIntrospector
+    Messages = Iterator[Message]
+
+
+@dataclass(frozen=True)
+class Source(EncodingCommand):
+    """Options of the commands that read a stream."""
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
+    """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
+    model: OnlineModel = None
+    trial: tuple[str, ...] = ()
+    """Trials of a store; default all, one after the other."""
+    arm: Arm = "R"
+    starts: str = "harmonised"
+    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first one,
+    harmonised = its corrected variant where there is one, none, detected = found by the model (train-online
+    --detect)."""
+    topic: str = ""
+    """Topic of a bag, if several have wrenches."""
+    axes: tuple[str, ...] = ()
+    """Names of the axes, without a model; those that begin with M or T are moments. Default: Fx Fy Fz Mx My Mz if
+    there are six."""
+    sampling_rate: float | None = None
+    """Samples per second of the encoder, without a model; default that of the recording or of its time stamps."""
+    lead: float = 10.0
+    """Seconds at the beginning from which --robot auto takes the thresholds of a stream that is not a store."""
+    rate: float | None = None
+    """Beliefs per second; 0 = one per window; default about 10."""
+    certainty: float = 0.70
+    """Probability above which a belief counts as certain."""
+    speed: float = 0.0
+    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
+    max_gap: float | None = None
+    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
+    timeout: float = 1.0
+    """Report a live source that is silent for this many seconds."""
+    compile_cache: CompileCache = None
+
+    FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
+
+    def opened(self, words: bool = False, say: Callable[[str], None] = lambda _: None) -> tuple[Session, Messages]:
+        """A session, and the messages for it; without a model, the beginning of the stream has been read.
+
+        Args:
+            words: with a model, report words besides beliefs.
+            say: told what is being waited for.
+
+        Raises:
+            InputError: no such model, no such source, or options that contradict each other.
+        """
+        from rcbht_jax._util import compile_cache
+        from rcbht_jax.introspection.introspector import Introspector
+        from rcbht_jax.introspection.model import load
+        from rcbht_jax.introspection.session import Session, paced
+
+        self.check()
+        live, messages = self.source == "-", self._messages()
+        compile_cache.use(self.compile_cache)
+        if live:  # its beginning must not be read faster than it is played
+            messages = paced(messages, self.speed)
+        introspector: AnyIntrospector
+        if self.model is None:
+            introspector, messages = self._words(messages, say)
+        else:
+            rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
+            detect = self.starts == "detected"
+            introspector = Introspector(load(self.model), rate, self.certainty, detect=detect, words=words)
+        return Session(introspector, self.max_gap), messages if live else paced(messages, self.speed)
+
+    def check(self) -> None:
+        """Refuse options that contradict each other, or are out of range.
+
+        Raises:
+            InputError: says which.
+        """
+        if not 0 <= self.speed < float("inf"):
+            raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
+        own = {
+            "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
+            "--window": self.window != EncodingCommand.window, "--axes": bool(self.axes),
+            "--sampling-rate": self.sampling_rate is not None,
+        }  # fmt: skip
+        if self.model is not None and (given := [name for name, used in own.items() if used]):
+            raise InputError(f"A model has axes, window, rate and thresholds of its own; leave out {given[0]}.")
+        if self.model is None and self.starts == "detected":
+            raise InputError("Only a model detects sub-tasks; name one with --model, or leave out --starts detected.")
+        if not (self.sampling_rate is None or 0 < self.sampling_rate < float("inf")):
+            raise InputError(f"--sampling-rate is {self.sampling_rate}; expected a positive number.")
+        if not 0 <= self.lead <= 600:
+            raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
+
+    def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[AnyIntrospector, Messages]:
+        """What reports words without a model, with the thresholds of the options, and the messages for it."""
+        from rcbht_jax.encoding.encoder import EncoderConfig
+        from rcbht_jax.introspection.opening import live_thresholds, read_opening
+        from rcbht_jax.introspection.words import WordIntrospector
+        from rcbht_jax.io.store import read_recordings
+
+        path = Path(self.source)
+        if _is_store(path):
+            recordings = read_recordings(path)
+            axes, rate = self.axes or recordings.axes, self.sampling_rate or 1 / recordings.dt
+        else:
+            learns = self.thresholds is None and self.robot in (None, "auto")
+            if learns:
+                say(f"taking the thresholds from the first {self.lead:g} s")
+            opening = read_opening(messages, self.lead if learns else 0.0, self.sampling_rate)
+            messages, rate = opening.messages, self.sampling_rate or opening.rate()
+            axes = self.axes or opening.axes
+            recordings = opening.recordings(rate, axes)
+        if len(axes) != len(recordings.axes):
+            raise InputError(f"--axes names {len(axes)} axes; the stream has {len(recordings.axes)}.")
+        recordings = replace(recordings, axes=tuple(axes))
+        if _is_store(path) or not learns:
+            thresholds, _ = self.read_limits(recordings, path)
+        else:
+            thresholds = live_thresholds(recordings, self.window)
+        config = EncoderConfig(self.window, 1 / rate)
+        return WordIntrospector(config, thresholds, recordings.axes, recordings.units), messages
+
+    def _messages(self) -> Messages:
+        from rcbht_jax.io.messages import read_live
+        from rcbht_jax.io.playback import read_folder, read_store
+        from rcbht_jax.io.rosbags import is_bag, read_bag
+
+        if self.source == "-":
+            return read_live(sys.stdin.buffer, self.timeout)
+        path = Path(self.source)
+        starts = "none" if self.starts == "detected" else self.starts
+        if is_bag(path):
+            return read_bag(path, self.topic)
+        if _is_store(path):
+            return read_store(path, self.trial, self.arm, starts)
+        if path.is_dir():
+            return read_folder(path, self.arm, starts)
+        raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
+
+
+def _is_store(path: Path) -> bool:
+    return (path / "zarr.json").is_file()

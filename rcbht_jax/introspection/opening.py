@@ -1,0 +1,115 @@
+"""The beginning of a stream from any source: which axes it has, how fast it is, what it does at rest.
+
+An encoder needs the number of axes, the sampling period and gradient thresholds before its first sample. A stream
+tells the first two by a few readings, the third by some seconds of them. The readings are handed on afterwards, so
+nothing of the stream is lost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rcbht_jax.calibration.rest import auto_thresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.conform import clock
+from rcbht_jax.io.messages import Message, Sample
+from rcbht_jax.types import Recordings, axis_names
+
+READINGS = 50  # that tell the sampling period
+TIMELESS = 200.0  # Hz, until readings without time stamps have said how many are a second's
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The first readings of a stream.
+
+    Attributes:
+        wrench: ``[time, axis]``, in the units of the axes; readings that are not finite are left out.
+        time: their stamps, s; NaN = none.
+        messages: the whole stream, these readings included.
+    """
+
+    wrench: Float[np.ndarray, "time axis"]
+    time: Float[np.ndarray, " time"]
+    messages: Iterator[Message] = field(repr=False)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes: Fx Fy Fz Mx My Mz if there are six."""
+        return axis_names(self.wrench.shape[1])
+
+    def rate(self) -> float:
+        """Samples per second by the time stamps, as a round number.
+
+        Raises:
+            InputError: fewer than two readings have a time stamp.
+        """
+        stamped = np.unique(self.time[np.isfinite(self.time)])
+        if len(stamped) < 2:
+            raise InputError("The readings have no time stamps; state their rate with --sampling-rate.")
+        return clock(stamped).rate
+
+    def recordings(self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None) -> Recordings:
+        """The readings as one recording."""
+        return Recordings.from_arrays([self.wrench], rate, axes=axes, units=units)
+
+
+def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float | None = None) -> Opening:
+    """Read the beginning of a stream: ``READINGS``, and so many seconds.
+
+    Args:
+        messages: the stream.
+        seconds: least duration, by the time stamps of the readings.
+        rate: of the samples, Hz, if it is known; counts the seconds where there are no time stamps.
+
+    Raises:
+        InputError: the stream ends without a reading.
+
+    Example:
+        >>> opening = read_opening(iter([Sample((0.0, 1.0), 0.01 * k) for k in range(100)]))
+        >>> opening.wrench.shape, opening.rate(), opening.axes, len(list(opening.messages))
+        ((50, 2), 100.0, ('axis0', 'axis1'), 100)
+    """
+    read: list[Message] = []
+    samples: list[Sample] = []
+    for message in messages:
+        read.append(message)
+        if not (isinstance(message, Sample) and np.isfinite(message.wrench).all()):
+            continue
+        samples.append(message)
+        if len(samples) >= READINGS and _duration(samples, rate) >= seconds:
+            break
+    if not samples:
+        raise InputError("The stream ended before its first reading.")
+    width = Counter(len(sample.wrench) for sample in samples).most_common(1)[0][0]
+    kept = [sample for sample in samples if len(sample.wrench) == width]
+    time = np.array([np.nan if sample.time is None else sample.time for sample in kept])
+    return Opening(np.array([sample.wrench for sample in kept], np.float64), time, chain(read, messages))
+
+
+def _duration(samples: list[Sample], rate: float | None) -> float:
+    first, last = samples[0].time, samples[-1].time
+    if first is None or last is None or not np.isfinite(last - first) or last < first:
+        return len(samples) / (rate or TIMELESS)
+    return last - first
+
+
+def live_thresholds(recordings: Recordings, window: int) -> GradientThresholds:
+    """Thresholds from rest and contacts of the beginning of a stream; those of a preset for axes that do not change.
+
+    A stream must not end because one axis of its sensor is silent.
+    """
+    moves: Bool[np.ndarray, " axis"] = np.ptp(recordings.wrench[0], axis=0) > 0
+    limits = np.array(preset(axes=recordings.axes).limits)
+    if moves.any():
+        axes = [axis for axis, moved in zip(recordings.axes, moves, strict=True) if moved]
+        part = Recordings.from_arrays([recordings.wrench[0][:, moves]], 1 / recordings.dt, axes=axes)
+        limits[moves] = np.asarray(auto_thresholds(part, window).limits)
+    return GradientThresholds(limits)

@@ -1,0 +1,156 @@
+"""Words of a stream as events, with no model: what any robot's wrench does, before anything has been learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import ArrayLike, NDArray
+
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.stream import Encoder
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Event, SubtaskStarted, Word
+from rcbht_jax.introspection.model import Head
+from rcbht_jax.labels import AXES, LAYERS, UNIT_OF, name
+from rcbht_jax.types import LabelTracks
+
+
+def words_of_tracks(tracks: LabelTracks, axes: Sequence[str], sample: int, time: float, dt: float) -> list[Word]:
+    """Words of the labels ``[axis, slot]`` that were known after ``sample`` samples.
+
+    Args:
+        tracks: of one piece of a stream; empty slots are left out.
+        axes: their names.
+        sample: samples received.
+        time: stamp of the latest of them, s.
+        dt: s between samples.
+    """
+    words = []
+    for layer in LAYERS:
+        track = getattr(tracks, layer)
+        spans = np.stack([np.asarray(track.label, np.int32), np.asarray(track.t0), np.asarray(track.t1)], axis=-1)
+        for axis, slot in zip(*np.nonzero(spans[..., 0]), strict=True):
+            words.append(_word(layer, axes[axis], spans[axis, slot].tolist(), sample, time, dt))
+    return words
+
+
+def words_of_window(
+    labels: Int[np.ndarray, "3 3 axis"], axes: Sequence[str], sample: int, time: float, dt: float
+) -> list[Word]:
+    """Words that one window published, ``[layer, (code, first sample, end), axis]``; code 0 = none."""
+    return [
+        _word(LAYERS[layer], axes[axis], labels[layer, :, axis].tolist(), sample, time, dt)
+        for layer, axis in zip(*np.nonzero(labels[:, 0]), strict=True)
+    ]
+
+
+def _word(layer: str, axis: str, span: list[int], sample: int, time: float, dt: float) -> Word:
+    code, begin, end = span
+    start, stop = (time - (sample - 1 - k) * dt for k in (begin, end))
+    return Word(sample, time, layer, axis, name(layer, code), code, begin, end, start, stop)
+
+
+class WordIntrospector:
+    """Words of one stream of wrenches with any axes; the counterpart of ``Introspector`` where there is no model.
+
+    Args:
+        config: of the encoder.
+        thresholds: limits ``[axis, 4]``.
+        axes: names; default those of a wrench.
+        units: of each axis; default N and Nm for the axes of a wrench, else none.
+
+    Raises:
+        InputError: thresholds that are not in order, or for other axes.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> stream = WordIntrospector(EncoderConfig(dt=0.01), rj.preset("hiro", ["grip"]), ["grip"], ["N"])
+        >>> events = stream.push(np.repeat([0.0, 5.0], [102, 98])[:, None]) + stream.finish()
+        >>> [(word.label, word.begin, word.end) for word in events if word.layer == "llb"]
+        [('CT', 0, 105), ('FX', 105, 200)]
+    """
+
+    heads: tuple[Head, ...] = ()
+    certainty = 0.0
+
+    def __init__(
+        self,
+        config: EncoderConfig,
+        thresholds: Thresholds,
+        axes: Sequence[str] = AXES,
+        units: Sequence[str] | None = None,
+    ) -> None:
+        self.config, self.axes = config, tuple(axes)
+        self.units = tuple(UNIT_OF.get(axis, "") for axis in axes) if units is None else tuple(units)
+        limits = np.asarray(limits_of(thresholds))
+        if limits.shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
+            raise InputError(
+                f"Thresholds have shape {limits.shape} and there are {len(self.units)} units; expected "
+                f"[{len(self.axes)}, 4] and {len(self.axes)}."
+            )
+        self._encoder = Encoder(config, limits)
+        # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(self.axes)), np.int32)
+        self._time: float | None = None
+
+    @property
+    def received(self) -> int:
+        """Samples received so far."""
+        return self._encoder.received
+
+    def warm_up(self) -> None:
+        """Compile the encoder now, which takes a second or two, not in the first :meth:`push`."""
+        limits = np.ones((len(self.axes), 4), np.float32)
+        Encoder(self.config, limits).push(np.zeros((self.config.window, len(self.axes))))
+        self.provisional()
+
+    def begin(self) -> list[Event]:
+        """Start a sub-task with the next sample; words do not depend on it."""
+        return [SubtaskStarted(self.received, self._now(), self.received, False)]
+
+    def reset(self) -> None:
+        """Start a new trial: forget everything received."""
+        self._encoder.restart()
+        self.labels, self._time = np.zeros_like(self.labels), None
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
+        """Feed any number of samples ``[time, axis]``; returns the words that they publish, in order.
+
+        Args:
+            samples: in the units of the axes.
+            time: stamp of the last of them, s; None = samples received x period.
+
+        Raises:
+            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+        """
+        complete = self.received // self.config.window
+        published = self._encoder.push(samples)
+        self._time = time
+        events: list[Event] = []
+        for number, tracks in enumerate(published, complete + 1):
+            sample = number * self.config.window
+            when = self._now() - (self.received - sample) * self.config.dt
+            new = np.array([[np.asarray(leaf)[:, 0] for leaf in _spans(tracks, layer)] for layer in LAYERS], np.int32)
+            self.labels = np.where(new[:, :1] > 0, new, self.labels)
+            events += words_of_window(new, self.axes, sample, when, self.config.dt)
+        return events
+
+    def provisional(self) -> list[Word]:
+        """Words that would be published if the stream ended now; nothing changes."""
+        return words_of_tracks(self._encoder.peek(), self.axes, self.received, self._now(), self.config.dt)
+
+    def finish(self) -> list[Event]:
+        """The words still held at the end of a stream; :meth:`reset` begins the next one."""
+        return list(self.provisional())
+
+    def _now(self) -> float:
+        return self.received * self.config.dt if self._time is None else self._time
+
+
+def _spans(tracks: LabelTracks, layer: str) -> tuple[Any, Any, Any]:
+    track = getattr(tracks, layer)
+    return track.label, track.t0, track.t1
