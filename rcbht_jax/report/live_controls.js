@@ -78,7 +78,7 @@ function key() {
     const layer = about.layers[l];
     return about.names[layer].slice(1).map((name, i) => {
       const node = text("span", `${name} ${about.meanings[layer][i + 1]}`);
-      node.prepend(swatch(about.colors[layer][i + 1]));
+      node.prepend(swatch(wordColor(layer, i + 1, false)));
       return node;
     });
   }), text("span", "pale: provisional, may still change"));
@@ -210,7 +210,7 @@ function controls() {
   byId("layer").onchange = () => { dirty = true; if (about) key(); };
   const strip = byId("overview"), jump = event => {
     const box = strip.getBoundingClientRect(), share = (event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
-    move(oldest() + share * (kept.latest - oldest()) + view.span / 2);
+    move(begins() + share * (kept.latest - begins()) + view.span / 2);
   };
   strip.onpointerdown = event => { strip.setPointerCapture(event.pointerId); jump(event); };
   strip.onpointermove = event => { if (event.buttons) jump(event); };

@@ -22,6 +22,12 @@ const parts = color => [1, 3, 5].map(i => parseInt(color.slice(i, i + 2), 16));
 const mix = (color, other, share) => "#" + parts(color).map((v, i) => Math.round(v * share + parts(other)[i] * (1 - share)).toString(16).padStart(2, "0")).join("");
 const isDark = color => { const [r, g, b] = parts(color); return .299 * r + .587 * g + .114 * b < 140; };
 
+// Colour of a word, lighter where it would vanish on a dark page, pale while it is provisional.
+function wordColor(layer, code, pale) {
+  const color = about.colors[layer][code], [r, g, b] = parts(color), clear = colors().dark && r + g + b < 180 ? mix(color, "#ffffff", .68) : color;
+  return pale ? mix(clear, colors().back, .4) : clear;
+}
+
 function prepare(canvas, height) {
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth;
   canvas.style.height = height + "px";
@@ -158,7 +164,7 @@ function band(pen, lane, l, top, height, x, width, pale) {
   for (let i = begin; i < end; i++) {
     const [code, t0, t1] = lane[i], x0 = Math.max(LEFT, x(t0)), x1 = Math.min(width - RIGHT, x(t1));
     if (x1 <= LEFT || x0 >= width - RIGHT) continue;
-    const color = pale ? mix(about.colors[layer][code], colors().back, .4) : about.colors[layer][code];
+    const color = wordColor(layer, code, pale);
     pen.fillStyle = color;
     pen.fillRect(x0, top, Math.max(.7, x1 - x0 - (x1 - x0 > 4 ? 1 : 0)), height);
     const name = about.names[layer][code], long = `${name} ${about.meanings[layer][code]}`;
@@ -265,16 +271,16 @@ function timeAxis() {
 
 // All that is kept, as behaviours, and the part of it in view.
 function overview() {
-  const canvas = byId("overview"), height = Math.max(30, 3 * about.axes.length + 8), [pen, width] = prepare(canvas, height), begin = oldest(), range = Math.max(view.span, kept.latest - begin);
+  const canvas = byId("overview"), height = Math.max(30, 3 * about.axes.length + 8), [pen, width] = prepare(canvas, height), begin = begins(), range = kept.latest - begin;
   const x = t => LEFT + (width - LEFT - RIGHT) * (t - begin) / range, row = (height - 4) / about.axes.length, layer = about.layers[BEHAVIOURS];
   pen.fillStyle = colors().panel;
   pen.fillRect(LEFT, 0, width - LEFT - RIGHT, height);
   about.axes.forEach((_, a) => {
     let last = -1;
-    for (const [code, t0, t1] of kept.words[BEHAVIOURS][a]) {
+    for (const pale of [false, true]) for (const [code, t0, t1] of (pale ? kept.provisional : kept.words)[BEHAVIOURS][a]) {
       if (x(t1) < LEFT || x(t1) - last < .5) continue; // thinner than can be seen
       last = x(t1);
-      pen.fillStyle = about.colors[layer][code];
+      pen.fillStyle = wordColor(layer, code, pale);
       pen.fillRect(Math.max(LEFT, x(t0)), 2 + a * row, Math.max(.7, last - Math.max(LEFT, x(t0))), row);
     }
   });

@@ -20,6 +20,8 @@ function empty(axes, classes = {}) {
 const first = () => Math.min(kept.trials.length ? kept.trials[0].start : 0, kept.t.length ? kept.t[0] : Infinity);
 const oldest = () => Math.max(first(), kept.latest - KEEP);
 
+const begins = () => Math.min(oldest(), kept.latest - view.span); // of the strip
+
 // The first index whose value is at least x, in a list in order.
 function lower(list, x, of = value => value) {
   let low = 0, high = list.length;

@@ -4,22 +4,35 @@ from __future__ import annotations
 
 import http.client
 import json
+import math
 import socket
 import threading
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rcbht_jax as rj
 from rcbht_jax.errors import InputError
+from rcbht_jax.events import Event
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Malformed, Message, Reset, Sample, Silence
+from rcbht_jax.labels import LAYERS
 from rcbht_jax.report import live_page
 from rcbht_jax.report.live_page import Broadcast, Frames, PageServer
 from tests.io.test_stream_sources import samples_of
-from tests.support.introspection_models import model, trial
+from tests.support.introspection_models import CONFIG, model, trial
+
+ONE = ("grip",)
+
+
+def words_only(axes: tuple[str, ...] = ONE) -> Session:
+    return Session(WordIntrospector(CONFIG, rj.preset("hiro", axes), axes))
 
 
 def ask(server: PageServer, method: str, path: str, headers: dict[str, str] | None = None) -> tuple[int, bytes]:
@@ -29,6 +42,33 @@ def ask(server: PageServer, method: str, path: str, headers: dict[str, str] | No
     body = b"" if path == "/frames" and answer.status == 200 else answer.read()
     connection.close()
     return answer.status, body
+
+
+def packets(text: str) -> list[tuple[str, Any]]:
+    """Kind and content of the server-sent events of a text."""
+    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
+    return [(kind.removeprefix("event: "), json.loads(data.removeprefix("data: "))) for kind, data in blocks]
+
+
+class Kept(Broadcast):
+    """A broadcast that remembers its frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.frames: list[dict[str, Any]] = []
+
+    def publish(self, frame: dict[str, Any]) -> None:
+        super().publish(frame)
+        self.frames.append(frame)
+
+
+def frames_of(session: Session, messages: list[Message], end: bool = True) -> tuple[list[dict[str, Any]], list[Event]]:
+    kept = Kept()
+    frames = Frames(session, kept)
+    events = [event for message in messages for event in frames.feed(message)]
+    if end:
+        frames.finish()
+    return kept.frames, events
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +93,11 @@ def test_page_and_description(server):
     links.feed(body.decode())
     assert links.found == ["data:,"]  # nothing is fetched from anywhere
     assert b"http" not in body
+    assert b"@@" not in body
     status, body = ask(server, "GET", "/description")
     said = json.loads(body)
     assert said["heads"]["states"] == ["calm", "push", "shake"]
+    assert said["alarms"] == {"outcome": {"class": "failure", "level": 0.7}}
     assert [len(said["names"][layer]) for layer in said["layers"]] == [10, 9, 9]
     assert ask(server, "HEAD", "/")[0] == 200
 
@@ -76,9 +118,11 @@ def test_other_paths_and_names(server):
 
 
 def test_frames_hold_the_stream():
-    session = Session(Introspector(model()))
+    session = Session(Introspector(model(), words=True))
     wrench = trial(1, 40, 400)
-    with PageServer(session, port=0) as server:
+    with PageServer(port=0) as server:
+        server.status("compiling")
+        server.show(session)
         frames = Frames(session, server.broadcast)
         for message in samples_of(wrench[:200], (100,)):
             frames.feed(message)
@@ -87,15 +131,99 @@ def test_frames_hold_the_stream():
         answer = connection.getresponse()
         for message in samples_of(wrench)[200:]:
             frames.feed(message)
-        frames.flush()
+        frames.finish()
         server.broadcast.close()
-        said = [json.loads(line[6:]) for line in answer.read().decode().splitlines() if line.startswith("data: {")]
+        heard = packets(answer.read().decode())
+        about = server.about
     assert answer.getheader("Content-Type") == "text/event-stream"
+    assert heard[:2] == [("status", "compiling"), ("about", json.loads(json.dumps(about)))]
+    assert heard[-1] == ("end", 0)
+    said = [value for kind, value in heard if kind == "frame"]
+    assert [frame["number"] for frame in said] == list(range(1, len(said) + 1))
     values = np.array([row for frame in said for row in frame["wrench"]])
     np.testing.assert_allclose(values[:, 1:], wrench, atol=1e-5)
     assert [e["begin"] for frame in said for e in frame["events"] if e["event"] == "SubtaskStarted"] == [100]
     assert sum("states" in frame["beliefs"] for frame in said) == 20
-    assert said[-1]["labels"] == session.introspector.labels.tolist()
+    tracks = rj.encode(wrench, rate=200)
+    expected = {  # layer, axis, code, first sample, end: what the batch encoder says of the whole
+        (l, a, int(track.label[a, k]), int(track.t0[a, k]), int(track.t1[a, k]))
+        for l, track in enumerate(getattr(tracks, layer) for layer in LAYERS)
+        for a, k in zip(*np.nonzero(track.label), strict=True)
+    }
+    words = [word for frame in said for word in frame["words"]]
+    got = {(l, a, code, round(t0 * 200), round(t1 * 200)) for l, a, code, t0, t1 in words}
+    assert got == expected
+    assert len(words) == len(expected)
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_no_band_is_ever_empty(kind):
+    """After two windows, words and provisional words of every layer and axis cover the stream without a hole."""
+    frames, _ = frames_of(words_only(rj.labels.AXES), list(samples_of(trial(kind, 5, 203))))
+    published: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    provisional = 0
+    for frame in frames:
+        for l, a, _, t0, t1 in frame["words"]:
+            published.setdefault((l, a), []).append((t0, t1))
+        shown = {lane: list(spans) for lane, spans in published.items()}
+        for l, a, _, t0, t1 in frame["provisional"]:
+            shown.setdefault((l, a), []).append((t0, t1))
+        provisional += len(frame["provisional"])
+        end = frame["sample"] - (frame["sample"] % CONFIG.window == 1)  # a single sample has no line
+        assert frame["sample"] >= 2 * CONFIG.window
+        assert len(shown) == 18
+        for spans in shown.values():
+            edges = np.array(spans)
+            assert edges[0, 0] == 0
+            np.testing.assert_allclose(edges[1:, 0], edges[:-1, 1])
+            assert edges[-1, 1] == pytest.approx(end * CONFIG.dt)
+    assert provisional
+    assert not frames[-1]["provisional"]
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_any_number_of_axes(count):
+    axes = tuple(f"axis{number}" for number in range(count))
+    session = words_only(axes)
+    about = live_page.description(session)
+    assert (about["axes"], about["heads"], about["alarms"]) == (axes, {}, {})
+    wrench = np.tile(trial(1, 3, 100), (1, 2))[:, :count]
+    frames, _ = frames_of(session, [Sample(tuple(row), 0.005 * k) for k, row in enumerate(wrench.tolist())])
+    assert {word[1] for frame in frames for word in frame["words"]} == set(range(count))
+    assert {len(row) for frame in frames for row in frame["wrench"]} == {count + 1}
+
+
+def test_hostile_readings_are_not_shown():
+    bad: list[Message] = [
+        Sample((math.nan,), 0.5), Sample((math.inf,), 0.5), Sample((1e30,), 0.5), Sample((1.0,), math.inf),
+        Sample((1.0,), 0.2), Sample((1.0, 2.0), 0.5), Sample((), 0.5), Malformed("</script>"),
+    ]  # fmt: skip
+    good: list[Message] = [Sample((float(k),), 0.005 * k) for k in range(100)]
+    frames, events = frames_of(words_only(), [*good, *bad, Sample((100.0,), 0.5)])
+    assert [row[1] for frame in frames for row in frame["wrench"]] == [*range(101)]
+    assert len(events) >= len(bad)
+    assert json.dumps(frames, allow_nan=False)
+
+
+def test_silence_is_told_at_once():
+    messages: list[Message] = [*(Sample((0.0,), 0.005 * k) for k in range(13)), Silence(1.0)]
+    frames, _ = frames_of(words_only(), messages, end=False)
+    assert [event["kind"] for event in frames[-1]["events"]] == ["silent"]
+    assert frames[-1]["sample"] == 13  # with the readings that had not filled a frame
+
+
+def test_a_new_trial_ends_the_words_of_the_former():
+    one: list[Message] = [Sample((float(k % 7),), 0.005 * k) for k in range(103)]
+    gap: list[Message] = [Sample((float(k % 7),), 9 + 0.005 * k) for k in range(50)]
+    frames, _ = frames_of(words_only(), [Reset(), *one, Reset(), *one, *gap])
+    assert [frame["trial"] for frame in frames] == sorted(frame["trial"] for frame in frames)
+    for number, (begin, samples) in enumerate(((0.0, 103), (0.0, 103), (9.0, 50))):
+        mine = [frame for frame in frames if frame["trial"] == number]
+        assert mine[-1]["sample"] == samples
+        assert not mine[-1]["provisional"]
+        assert sum(len(frame["wrench"]) for frame in mine) == samples
+        spans = [word[3:] for frame in mine for word in frame["words"] if word[0] == 2]
+        assert (spans[0][0], spans[-1][1]) == (begin, pytest.approx(begin + 0.005 * samples))
 
 
 def test_a_slow_viewer_costs_nothing(monkeypatch):
@@ -105,7 +233,8 @@ def test_a_slow_viewer_costs_nothing(monkeypatch):
     for k in range(5 * live_page.HISTORY):
         broadcast.publish({"k": k})
     assert viewer.qsize() == 2 * live_page.HISTORY
-    assert json.loads(viewer.get_nowait())["k"] == 3 * live_page.HISTORY
+    [(kind, value)] = packets((viewer.get_nowait() or b"").decode())
+    assert (kind, value) == ("frame", {"k": 3 * live_page.HISTORY, "number": 3 * live_page.HISTORY + 1})
     joined = [broadcast.join() for _ in range(live_page.VIEWERS)]
     assert joined[-1] is None
     broadcast.leave(viewer)
