@@ -87,8 +87,8 @@ function key() {
 function log(event, kind) {
   const rest = Object.entries(event).filter(([k]) => !["event", "sample", "time"].includes(k));
   const said = event.event === "Notice" ? `${event.kind}: ${event.text}` : `${event.event} ${rest.map(([k, v]) => k + "=" + (typeof v === "number" ? +v.toFixed(3) : v)).join(" ")}`;
-  const trial = kept.trials[kept.trials.length - 1];
-  byId("events").prepend(text("div", `${(event.time - trial.base).toFixed(3)} s  ${said}`, kind));
+  const base = kept.trials.at(-1)?.base ?? 0;
+  byId("events").prepend(text("div", `${(event.time - base).toFixed(3)} s  ${said}`, kind));
   while (byId("events").childElementCount > 200) byId("events").lastChild.remove();
 }
 

@@ -43,14 +43,14 @@ function understand(said) {
 
 // Page time of a time stamp: stamps may be dates, and begin anew with every trial.
 function trialOf(frame) {
-  const last = kept.trials[kept.trials.length - 1];
+  const last = kept.trials.at(-1);
   if (last && last.number === frame.trial) return last;
-  const stamp = frame.wrench.length ? frame.wrench[0][0] : frame.time, date = Math.abs(stamp) > 1e5 ? stamp : 0;
+  const stamp = frame.wrench[0][0], date = Math.abs(stamp) > 1e5 ? stamp : 0;
   const on = last && stamp > kept.stamp && stamp < kept.stamp + 60; // a gap, after which the clock went on
   const shift = on ? last.shift : last ? stamp - kept.latest - 1 : date;
   kept.trials.push({ number: frame.trial, start: stamp - shift, shift, base: on ? last.base : date });
   kept.raised.clear();
-  return kept.trials[kept.trials.length - 1];
+  return kept.trials.at(-1);
 }
 
 const ownTime = t => {
@@ -62,6 +62,10 @@ function take(frame) {
   if (!about || frame.number <= link.number) return; // seen before the connection was lost
   link.number = frame.number;
   link.heard = performance.now();
+  if (!frame.wrench.length && kept.trials.at(-1)?.number !== frame.trial) { // no reading of this trial has come yet
+    for (const event of frame.events) note(event, kept.latest);
+    return;
+  }
   const { shift } = trialOf(frame);
   for (const [stamp, ...values] of frame.wrench) {
     kept.t.push(stamp - shift);
@@ -90,7 +94,7 @@ function note(event, t) {
   if (event.event === "AnomalyCleared") kept.raised.delete(event.head);
   const text = event.event === "SubtaskStarted" ? "sub-task" + (event.detected ? " (detected)" : "") : event.event === "Notice" ? event.kind
     : event.event === "AnomalyRaised" ? "alarm" : event.event === "AnomalyCleared" ? "cleared" : event.label ?? event.event;
-  kept.marks.push({ t, kind, text });
+  kept.marks.push({ t: Math.max(t, kept.marks.at(-1)?.t ?? 0, kept.trials.at(-1)?.start ?? 0), kind, text });
   log(event, kind);
 }
 

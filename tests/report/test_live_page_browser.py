@@ -1,4 +1,4 @@
-"""The live page in a real browser: wrench, bands and bars move, without a network, on screens of any density."""
+"""The live page in a real browser: charts, controls and connection, without a network, on screens of any density."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Malformed, Message, Reset, Sample
 from rcbht_jax.report.live_page import Frames, PageServer
 from tests.io.test_stream_sources import samples_of
 from tests.support.browser import browser
-from tests.support.introspection_models import model, trial
+from tests.support.introspection_models import CONFIG, model, trial
 
-# Rows of a canvas that hold anything, as shares of its height, and how many colours it shows.
+# Rows of a canvas that hold anything but the background, as shares of its height, and how many colours it shows.
 SEEN = """
 const c = document.getElementById(arguments[0]), data = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
 const rows = new Set(), colours = new Set();
-for (let i = 0; i < data.length; i += 4) if (data[i + 3] > 0) {
+for (let i = 0; i < data.length; i += 4) if (data[i] + data[i + 1] + data[i + 2] < 3 * 250) {
   rows.add(Math.floor(i / 4 / c.width)); colours.add(`${data[i]},${data[i + 1]},${data[i + 2]}`);
 }
 return {last: Math.max(...rows) / c.height, colours: colours.size, picture: c.toDataURL(), width: c.width};
 """
+CANVASES = ("signal-0", "signal-1", "words", "belief-states", "alarm-outcome", "axis", "overview")
 
 
 def wait_for(driver: Any, script: str, seconds: float = 20.0) -> None:
@@ -34,9 +38,28 @@ def wait_for(driver: Any, script: str, seconds: float = 20.0) -> None:
         time.sleep(0.05)
 
 
+def feed(frames: Frames, messages: list[Message]) -> None:
+    for message in messages:
+        frames.feed(message)
+    frames.flush()
+
+
+def session_of(axes: tuple[str, ...], units: tuple[str, ...]) -> Session:
+    return Session(WordIntrospector(CONFIG, rj.preset("hiro", axes), axes, units))
+
+
+def readings(axes: int, count: int, start: float = 0.0) -> list[Message]:
+    wrench = np.tile(trial(1, 3, count), (1, 2))[:, :axes]
+    return [Sample(tuple(row), start + 0.005 * k) for k, row in enumerate(wrench.tolist())]
+
+
+def state(driver: Any) -> str:
+    return str(driver.find_element("id", "state").text)
+
+
 @pytest.mark.parametrize(("width", "ratio"), [(1280, 1), (400, 2)])
 def test_everything_moves(width, ratio, tmp_path):
-    session = Session(Introspector(model()))
+    session = Session(Introspector(model(), words=True))
     wrench = np.concatenate([trial(0, 60, 400), trial(1, 61, 400), trial(2, 62, 400)])
     messages = list(samples_of(wrench, (400, 800)))
     with PageServer(session, port=0) as server, browser(width, 900) as driver:
@@ -44,33 +67,137 @@ def test_everything_moves(width, ratio, tmp_path):
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         frames = Frames(session, server.broadcast)
         driver.get(server.url)
-        wait_for(driver, "about !== undefined")
+        wait_for(driver, "about !== null")
         views = []
         for part, sample in enumerate((400, 800, 1200)):
             while session.introspector.received < sample:
                 frames.feed(messages.pop(0))
             frames.flush()
-            wait_for(driver, f"document.getElementById('state').textContent.includes('{sample} samples') && !dirty")
-            views.append({name: driver.execute_script(SEEN, name) for name in ("upper", "lower", "labels")})
-            best = driver.find_element("css selector", "#head-states .best")
-            assert best.text.startswith(("calm", "push", "shake")[part])
+            wait_for(driver, f"byId('clock').textContent.includes('{sample} samples') && !dirty")
+            wait_for(driver, f"byId('head-states').querySelector('.best')?.textContent.startsWith('{'cps'[part]}')")
+            views.append({name: driver.execute_script(SEEN, name) for name in CANVASES})
             bars = driver.execute_script(
                 "return [...document.querySelectorAll('#head-states .bar i')].map(b => parseFloat(b.style.width))"
             )
             assert sum(bars) == pytest.approx(100, abs=0.1)
             assert int(np.argmax(bars)) == part
-        for name in ("upper", "lower", "labels"):
+        for name in CANVASES:
             assert len({view[name]["picture"] for view in views}) == 3, f"{name} stands still"
-            assert views[-1][name]["last"] > 0.8, f"{name} is cut off"
-            shown = driver.find_element("id", name).size["width"] - 2  # without its border
+            assert views[-1][name]["last"] > 0.6, f"{name} is cut off"
+            shown = driver.find_element("id", name).size["width"]
             assert views[-1][name]["width"] == pytest.approx(ratio * shown, abs=1)
-        assert views[-1]["labels"]["colours"] > 5
+        assert views[-1]["words"]["colours"] > 5
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
-        assert "SubtaskStarted" in driver.find_element("id", "events").text
+        assert "SubtaskStarted" in driver.find_element("id", "events").get_attribute("textContent")
+        now = driver.find_element("id", "now").get_attribute("textContent")
+        assert all(axis in now for axis in rj.labels.AXES)
         fetched = driver.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
-        assert fetched
         assert all(name.startswith(server.url) for name in fetched)
         driver.save_screenshot(str(tmp_path / f"page-{width}.png"))
         server.broadcast.close()
-        wait_for(driver, "document.getElementById('state').textContent.includes('ended')")
+        wait_for(driver, "byId('state').textContent.includes('ended')")
         assert [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def press(driver: Any, key: str) -> None:
+    driver.execute_script(f"document.body.dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}', bubbles: true}}))")
+
+
+def test_pause_scrub_and_zoom():
+    session = session_of(("grip",), ("N",))
+    with PageServer(session, port=0) as server, browser(1000, 700) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, readings(1, 400))  # 2 s
+        wait_for(driver, "view.to > 1.9 && !dirty")
+        press(driver, " ")
+        assert driver.find_element("id", "pause").text == "Resume"
+        shown = driver.execute_script(SEEN, "words")["picture"]
+        feed(frames, readings(1, 3600, 2.0))  # up to 20 s; nothing moves, nothing is lost
+        wait_for(driver, "kept.t.length === 4000 && !dirty")
+        assert driver.execute_script(SEEN, "words")["picture"] == shown
+        wait_for(driver, "byId('state').textContent.startsWith('paused, 18.0 s')")
+        press(driver, "End")
+        wait_for(driver, "view.live && view.to > 19.9 && !dirty")
+        driver.execute_script("byId('span').value = '5'; byId('span').onchange()")
+        press(driver, "ArrowLeft")
+        assert driver.execute_script("return [view.to, view.span]") == pytest.approx([19.995 - 1.25, 5])
+        press(driver, "Home")
+        assert driver.execute_script("return view.to - view.span") == pytest.approx(0)
+        press(driver, "+")  # about the middle of what is shown
+        assert driver.execute_script("return [view.to - view.span / 2, view.span]") == pytest.approx([2.5, 5 / 1.5])
+        ticks = driver.execute_script("return ticks(1000).map(tick => [tick[0], +tick[1]])")
+        assert len(ticks) >= 3
+        assert all(place == pytest.approx(said) for place, said in ticks)
+        driver.execute_script(
+            "const c = byId('signal-0'), r = c.getBoundingClientRect();"
+            "c.onpointermove({clientX: r.left + LEFT + (r.width - LEFT - RIGHT) / 2})"
+        )
+        wait_for(driver, "byId('moment').textContent === 'At 2.500 s'")
+        value = float(driver.find_element("css selector", "#now td").text.split()[0])
+        assert value == pytest.approx(readings(1, 3600, 2.0)[100].wrench[0], abs=1e-3)
+        assert int(driver.find_element("id", "overview").get_attribute("aria-valuemax").split(".")[0]) == 20
+
+
+def test_provisional_words_are_pale_and_no_band_is_empty():
+    session = session_of(rj.labels.AXES, rj.labels.UNITS)
+    middle = """
+      const c = byId('words'), y = Math.round(arguments[0] * c.height);
+      const data = c.getContext('2d').getImageData(0, y, c.width, 1).data;
+      const from = Math.ceil(LEFT) + 1, to = c.width - RIGHT - 1, white = [];
+      for (let i = from; i < to; i++) if (data[4 * i] + data[4 * i + 1] + data[4 * i + 2] === 765) white.push(i);
+      return {white, last: [...data.slice(4 * (to - 2), 4 * (to - 2) + 3)]};
+    """
+    with PageServer(session, port=0) as server, browser(1000, 700) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, [Sample((0.0,) * 6, 0.005 * k) for k in range(1000)])  # one word, which is never published
+        driver.execute_script("view.span = 4; dirty = true")
+        wait_for(driver, "about && view.to > 4.9 && !dirty")
+        for row in range(6):
+            seen = driver.execute_script(middle, (row + 0.1) / 6)
+            assert seen["white"] == []
+            pale = [round(0.4 * 0xBD + 0.6 * 255)] * 3  # FX on white
+            assert seen["last"] == pytest.approx(pale, abs=1)
+        frames.finish()
+        wait_for(driver, f"link.number === {server.broadcast._number} && !dirty")
+        assert driver.execute_script(middle, 0.1 / 6)["last"] == [0xBD] * 3
+
+
+def test_what_happens_to_a_stream():
+    """Compiling, other numbers of axes after a restart, a new trial, silence, and a server that comes back."""
+    with browser(1000, 900) as driver:
+        with PageServer(port=0) as server:
+            port = server.server_address[1]
+            server.status("compiling the encoder")
+            driver.get(server.url)
+            wait_for(driver, "byId('wait').textContent === 'Compiling the encoder.' && !byId('wait').hidden")
+            one = session_of(("grip",), ("N",))
+            server.show(one)
+            server.status("")
+            frames = Frames(one, server.broadcast)
+            feed(frames, [Malformed("<b>not a message</b>"), *readings(1, 200, 1.7e9)])
+            wait_for(
+                driver, "byId('wait').hidden && byId('clock').textContent === '0.99 s, 200 samples'"
+            )  # from a date
+            assert "<b>" in driver.find_element("id", "events").text
+            feed(frames, [Reset(), *readings(1, 100)])
+            wait_for(driver, "/^0.(49|50) s, 100 samples/.test(byId('clock').textContent) && !dirty")
+            assert driver.execute_script("return kept.trials.length") == 2
+            starts = driver.execute_script("return ticks(1000).map(tick => tick[1])")
+            assert sum(float(start) == 0 for start in starts) == 2  # the ticks of each trial begin anew
+            wait_for(driver, "byId('state').textContent.startsWith('silent for')")
+        wait_for(driver, "['lost', 'ended'].includes(byId('state').dataset.kind)")
+        axes = tuple(f"{arm}.{axis}" for arm in "LR" for axis in rj.labels.AXES)
+        twelve = session_of(axes, rj.labels.UNITS * 2)
+        with PageServer(twelve, port=port) as server:
+            feed(Frames(twelve, server.broadcast), readings(12, 300))
+            wait_for(driver, "about.axes.length === 12 && kept.t.length === 300 && !dirty", 40)
+            assert "1.50 s" in driver.find_element("id", "clock").text.replace("1.49", "1.50")
+            assert driver.find_elements("id", "signal-2") == []
+            assert len(driver.find_elements("css selector", "#now tbody tr")) == 12
+            driver.execute_script("byId('layer').value = 'all'; byId('layer').onchange()")
+            wait_for(driver, "!dirty")
+            assert driver.execute_script(SEEN, "words")["last"] > 0.9
+        errors = [entry["message"] for entry in driver.get_log("browser") if entry["source"] == "javascript"]
+        assert errors == []
