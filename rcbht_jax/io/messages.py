@@ -130,6 +130,32 @@ def _stamp(header: Any) -> float | None:
     return None
 
 
+def sample_of(message: Any, received: int = 0) -> Sample | Malformed:
+    """The reading in a ROS message: anything with the fields of ``geometry_msgs/Wrench`` or ``WrenchStamped``.
+
+    >>> from types import SimpleNamespace as Fields
+    >>> sample_of(Fields(force=Fields(x=1, y=2, z=3), torque=Fields(x=4, y=5, z=6)), received=5_000_000_000)
+    Sample(wrench=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), time=5.0)
+
+    Args:
+        message: of ROS 1, ROS 2, or read from a bag.
+        received: ns, when it was received; its time where the header has no stamp.
+    """
+    try:
+        wrench = getattr(message, "wrench", message)
+        values = (getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in _AXES)
+        return Sample(tuple(float(v) for v in values), stamp_of(message, received))
+    except Exception as error:  # a definition of its own in the bag
+        return Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
+
+
+def stamp_of(message: Any, received: int) -> float:
+    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none or it is zero."""
+    header = getattr(message, "header", None)
+    stamp: float = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
+    return stamp if stamp > 0 else received * 1e-9
+
+
 _BACKLOG = 1000  # messages read ahead; then the writer waits, so that memory stays bounded
 
 

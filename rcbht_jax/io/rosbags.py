@@ -18,7 +18,7 @@ from rcbht_jax._util.atomic import draft_of
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event, Word
-from rcbht_jax.io.messages import Malformed, Message, Sample
+from rcbht_jax.io.messages import Malformed, Message, sample_of
 from rcbht_jax.labels import AXES, LAYERS, name
 
 with needs_extra("stream"):
@@ -97,7 +97,7 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
                 f"{path} has wrenches on {len(topics)} topics ({', '.join(topics)}); choose one with --topic."
             )
         for found in messages(reader, [c for c in connections if c.topic == (topic or topics[0])]):
-            yield found if isinstance(found, Malformed) else _sample(found[2], found[1])
+            yield found if isinstance(found, Malformed) else sample_of(found[2], found[1])
 
 
 @contextmanager
@@ -141,22 +141,6 @@ def messages(reader: AnyReader, connections: Sequence[Any]) -> Iterator[tuple[An
             yield connection, received, reader.deserialize(raw, connection.msgtype)
         except Exception as error:
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
-
-
-def _sample(message: Any, received: int) -> Sample | Malformed:
-    try:
-        wrench = getattr(message, "wrench", message)
-        values = (getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz")
-        return Sample(tuple(float(v) for v in values), stamp_of(message, received))
-    except Exception as error:  # a definition of its own in the bag
-        return Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
-
-
-def stamp_of(message: Any, received: int) -> float:
-    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none or it is zero."""
-    header = getattr(message, "header", None)
-    stamp: float = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
-    return stamp if stamp > 0 else received * 1e-9
 
 
 class McapWriter:

@@ -12,8 +12,8 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.bombs import bound_chunks, check_mcap
 from rcbht_jax.io.importing.table import MAX_COLUMNS, Interval, Table, check_file
-from rcbht_jax.io.messages import Malformed
-from rcbht_jax.io.rosbags import WRENCH, messages, open_bag, stamp_of
+from rcbht_jax.io.messages import Malformed, stamp_of
+from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 
 MAX_BAG_BYTES = 2**34  # read message by message
 MAX_VALUES = 2**27  # kept of one bag

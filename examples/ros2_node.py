@@ -1,0 +1,155 @@
+"""A ROS 2 node: words and beliefs of a force/torque sensor, as JSON in std_msgs/String.
+
+    python examples/ros2_node.py --ros-args -p topic:=/wrench -p robot:=auto
+    python examples/ros2_node.py --ros-args -p topic:=/wrench -p model:=/home/me/states.model
+
+Subscribes to geometry_msgs/WrenchStamped on ``topic`` and to std_msgs/String on ``~/control``, whose data "begin"
+begins a sub-task and "reset" a trial. Publishes on ``~/words``, ``~/beliefs`` and ``~/events`` (alarms, sub-tasks,
+irregularities of the stream). Each message is one event of rcbht_jax.events as a JSON object.
+
+Everything but ``main`` runs without ROS, and is tested so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset, read_thresholds
+from rcbht_jax.events import Belief, Event, Word
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import load
+from rcbht_jax.introspection.opening import READINGS, live_thresholds, read_opening
+from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Begin, Message, Reset, Sample, Silence, sample_of
+from rcbht_jax.labels import AXES
+
+PARAMETERS: dict[str, Any] = {
+    "topic": "/wrench",  # geometry_msgs/WrenchStamped
+    "model": "",  # file of "rcbht train-online"; "" = words alone
+    "robot": "auto",  # preset of the thresholds, for words alone; auto = from rest, in the first readings
+    "thresholds": "",  # file of "rcbht calibrate", in place of the preset
+    "rate": 0.0,  # Hz of the samples, for words alone; 0 = by their time stamps
+    "window": 5,  # samples per straight line, for words alone
+    "lead": 10.0,  # s at the beginning from which robot:=auto takes the thresholds
+    "timeout": 1.0,  # s without a message that are reported as silence
+}
+CONTROL: dict[str, Message] = {"begin": Begin(), "reset": Reset()}
+
+
+class Bridge:
+    """Takes messages of a wrench topic, gives events as JSON.
+
+    Args:
+        parameters: see ``PARAMETERS``.
+        publish: called with a topic (words, beliefs or events) and a JSON object for each event.
+    """
+
+    def __init__(self, parameters: dict[str, Any], publish: Callable[[str, str], None]) -> None:
+        self._parameters, self._publish = {**PARAMETERS, **parameters}, publish
+        self._early: list[Message] = []  # until rate and thresholds are known
+        self._stamps: list[float] = []  # s, of the readings among them
+        self._latest = 0.0  # s, when the latest message was received
+        self.session: Session | None = None
+        if self._parameters["model"]:
+            self._open(Introspector(load(Path(self._parameters["model"])), words=True))
+
+    def wrench(self, message: Any, received: float) -> None:
+        """A geometry_msgs/WrenchStamped that was received at some time, s."""
+        self._latest = received
+        self._feed(sample_of(message, round(received * 1e9)))
+
+    def control(self, word: str) -> None:
+        """ "begin" or "reset"; anything else is ignored."""
+        if word in CONTROL:
+            self._feed(CONTROL[word])
+
+    def watch(self, now: float) -> None:
+        """Report silence; to be called now and then with the present time, s."""
+        if self._latest and now - self._latest > self._parameters["timeout"]:
+            self._feed(Silence(self._parameters["timeout"]))
+
+    def finish(self) -> None:
+        """Publish the words still held."""
+        if self.session is not None:
+            self._emit(self.session.finish())
+
+    def _feed(self, message: Message) -> None:
+        if self.session is not None:
+            self._emit(self.session.feed(message))
+            return
+        self._early.append(message)
+        if isinstance(message, Sample) and np.isfinite(message.wrench).all():
+            self._stamps.append(message.time or 0.0)
+        if len(self._stamps) >= READINGS and self._stamps[-1] - self._stamps[0] >= self._lead:
+            early, self._early = self._early, []
+            self._open(self._words(early))
+            for message in early:
+                self._feed(message)
+
+    @property
+    def _lead(self) -> float:
+        learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
+        return float(self._parameters["lead"]) if learns else 0.0
+
+    def _words(self, early: list[Message]) -> WordIntrospector:
+        opening = read_opening(iter(early), self._lead)
+        rate, window = self._parameters["rate"] or opening.rate(), self._parameters["window"]
+        if self._parameters["thresholds"]:
+            thresholds, _ = read_thresholds(Path(self._parameters["thresholds"]), AXES)
+        elif self._parameters["robot"] == "auto":
+            thresholds = live_thresholds(opening.recordings(rate, AXES), window)
+        else:
+            thresholds = preset(self._parameters["robot"], AXES)
+        return WordIntrospector(EncoderConfig(window, 1 / rate), thresholds, AXES)
+
+    def _open(self, introspector: Introspector | WordIntrospector) -> None:
+        introspector.warm_up()
+        self.session = Session(introspector)
+
+    def _emit(self, events: Iterable[Event]) -> None:
+        for event in events:
+            topic = "words" if isinstance(event, Word) else "beliefs" if isinstance(event, Belief) else "events"
+            self._publish(topic, json.dumps(event.to_json(), allow_nan=False))
+
+
+def main() -> None:
+    """Run the node until it is stopped."""
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import String
+
+    rclpy.init()
+    node = rclpy.create_node("rcbht")
+    parameters = {name: node.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
+    publishers = {name: node.create_publisher(String, f"~/{name}", 100) for name in ("words", "beliefs", "events")}
+    bridge = Bridge(parameters, lambda topic, text: publishers[topic].publish(String(data=text)))
+
+    def now() -> float:
+        return float(node.get_clock().now().nanoseconds) * 1e-9
+
+    # Deep, so that what arrives while the encoder compiles is not lost.
+    sensor = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(WrenchStamped, parameters["topic"], lambda message: bridge.wrench(message, now()), sensor)
+    node.create_subscription(String, "~/control", lambda message: bridge.control(message.data), 10)
+    node.create_timer(0.5, lambda: bridge.watch(now()))
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        bridge.finish()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

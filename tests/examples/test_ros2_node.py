@@ -1,0 +1,152 @@
+"""The ROS 2 node without ROS: its callbacks with messages of a recorded bag, its main with a stand-in for rclpy."""
+
+from __future__ import annotations
+
+import json
+import runpy
+import sys
+from collections import Counter
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcbht_jax as rj
+from rcbht_jax.encoding.thresholds import write_thresholds
+from rcbht_jax.introspection import model as model_files
+from rcbht_jax.io.rosbags import messages, open_bag
+from rcbht_jax.labels import LAYERS
+from tests.support.introspection_models import model, trial
+
+NODE = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples/ros2_node.py"))
+Bridge = NODE["Bridge"]
+
+
+class Heard:
+    """What was published, by topic."""
+
+    def __init__(self) -> None:
+        self.events: dict[str, list[dict[str, Any]]] = {"words": [], "beliefs": [], "events": []}
+
+    def __call__(self, topic: str, text: str) -> None:
+        self.events[topic].append(json.loads(text))
+
+
+def stamped(row: list[float], seconds: float) -> Any:
+    """A message like a geometry_msgs/WrenchStamped."""
+    force, torque = (SimpleNamespace(**dict(zip("xyz", part, strict=True))) for part in (row[:3], row[3:]))
+    stamp = SimpleNamespace(sec=int(seconds), nanosec=round(seconds % 1 * 1e9))
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp), wrench=SimpleNamespace(force=force, torque=torque))
+
+
+def test_words_of_a_topic_are_those_of_the_recording() -> None:
+    heard = Heard()
+    bridge = Bridge({"robot": "hiro"}, heard)
+    wrench = trial(2, 7, 300)
+    for k, row in enumerate(wrench.tolist()):
+        bridge.wrench(stamped(row, 1000 + 0.005 * k), 2000.0)
+    bridge.finish()
+    tracks = rj.encode(wrench, rate=200)
+    counts = Counter(word["layer"] for word in heard.events["words"])
+    assert counts == {layer: int(np.count_nonzero(getattr(tracks, layer).label)) for layer in LAYERS}
+    assert {word["axis"] for word in heard.events["words"]} == set(rj.labels.AXES)
+    assert min(word["start"] for word in heard.events["words"]) == pytest.approx(1000)
+    assert heard.events["beliefs"] == heard.events["events"] == []
+
+
+def test_beliefs_sub_tasks_and_silence(tmp_path: Path) -> None:
+    model_files.save(tmp_path / "m", model())
+    heard = Heard()
+    bridge = Bridge({"model": str(tmp_path / "m")}, heard)
+    bridge.watch(5.0)  # nothing was ever received
+    for k, row in enumerate(trial(1, 8, 200).tolist()):
+        if k == 100:
+            bridge.control("begin")
+            bridge.control("nonsense")
+        bridge.wrench(stamped(row, 10 + 0.005 * k), 10 + 0.005 * k)
+    bridge.wrench(object(), 11.0)
+    bridge.watch(11.5)
+    bridge.watch(12.5)
+    bridge.watch(13.0)
+    kinds = [event.get("kind", event["event"]) for event in heard.events["events"]]
+    alarms = {"AnomalyRaised", "AnomalyCleared", "FailureType"}  # a push is a failure to this model
+    assert alarms & {*kinds}
+    assert [kind for kind in kinds if kind not in alarms] == ["SubtaskStarted", "malformed", "silent"]
+    assert Counter(belief["head"] for belief in heard.events["beliefs"])["states"] == 10
+    assert heard.events["words"]
+
+
+def test_thresholds_of_a_file_and_of_the_first_readings(tmp_path: Path) -> None:
+    write_thresholds(tmp_path / "t.json", rj.preset(), {})
+    found = {}
+    for name, parameters in (("file", {"thresholds": str(tmp_path / "t.json")}), ("auto", {"lead": 1.0})):
+        heard = Heard()
+        bridge = Bridge(parameters, heard)
+        for k, row in enumerate((5 * trial(0, 9, 400)).tolist()):
+            bridge.wrench(stamped(row, 10 + 0.005 * k), 0.0)
+            if k == 150:
+                assert (bridge.session is None) == (name == "auto")  # the first second is only collected
+        bridge.finish()
+        found[name] = sum(word["layer"] == "primitive" for word in heard.events["words"])
+    assert found["auto"] < found["file"] / 4  # the preset hears words in this noise
+
+
+def test_a_recorded_bag(external_dir: Path) -> None:
+    heard = Heard()
+    bridge = Bridge({"lead": 2.0}, heard)
+    bag = next(iter(sorted((external_dir / "bags").glob("*.bag"))))
+    with open_bag(bag) as reader:
+        chosen = [c for c in reader.connections if c.topic == "/wrench/filtered/right"]
+        for _, received, message in islice(messages(reader, chosen), 1500):
+            bridge.wrench(message, received * 1e-9)
+    bridge.finish()
+    assert bridge.session.counts["sample"] == 1500
+    assert {word["axis"] for word in heard.events["words"]} == set(rj.labels.AXES)
+    assert {word["layer"] for word in heard.events["words"]} == set(LAYERS)
+
+
+def test_main_connects_the_topics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With modules in the place of ROS: a message on the topic comes out as words."""
+    told: dict[str, list[str]] = {}
+    taken: dict[str, Callable[[Any], None]] = {}
+
+    class Node:
+        def declare_parameter(self, name: str, value: Any) -> Any:
+            return SimpleNamespace(value="hiro" if name == "robot" else value)
+
+        def create_publisher(self, kind: Any, topic: str, depth: int) -> Any:
+            return SimpleNamespace(publish=lambda message: told.setdefault(topic, []).append(message.data))
+
+        def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], quality: Any) -> None:
+            taken[topic] = callback
+
+        def create_timer(self, period: float, callback: Callable[[], None]) -> None:
+            callback()
+
+        def get_clock(self) -> Any:
+            return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=5_000_000_000))
+
+        def destroy_node(self) -> None: ...
+
+    def spin(node: Node) -> None:
+        for k, row in enumerate(trial(1, 3, 100).tolist()):
+            taken["/wrench"](stamped(row, 1 + 0.005 * k))
+        taken["~/control"](SimpleNamespace(data="begin"))
+        raise KeyboardInterrupt
+
+    nothing = SimpleNamespace(WrenchStamped=None, ExternalShutdownException=RuntimeError, String=SimpleNamespace)
+    nothing.QoSProfile, nothing.ReliabilityPolicy = dict, SimpleNamespace(BEST_EFFORT=1)
+    nothing.init, nothing.try_shutdown, nothing.create_node, nothing.spin = list, list, lambda name: Node(), spin
+    for name in ("rclpy", "rclpy.executors", "rclpy.qos", "geometry_msgs", "geometry_msgs.msg", "std_msgs.msg"):
+        module = ModuleType(name)
+        module.__dict__.update(vars(nothing))
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setitem(sys.modules, "std_msgs", ModuleType("std_msgs"))
+    NODE["main"]()
+    assert set(taken) == {"/wrench", "~/control"}
+    assert json.loads(told["~/words"][0])["event"] == "Word"
+    assert json.loads(told["~/events"][0])["event"] == "SubtaskStarted"
