@@ -66,7 +66,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         here, moved = steep[used, axis], activity[used, axis]
         if not (here > 0).any():
             raise InputError(f"The axis {name} never changes; leave it out.")
-        quiet = moved <= _border(moved)
+        quiet = moved <= max(_border(moved), float(moved.min()))  # rounding must not leave it without any
         rest[used, axis] = quiet
         constant = MARGIN * max(float(np.quantile(here[quiet], QUIET)), 1e-3 * float(here.max()))
         impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])

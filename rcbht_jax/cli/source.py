@@ -116,27 +116,33 @@ class Source(EncodingCommand):
         from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.introspection.opening import live_thresholds, read_opening
         from rcbht_jax.introspection.words import WordIntrospector
+        from rcbht_jax.io.rosbags import is_bag
         from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.labels import UNIT_OF
 
         path = Path(self.source)
         if _is_store(path):
             recordings = read_recordings(path)
-            axes, rate = self.axes or recordings.axes, self.sampling_rate or 1 / recordings.dt
+            rate = self.sampling_rate or 1 / recordings.dt
         else:
-            learns = self.thresholds is None and self.robot in (None, "auto")
+            robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
+            learns = self.thresholds is None and robot == "auto"
             if learns:
                 say(f"taking the thresholds from the first {self.lead:g} s")
             opening = read_opening(messages, self.lead if learns else 0.0, self.sampling_rate)
             messages, rate = opening.messages, self.sampling_rate or opening.rate()
-            axes = self.axes or opening.axes
-            recordings = opening.recordings(rate, axes)
-        if len(axes) != len(recordings.axes):
-            raise InputError(f"--axes names {len(axes)} axes; the stream has {len(recordings.axes)}.")
-        recordings = replace(recordings, axes=tuple(axes))
-        if _is_store(path) or not learns:
+            recordings = opening.recordings(rate, opening.axes)
+        if self.axes:
+            if len(self.axes) != len(recordings.axes):
+                raise InputError(f"--axes names {len(self.axes)} axes; the stream has {len(recordings.axes)}.")
+            units = tuple(UNIT_OF.get(axis, "") for axis in self.axes)
+            recordings = replace(recordings, axes=self.axes, units=units)
+        if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
-        else:
+        elif learns:
             thresholds = live_thresholds(recordings, self.window)
+        else:
+            thresholds, _ = replace(self, robot=robot).read_limits(recordings, path)
         config = EncoderConfig(self.window, 1 / rate)
         return WordIntrospector(config, thresholds, recordings.axes, recordings.units), messages
 

@@ -50,7 +50,7 @@ def words_of_window(
 
 def _word(layer: str, axis: str, span: list[int], sample: int, time: float, dt: float) -> Word:
     code, begin, end = span
-    start, stop = (time - (sample - 1 - k) * dt for k in (begin, end))
+    start, stop = (round(time - (sample - 1 - k) * dt, 9) for k in (begin, end))
     return Word(sample, time, layer, axis, name(layer, code), code, begin, end, start, stop)
 
 

@@ -12,10 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.labels import LAYERS
 from rcbht_jax.report import live_page
 from tests.support.introspection_models import model, trial
 
@@ -101,6 +105,89 @@ def test_serve_shows_a_source_to_its_end(model_path, monkeypatch):
     assert b"event: end" in frames[0]
     last = json.loads([line for line in frames[0].splitlines() if line.startswith(b"data: {")][-1][6:])
     assert last["sample"] == 300
+
+
+def said_by(words: list[str], capsys: pytest.CaptureFixture[str]) -> list[dict]:
+    assert main(words) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_words_without_a_model(tmp_path, capsys, monkeypatch):
+    """Any number of axes; thresholds of a preset, of a file, and of the stream itself."""
+    wrench = np.random.default_rng(0).normal(size=(400, 2)) * 0.5
+    wrench[200:] += 40
+    write_thresholds(tmp_path / "t.json", rj.GradientThresholds(np.full((2, 4), 1e6)), {}, ("grip", "Mz"))
+    found = {}
+    for name, options in (
+        ("preset", ["--robot", "pa10"]),
+        ("file", ["--thresholds", str(tmp_path / "t.json")]),
+        ("auto", ["--lead", "1.5"]),
+    ):
+        monkeypatch.setattr(sys, "stdin", Stdin(lines(wrench)))
+        found[name] = said_by(["stream", "-", "--axes", "grip", "Mz", *options], capsys)
+        assert {event["event"] for event in found[name]} == {"Word"}
+        assert {(event["layer"], event["axis"]) for event in found[name]} >= {("llb", "grip"), ("llb", "Mz")}
+        assert max(event["stop"] for event in found[name]) == pytest.approx(2.0)
+    counts = {name: sum(event["layer"] == "primitive" for event in found[name]) for name in found}
+    assert counts["file"] == 2  # nothing is steeper than that
+    assert counts["file"] <= counts["auto"] < counts["preset"] / 2
+
+
+def test_words_of_a_store_are_those_that_encode_writes(tmp_path, capsys, monkeypatch):
+    store = tmp_path / "s.zarr"
+    recordings = rj.Recordings.from_arrays([trial(1, 3, 300), trial(2, 4, 250)], rate=200)
+    rj.write_recordings(store, recordings, {"importer": "csv"})  # not HIRO's: thresholds from the recordings
+    assert main(["encode", str(store), "--name", "w"]) == 0
+    capsys.readouterr()
+    tracks, _ = read_tracks(store, "w")
+    events = said_by(["stream", str(store)], capsys)
+    for layer in LAYERS:
+        assert sum(e["layer"] == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
+
+
+def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
+    for words, part in (
+        (["-m", str(model_path), "--robot", "hiro"], "leave out --robot"),
+        (["-m", str(model_path), "--window", "7"], "leave out --window"),
+        (["--starts", "detected"], "Only a model detects"),
+        (["--sampling-rate", "0"], "--sampling-rate is 0"),
+        (["--lead", "-1"], "--lead is -1"),
+        (["--robot", "hiro", "--axes", "a"], "names 1 axes; the stream has 6"),
+    ):
+        monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(0, 1, 60))))
+        assert main(["stream", "-", *words]) == 2
+        assert part in capsys.readouterr().err
+    monkeypatch.setattr(sys, "stdin", Stdin(b'{"wrench": [1, 2]}\n' * 60))
+    assert main(["stream", "-", "--robot", "hiro"]) == 2
+    assert "--sampling-rate" in capsys.readouterr().err
+
+
+def test_serve_without_a_model_says_what_it_waits_for(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 32, 300)[:, :1])))
+    told: list[tuple[str, object]] = []
+    tell = live_page.Broadcast.tell
+    monkeypatch.setattr(live_page.Broadcast, "tell", lambda b, k, v: (told.append((k, v)), tell(b, k, v))[1])
+    assert main(["serve", "-", "--port", "0", "--no-stay", "--speed", "0", "--lead", "1"]) == 0
+    assert [value for kind, value in told if kind == "status"] == [
+        "waiting for the first readings", "taking the thresholds from the first 1 s",
+        "compiling the encoder, a few seconds", "",
+    ]  # fmt: skip
+    [about] = [value for kind, value in told if kind == "about"]
+    assert about["axes"] == ("axis0",)
+
+
+def test_a_folder_of_hiro_has_its_preset(hiro_dir, capsys):
+    folder = str(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / "20121127-HIROSA-S-13")
+    events = said_by(["stream", folder], capsys)
+    assert events == said_by(["stream", folder, "--robot", "hiro"], capsys)
+    assert events != said_by(["stream", folder, "--robot", "auto"], capsys)
+    assert sum(event["event"] == "SubtaskStarted" for event in events) == 3
+
+
+def test_a_bag_of_another_robot(external_dir, capsys):
+    bag = next(iter(sorted((external_dir / "bags").glob("*_05.bag"))))
+    events = said_by(["stream", str(bag), "--topic", "/wrench/filtered/right"], capsys)
+    assert {event["layer"] for event in events if event["event"] == "Word"} == set(LAYERS)
 
 
 def test_train_then_stream_a_recorded_trial(hiro_store, tmp_path, capsys):

@@ -133,7 +133,7 @@ def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: py
         ("info no.zarr", "rcbht import hiro DIR no.zarr"),
         ("evaluate STORE", "rcbht encode STORE"),
         ("classify STORE -m no.model", "rcbht train STORE.zarr -o no.model"),
-        ("stream STORE", "rcbht train-online STORE.zarr -o online.model"),
+        ("stream STORE -m no.model", "rcbht train-online STORE.zarr -o no.model"),
         ("report STORE -o r.html -m no.model", "rcbht train-online STORE.zarr -o no.model"),
         ("encode STORE --thresholds no.json", "rcbht calibrate STORE.zarr -o no.json"),
         ("simulate new.zarr --physical no.json", "rcbht fidelity fit HIRO.zarr -o no.json"),
