@@ -199,6 +199,8 @@ class Serve(Source):
             for message in messages:
                 frames.feed(message)
             frames.finish()
+            if self.stay:
+                server.status("the input has ended")
             while self.stay:
                 time.sleep(0.5)
         return {"source": self.source, "messages": dict(session.counts)}
