@@ -88,7 +88,12 @@ function log(event, kind) {
   const rest = Object.entries(event).filter(([k]) => !["event", "sample", "time"].includes(k));
   const said = event.event === "Notice" ? `${event.kind}: ${event.text}` : `${event.event} ${rest.map(([k, v]) => k + "=" + (typeof v === "number" ? +v.toFixed(3) : v)).join(" ")}`;
   const base = kept.trials.at(-1)?.base ?? 0;
-  byId("events").prepend(text("div", `${(event.time - base).toFixed(3)} s  ${said}`, kind));
+  const same = event.event === "Notice" && [...byId("events").children].slice(0, 6).find(node => node.dataset.notice === event.kind);
+  const count = same ? +same.dataset.count + 1 : 1; // one line for what happens again and again
+  const entry = text("div", `${(event.time - base).toFixed(3)} s  ${said}${same ? ` (${count} times)` : ""}`, kind);
+  if (event.event === "Notice") Object.assign(entry.dataset, { notice: event.kind, count });
+  if (same) same.remove();
+  byId("events").prepend(entry);
   while (byId("events").childElementCount > 200) byId("events").lastChild.remove();
 }
 

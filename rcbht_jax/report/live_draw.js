@@ -83,9 +83,9 @@ function marks(pen, width, height, x, named) {
     if (mark.t > view.to) break;
     const at = x(mark.t);
     pen.strokeStyle = pen.fillStyle = colors()[mark.kind || "accent"];
-    pen.setLineDash(mark.kind === "warn" ? [2, 3] : []);
-    line(pen, at, 0, at, height);
-    if (named && at > free) {
+    pen.setLineDash(mark.kind === "warn" && !mark.small ? [2, 3] : []);
+    if (named || !mark.small) line(pen, at, mark.small ? height - 5 : 0, at, height);
+    if (named && !mark.small && at > free) {
       pen.fillText(mark.text, at + 3, height - 5);
       free = at + pen.measureText(mark.text).width + 8;
     }
@@ -300,6 +300,7 @@ function overview() {
 const mixed = (color, alpha) => `rgba(${parts(color).join(", ")}, ${alpha})`;
 
 function draw(now) {
+  requestAnimationFrame(draw); // first, so that the page goes on whatever happens below
   if (dirty && about && kept.t.length && byId("words").clientWidth) {
     dirty = false;
     view.groups.forEach((group, k) => signal(byId("signal-" + k), group));
@@ -310,7 +311,6 @@ function draw(now) {
     overview();
   }
   if (about && kept.t.length) readOut(now);
-  requestAnimationFrame(draw);
 }
 
 start();

@@ -94,7 +94,8 @@ function note(event, t) {
   if (event.event === "AnomalyCleared") kept.raised.delete(event.head);
   const text = event.event === "SubtaskStarted" ? "sub-task" + (event.detected ? " (detected)" : "") : event.event === "Notice" ? event.kind
     : event.event === "AnomalyRaised" ? "alarm" : event.event === "AnomalyCleared" ? "cleared" : event.label ?? event.event;
-  kept.marks.push({ t: Math.max(t, kept.marks.at(-1)?.t ?? 0, kept.trials.at(-1)?.start ?? 0), kind, text });
+  const small = event.event === "Notice" && !["silent", "resumed"].includes(event.kind); // often, on a real network
+  kept.marks.push({ small, t: Math.max(t, kept.marks.at(-1)?.t ?? 0, kept.trials.at(-1)?.start ?? 0), kind, text });
   if (kept.marks.length > 3000) kept.marks.splice(0, 1000); // a stream of nothing but errors
   log(event, kind);
 }

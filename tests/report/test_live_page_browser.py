@@ -34,7 +34,7 @@ def wait_for(driver: Any, script: str, seconds: float = 20.0) -> None:
     """Until the script says true; the page draws when the browser finds time."""
     end = time.monotonic() + seconds
     while not driver.execute_script(f"return {script}"):
-        assert time.monotonic() < end, f"not so after {seconds} s: {script}"
+        assert time.monotonic() < end, f"not so after {seconds} s: {script}; {driver.get_log('browser')[-3:]}"
         time.sleep(0.05)
 
 
@@ -176,11 +176,15 @@ def test_what_happens_to_a_stream():
             server.show(one)
             server.status("")
             frames = Frames(one, server.broadcast)
-            feed(frames, [Malformed("<b>not a message</b>"), *readings(1, 200, 1.7e9)])
+            bad: list[Message] = [Malformed("<b>not a message</b>")]
+            feed(frames, [*bad, *readings(1, 200, 1.7e9), *bad * 9])
             wait_for(
                 driver, "byId('wait').hidden && byId('clock').textContent === '0.99 s, 200 samples'"
             )  # from a date
-            assert "<b>" in driver.find_element("id", "events").text
+            wait_for(driver, "byId('events').textContent.includes('10 times')")
+            log = driver.find_element("id", "events").text
+            assert "<b>" in log
+            assert len(log.splitlines()) == 1
             feed(frames, [Reset(), *readings(1, 100)])
             wait_for(driver, "/^0.(49|50) s, 100 samples/.test(byId('clock').textContent) && !dirty")
             assert driver.execute_script("return kept.trials.length") == 2
