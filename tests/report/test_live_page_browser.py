@@ -30,7 +30,7 @@ return {last: Math.max(...rows) / c.height, colours: colours.size, picture: c.to
 CANVASES = ("signal-0", "signal-1", "words", "belief-states", "alarm-outcome", "axis", "overview")
 
 
-def wait_for(driver: Any, script: str, seconds: float = 20.0) -> None:
+def wait_for(driver: Any, script: str, seconds: float = 60.0) -> None:
     """Until the script says true; the page draws when the browser finds time."""
     end = time.monotonic() + seconds
     while not driver.execute_script(f"return {script}"):
@@ -196,7 +196,7 @@ def test_what_happens_to_a_stream():
         twelve = session_of(axes, rj.labels.UNITS * 2)
         with PageServer(twelve, port=port) as server:
             feed(Frames(twelve, server.broadcast), readings(12, 300))
-            wait_for(driver, "about.axes.length === 12 && kept.t.length === 300 && !dirty", 40)
+            wait_for(driver, "about.axes.length === 12 && kept.t.length === 300 && !dirty", 120)
             assert "1.50 s" in driver.find_element("id", "clock").text.replace("1.49", "1.50")
             assert driver.find_elements("id", "signal-2") == []
             assert len(driver.find_elements("css selector", "#now tbody tr")) == 12
