@@ -52,6 +52,7 @@ SETS = {
 }
 SKILLS = ("3", "4", "5", "7")
 ALPHA = 0.05
+SCORE_RATE = 10.0  # scores per second
 BOOTSTRAP = 1000
 
 
@@ -93,10 +94,10 @@ def _number(value: Any) -> float:
 
 def methods(rate: float) -> dict[str, Monitor]:
     return {
-        "nearest nominal": NominalMonitor(rate=rate, score_rate=rate),
-        "isolation forest": IsolationForestMonitor(rate=rate, score_rate=rate),
-        "quantile band": QuantileBand(rate=rate, score_rate=rate, memory=1 / rate),
-        "largest z-score": QuantileBand(rate=rate, score_rate=rate, memory=1 / rate, normal=True),
+        "nearest nominal": NominalMonitor(rate=rate, score_rate=SCORE_RATE),
+        "isolation forest": IsolationForestMonitor(rate=rate, score_rate=SCORE_RATE),
+        "quantile band": QuantileBand(rate=rate, score_rate=SCORE_RATE, memory=1 / SCORE_RATE),
+        "largest z-score": QuantileBand(rate=rate, score_rate=SCORE_RATE, memory=1 / SCORE_RATE, normal=True),
     }
 
 

@@ -1,20 +1,15 @@
-"""Distances of a moment to nominal recordings at about the same time: the compiled part of the nominal monitor."""
+"""Distances of a moment to nominal recordings at about the same time, channel by channel."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 
-BLOCK = 32  # moments per compiled call
-ROWS, TIMES, REACHES = 16, 64, 8  # sizes are rounded up to these, so that few programs are compiled
 LEAST_SCALE = 0.05  # of the standard deviation of a feature over all nominal moments
 LEAST_REFERENCE = 0.5  # of the median nominal distance of a channel
 AROUND = 5  # moments before and after over which the usual distance is taken
@@ -24,15 +19,12 @@ AROUND = 5  # moments before and after over which the usual distance is taken
 class Bank:
     """Nominal recordings, described, and what is usual among them.
 
-    Padding: a recording that has ended stays as it ended; times before the beginning, and rows beyond the last
-    recording, are infinite. A bank of ``recording`` rows and ``moment`` times stands in ``described`` with ``reach``
-    times before and after.
+    Padding: a recording that has ended stays as it ended; times before the beginning are infinite.
     """
 
-    described: Float32[np.ndarray, "_ row channel kind"]  # [reach + time + reach, ...], in units of the scale
+    described: Float32[np.ndarray, "_ recording channel kind"]  # [reach + moment + reach, ...], in units of the scale
     scale: Float[np.ndarray, "channel kind"]  # of each feature
     reference: Float[np.ndarray, "moment channel"]  # usual distance of a held-out nominal recording
-    recordings: int
     reach: int  # longest time, in moments, by which a neighbour may be early or late
     slack: float  # moments
     drift: float  # share of the elapsed time
@@ -72,14 +64,12 @@ def make_bank(
     spread = held.std((0, 1))
     scale = np.maximum(np.sqrt(np.mean(squares, 0)), LEAST_SCALE * spread)
     scale = np.where(scale > 0, scale, 1.0)  # a feature that never changes
-    reach = _up(int(np.ceil(slack + drift * time)), REACHES)
-    shape = (_up(time, TIMES) + 2 * reach, _up(len(described), ROWS), *held.shape[2:])
-    padded = np.full(shape, np.inf, np.float32)
+    reach = int(np.ceil(slack + drift * time))
     scaled = np.moveaxis(held / scale, 0, 1)
-    padded[reach : reach + time, : len(described)] = scaled
-    padded[reach + time :, : len(described)] = scaled[-1]
-    bank = Bank(padded, scale, np.ones((time, held.shape[2])), len(described), reach, slack, drift, neighbours)
-    return Bank(**{**vars(bank), "reference": _reference(bank, described, groups)})
+    edges = np.full_like(scaled[:1], np.inf), scaled[-1:]
+    padded = np.concatenate([edges[0].repeat(reach, 0), scaled, edges[1].repeat(reach, 0)]).astype(np.float32)
+    bank = Bank(padded, scale, np.ones((time, held.shape[2])), reach, slack, drift, neighbours)
+    return replace(bank, reference=_reference(bank, described, groups))
 
 
 def distances(
@@ -92,25 +82,22 @@ def distances(
         described: moments of a recording, not scaled.
         time: of each, in moments since the beginning.
     """
-    last = len(bank.reference) - 1
-    scaled = (described / bank.scale).astype(np.float32)
-    count = len(time)
-    room = _up(count, BLOCK)
-    rows = np.minimum(np.arange(room), max(count - 1, 0))
-    out = [np.zeros((0, bank.recordings, described.shape[1]), np.float32)]
-    rows_of_bank = jnp.asarray(bank.described)
-    for start in range(0, count, BLOCK):
-        part = rows[start : start + BLOCK]
-        allowed = (bank.slack + bank.drift * time[part]).astype(np.float32)
-        near = _nearest_moments(
-            rows_of_bank, scaled[part], np.minimum(time[part], last).astype(np.int32), allowed, 2 * bank.reach + 1
-        )
-        out.append(np.asarray(near)[:, : bank.recordings])
-    return np.concatenate(out)[:count]
+    scaled = (described / bank.scale).astype(np.float32)[:, None]  # [time, 1, channel, kind]
+    now = np.minimum(time, len(bank.reference) - 1) + bank.reach
+    allowed = np.minimum(bank.slack + bank.drift * time, bank.reach)
+    least = np.full((len(time), bank.described.shape[1], scaled.shape[2]), np.inf, np.float32)
+    for offset in range(-bank.reach, bank.reach + 1):
+        rows = np.flatnonzero(abs(offset) <= allowed)
+        at = bank.described[now[rows] + offset]
+        square = np.zeros(at.shape[:3], np.float32)
+        for kind in range(at.shape[3]):  # one after the other: the sum does not depend on how many moments there are
+            square += (at[..., kind] - scaled[rows, :, :, kind]) ** 2
+        least[rows] = np.minimum(least[rows], square)
+    return np.sqrt(least / np.float32(scaled.shape[3]))
 
 
 def nearest(
-    distance: Float[np.ndarray, "time recording channel"], neighbours: int
+    distance: Float32[np.ndarray, "time recording channel"], neighbours: int
 ) -> Float[np.ndarray, "time channel"]:
     """Mean of the smallest distances over the recordings, as many as there are if there are fewer."""
     count = min(neighbours, distance.shape[1])
@@ -131,27 +118,3 @@ def _reference(
     ]
     least = LEAST_REFERENCE * np.nanmedian(usual, (0, 1))
     return np.maximum(np.stack(at_times), np.where(least > 0, least, 1.0))
-
-
-@partial(jax.jit, static_argnames="window")
-def _nearest_moments(
-    bank: Float[jax.Array, "padded row channel kind"],
-    described: Float[jax.Array, "block channel kind"] | Float[np.ndarray, "block channel kind"],
-    time: Int[jax.Array, " block"] | Int[np.ndarray, " block"],
-    allowed: Float[jax.Array, " block"] | Float[np.ndarray, " block"],
-    window: int,
-) -> Float[jax.Array, "block row channel"]:
-    """One moment after the other, so that each is computed alike wherever it stands in a block."""
-    offset = jnp.abs(jnp.arange(window) - window // 2).astype(jnp.float32)
-
-    def one(moment: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        here, now, slack = moment
-        around = jax.lax.dynamic_slice_in_dim(bank, now, window)
-        square = jnp.mean((around - here) ** 2, -1)
-        return jnp.sqrt(jnp.min(jnp.where(offset[:, None, None] <= slack, square, jnp.inf), 0))
-
-    return jax.lax.map(one, (jnp.asarray(described), jnp.asarray(time), jnp.asarray(allowed)))
-
-
-def _up(count: int, multiple: int) -> int:
-    return -(-count // multiple) * multiple
