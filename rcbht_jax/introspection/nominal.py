@@ -110,7 +110,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         Raises:
             InputError: fewer than 1 / ``alpha`` - 1 recordings set the threshold.
         """
-        check_is_fitted(self)
+        check_is_fitted(self, "peaks_")
         return conformal_threshold(self.peaks_, alpha)
 
     def detect(self, series: ArrayLike, alpha: float = 0.05) -> float:
@@ -124,7 +124,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
     def stream(self) -> MonitorStream:
         """A new recording, sample by sample."""
-        check_is_fitted(self)
+        check_is_fitted(self, "peaks_")
         return MonitorStream(self)
 
     @property
@@ -177,7 +177,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         head: Float[np.ndarray, "first channel"],
         before: Float[np.ndarray, "past channel"],
         time: Int[np.ndarray, " time"],
-    ) -> Float[np.ndarray, "time channel kind"]:
+    ) -> Float[np.ndarray, "time _ kind"]:
         """What the score sees at each moment: by default the values themselves."""
         return part[..., None]
 
@@ -259,6 +259,8 @@ class NominalMonitor(Monitor):
     Args:
         lags: s, of the changes.
         baseline: s at the beginning whose mean is subtracted.
+        levels: numbers of the axes whose values themselves are compared, too, as further channels: what is wrong from
+            the beginning, such as an object that is missing, is no change. For sensors without a bias of the day.
         slack: s by which a moment may be early or late.
         drift: the same, as a share of the elapsed time.
         neighbours: nearest nominal recordings whose distances are averaged.
@@ -280,14 +282,20 @@ class NominalMonitor(Monitor):
     memory: Any = 1.0
     lags: Any = (0.2, 0.4)
     baseline: Any = 0.25
+    levels: Any = ()
     slack: Any = 0.2
     drift: Any = 0.1
     neighbours: Any = 1
 
     @property
     def bank_(self) -> Bank:
-        check_is_fitted(self)
+        check_is_fitted(self, "peaks_")
         return self._model
+
+    def restore(self, axes: int, bank: Bank, peaks: Float[np.ndarray, " recording"]) -> NominalMonitor:
+        """The fitted state from its parts, as a file holds them."""
+        self.n_features_in_, self._model, self.peaks_ = axes, bank, peaks
+        return self
 
     @property
     def _longest_head(self) -> float:
@@ -303,14 +311,17 @@ class NominalMonitor(Monitor):
         head: Float[np.ndarray, "first channel"],
         before: Float[np.ndarray, "past channel"],
         time: Int[np.ndarray, " time"],
-    ) -> Float[np.ndarray, "time channel kind"]:
+    ) -> Float[np.ndarray, "time _ kind"]:
         if not len(part):
-            return np.zeros((0, part.shape[1], 1 + len(self._lags)))
+            return np.zeros((0, part.shape[1] + len(self.levels), 1 + len(self._lags)))
         seen = np.cumsum(head, 0) / np.arange(1, len(head) + 1)[:, None]
         kinds = [part - seen[np.minimum(time, len(head) - 1)]]
         joined, first = np.concatenate([before, part]), time[0] - len(before)
         kinds += [part - joined[np.maximum(time - lag, 0) - first] for lag in self._lags]
-        return np.stack(kinds, 2)
+        changes = np.stack(kinds, 2)
+        levels = part[:, list(self.levels), None]
+        values = np.concatenate([levels, np.zeros((*levels.shape[:2], len(self._lags)))], 2)
+        return np.concatenate([changes, values], 1)
 
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
         first = self._count(self.baseline)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import conformal_threshold
 from rcbht_jax.introspection.nominal import Monitor
 
 with needs_extra("learn"):
@@ -94,6 +95,14 @@ def auroc(nominal: Bool[np.ndarray, " recording"], peak: Float[np.ndarray, " rec
     if len(np.unique(nominal[known])) < 2:
         return None
     return float(roc_auc_score(~nominal[known], peak[known]))
+
+
+def thresholds(watched: Watched, alpha: float) -> dict[str, float]:
+    """Threshold of each group for so many false alarms, where enough nominal recordings of the others promise it."""
+    fewest = int(np.ceil(1 / alpha - 1 - 1e-9)) if 0 < alpha < 1 else 0
+    return {
+        group: conformal_threshold(peaks, alpha) for group, peaks in watched.calibration.items() if len(peaks) >= fewest
+    }
 
 
 def judge(
