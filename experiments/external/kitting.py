@@ -7,7 +7,8 @@ each scored without its own day, of all skills together, because some skills hav
 
 AUROC compares the largest score of an execution; that up to the usual length of a nominal one is given, too, because
 a failed execution was recorded until about 3 s after the anomaly. The robot stopped at an anomaly: the speeds show it,
-and are no evidence of what the disturbance does to the contact. So the contact (force, torque, tactile) is the main row.
+and are no evidence of what the disturbance does to the contact. So the contact (force, torque, tactile) is the main
+set of channels.
 
 The design was chosen by reasoning, on HIRO's trials and on skills 3 and 4 ("nearest nominal"). What was chosen after
 skills 5 and 7 were looked at is named in the result: comparing levels of the tactile signals ("and tactile levels"),
@@ -161,7 +162,9 @@ def in_words(recordings: Recordings) -> Recordings:
         last = np.searchsorted(tracks.emit[row, axis, used], now, "right")
         out[row, np.arange(len(now)), axis, np.append(0, tracks.label[row, axis, used])[last]] = 1
     wrench = out[..., 1:].reshape(*out.shape[:2], -1)
-    return replace(two, wrench=wrench, axes=tuple(f"w{n}" for n in range(wrench.shape[2])), units=("",) * wrench.shape[2])
+    return replace(
+        two, wrench=wrench, axes=tuple(f"w{n}" for n in range(wrench.shape[2])), units=("",) * wrench.shape[2]
+    )
 
 
 def measure(

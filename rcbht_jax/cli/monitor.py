@@ -157,8 +157,8 @@ class MonitorEvaluate(Command):
 
 def _row(row: dict[str, Any]) -> str:
     cells = [
-        (row["nominal"], "d", 7), (row["anomalous"], "d", 9), (row["auroc"], ".3f", 5), (row["false_alarms"], ".3f", 12),
-        (row["detected"], ".3f", 8), (row["delay_median"], ".2f", 5),
+        (row["nominal"], "d", 7), (row["anomalous"], "d", 9), (row["auroc"], ".3f", 5),
+        (row["false_alarms"], ".3f", 12), (row["detected"], ".3f", 8), (row["delay_median"], ".2f", 5),
     ]  # fmt: skip
     return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
 
@@ -195,7 +195,9 @@ def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...])
 def _numbers(column: NDArray[Any]) -> NDArray[np.float64]:
     """Numbers of a column, NaN where it holds none."""
     texts = [str(value) for value in column]
-    return np.array([float(text) if text.replace(".", "", 1).replace("-", "", 1).isdigit() else np.nan for text in texts])
+    return np.array(
+        [float(text) if text.replace(".", "", 1).replace("-", "", 1).isdigit() else np.nan for text in texts]
+    )
 
 
 def _line(event: str, about: dict[str, str], **more: Any) -> None:

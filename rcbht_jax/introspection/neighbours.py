@@ -113,8 +113,6 @@ def _reference(
     for row, part in enumerate(described):
         others = distances(bank, part, np.arange(len(part)))[:, groups != groups[row]]
         usual[row, : len(part)] = nearest(others, bank.neighbours)
-    at_times = [
-        np.nanmedian(usual[:, max(moment - AROUND, 0) : moment + AROUND + 1], (0, 1)) for moment in range(time)
-    ]
+    at_times = [np.nanmedian(usual[:, max(moment - AROUND, 0) : moment + AROUND + 1], (0, 1)) for moment in range(time)]
     least = LEAST_REFERENCE * np.nanmedian(usual, (0, 1))
     return np.maximum(np.stack(at_times), np.where(least > 0, least, 1.0))

@@ -71,7 +71,8 @@ def hold_out(
     scores = [np.zeros(0)] * len(series)
     usual, calibration = np.full(len(series), np.nan), {}
     for group in np.unique(groups):
-        teach, test = np.flatnonzero(nominal & (groups != group)), np.flatnonzero(groups == group)
+        teach = np.flatnonzero(nominal & (groups != group)).tolist()
+        test = np.flatnonzero(groups == group).tolist()
         if len(teach) >= FEWEST:
             fitted = clone(monitor).fit([series[row] for row in teach], groups=groups[teach])
             for row in test:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,8 +53,9 @@ def load(path: Path) -> MonitorFile:
         InputError: missing, damaged, or not a monitor.
     """
     with reading(path, FORMAT) as (meta, archive):
-        arrays = {name: archive[name] for name in _ARRAYS}
-        bank = Bank(**arrays, **{name: meta[name] for name in _NUMBERS})
+        arrays: dict[str, Any] = {name: archive[name] for name in _ARRAYS}
+        numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
+        bank = Bank(**arrays, **numbers)
         monitor = NominalMonitor(**meta["parameters"])
         axes, peaks = tuple(meta["axes"]), archive["peaks"]
         moments, channels = bank.reference.shape
