@@ -21,7 +21,6 @@ Reads the executions (RCBHT_EXTERNAL).
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,6 +32,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from tqdm import tqdm
 
+from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.results_io import write_result
 from rcbht_jax import labels
 from rcbht_jax.calibration.rest import auto_thresholds
@@ -45,7 +45,6 @@ from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Channel, read_mapping
 from rcbht_jax.types import Recordings
 
-EXTERNAL = Path(os.environ.get("RCBHT_EXTERNAL", "../shared/data/external"))
 MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "kitting.toml"
 CHANNELS = {
     "force": "robotiq_force_sensor.wrench.force.norm",
