@@ -29,7 +29,7 @@ from tqdm import tqdm
 
 import rcbht_jax
 from experiments._lib import agreement
-from experiments._lib.catalogue import DATA, EXPERIMENTS, GOLDEN, MODEL, SHARED, STORE, Experiment
+from experiments._lib.catalogue import DATA, EXPERIMENTS, EXTERNAL, GOLDEN, MODEL, SHARED, STORE, Experiment
 from experiments._lib.results_io import COMMITTED, RESULTS, machine
 from rcbht_jax._util.atomic import atomic_write
 
@@ -97,6 +97,7 @@ def lacking(experiment: Experiment, peers: Path | None) -> str:
         return experiment.elsewhere
     reasons = {
         "data": "" if DATA.is_dir() else "needs the recorded trials (RCBHT_DATA)",
+        "external": "" if EXTERNAL.is_dir() else "needs the recordings of other robots (RCBHT_EXTERNAL)",
         "golden": "" if GOLDEN.is_dir() else "needs the reference results (RCBHT_GOLDEN)",
         "peers": "" if peers and peers.exists() else "needs the environment of the peers (make peers)",
     }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 DATA = Path(os.environ.get("RCBHT_DATA", "../shared/data/hiro"))
+EXTERNAL = Path(os.environ.get("RCBHT_EXTERNAL", "../shared/data/external"))
 GOLDEN = Path(os.environ.get("RCBHT_GOLDEN", "../shared/golden"))
 STORE, MODEL, SETS = "{work}/hiro.zarr", "{work}/online.model", "{work}/sets"
 # What experiments share, and the command that makes it.
@@ -24,7 +25,7 @@ class Experiment:
     module: str  # below experiments
     minutes: float
     options: tuple[str, ...] = ()
-    needs: tuple[str, ...] = ()  # "data", "golden", "peers"
+    needs: tuple[str, ...] = ()  # "data", "external", "golden", "peers"
     results: tuple[str, ...] = ()  # names of the files; empty = the name
     elsewhere: str = ""  # why it is not run here
     alone: bool = False  # it measures speed, so nothing else may run meanwhile
@@ -50,6 +51,7 @@ EXPERIMENTS = (
     Experiment("failure_types_online", "online.failure_types", 10, needs=("data",)),
     Experiment("detected_starts", "online.detected_starts", 2, needs=("data",)),
     Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
+    Experiment("kitting", "external.kitting", 10, needs=("external",)),
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
     Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),

@@ -26,7 +26,12 @@ SHOWN = {
     ("Online", "REAL at 10 Hz, macro step"): "states, real trials, streamed, every tenth of a second",
     ("Online", "SIM1 at 10 Hz, macro step"): "states, the authors' simulated trials, streamed, every tenth of a second",
 }
-NEEDS = {"data": "recorded trials", "golden": "reference results", "peers": "`make peers`"}
+NEEDS = {
+    "data": "recorded trials",
+    "external": "recordings of other robots",
+    "golden": "reference results",
+    "peers": "`make peers`",
+}
 MODULES = Path(__file__).resolve().parents[1]
 
 

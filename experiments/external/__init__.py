@@ -1,0 +1,1 @@
+"""Streamed beliefs, detected onsets, faults and latency."""

@@ -1,0 +1,229 @@
+"""Anomalies of another robot from its successes alone: a kitting task with disturbances, days held out.
+
+Wu, Rojas et al. 2018: a Baxter packs objects; executions of four skills at 20 Hz, the norms of force, torque and speeds
+and two tactile signals. Each day is held out in turn; monitors learn from the nominal executions of the other days,
+one per skill. A threshold for 5 % false alarms per execution comes from the peaks of these nominal executions alone,
+each scored without its own day, of all skills together, because some skills have a dozen.
+
+AUROC compares the largest score of an execution; that up to the usual length of a nominal one is given, too, because
+a failed execution was recorded until about 3 s after the anomaly. The robot stopped at an anomaly: the speeds show it,
+and are no evidence of what the disturbance does to the contact. So the contact (force, torque, tactile) is the main
+set of channels.
+
+The design was chosen by reasoning, on HIRO's trials and on skills 3 and 4 ("nearest nominal"). What was chosen after
+skills 5 and 7 were looked at is named in the result: comparing levels of the tactile signals ("and tactile levels"),
+and doing so only where three days teach ("levels by the number of days"), because what differs between days can be
+learned only from several of them.
+
+Run: python -m experiments.external.kitting
+Reads the executions (RCBHT_EXTERNAL).
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from sklearn.base import clone
+from tqdm import tqdm
+
+from experiments._lib.catalogue import EXTERNAL
+from experiments._lib.results_io import write_result
+from rcbht_jax import labels
+from rcbht_jax.calibration.rest import auto_thresholds
+from rcbht_jax.encoding.arrays import encode
+from rcbht_jax.introspection.alarms import conformal_threshold
+from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
+from rcbht_jax.introspection.nominal_evaluation import Watched, auroc, hold_out, judge
+from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import Channel, read_mapping
+from rcbht_jax.types import Recordings
+
+MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "kitting.toml"
+CHANNELS = {
+    "force": "robotiq_force_sensor.wrench.force.norm",
+    "torque": "robotiq_force_sensor.wrench.torque.norm",
+    "speed": "baxter_enpoint_pose.twist.linear.norm",
+    "rotation": "baxter_enpoint_pose.twist.angular.norm",
+    "left": "tactile_static_data.left.std",
+    "right": "tactile_static_data.right.std",
+}
+SETS = {
+    "all six channels": tuple(CHANNELS),
+    "contact": ("force", "torque", "left", "right"),
+    "force and torque": ("force", "torque"),
+}
+SKILLS = ("3", "4", "5", "7")
+NEAREST, WITH_LEVELS, BY_DAYS = "nearest nominal", "nearest nominal and tactile levels", "levels by the number of days"
+AFTER_LOOKING = (
+    "Look 1: the design of the row contact, nearest nominal, as fixed before (skill 5 .787, skill 7 .966). "
+    "Look 2: kinds of anomalies of skill 5 and the channels that show them on 05-26 and 06-04: most are of an object "
+    "that is missing from the beginning, which no change shows. Look 3: levels of all channels (.935, .735). "
+    "Look 4: levels of the tactile signals (.992, .864). Chosen then: tactile levels, and only where the nominal "
+    "executions of three days or more teach, which is so for skills 3, 4 and 5 and not for skill 7."
+)
+LEVEL_DAYS = 3
+WORDS = labels.MEANING["llb"]
+ALPHA = 0.05
+SCORE_RATE = 10.0  # scores per second
+BOOTSTRAP = 1000
+
+
+@dataclass(frozen=True)
+class Executions:
+    """Executions of one skill."""
+
+    series: list[NDArray[np.float64]]  # of [time, channel]
+    nominal: NDArray[np.bool_]
+    day: NDArray[np.str_]
+    onset: NDArray[np.float64]  # s from the beginning; NaN = nominal
+    anomaly: NDArray[np.str_]
+
+
+def read_executions() -> Recordings:
+    """All executions, with the six channels."""
+    mapping = replace(read_mapping(MAPPING), channels=tuple(Channel(column, name) for name, column in CHANNELS.items()))
+    return read_source(EXTERNAL / "kitting", "csv", mapping).recordings
+
+
+def of_skill(recordings: Recordings, skill: str) -> Executions:
+    rows = np.flatnonzero(recordings.columns["skill"].astype(str) == skill)
+    onset = [_number(value) for value in recordings.columns["anomaly_rel"][rows]]
+    return Executions(
+        [recordings.wrench[row, : recordings.length[row]].astype(np.float64) for row in rows],
+        recordings.outcome[rows] == "success",
+        recordings.session[rows],
+        np.array(onset),
+        recordings.columns["anomaly"][rows].astype(str),
+    )
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        return np.nan
+
+
+def methods(rate: float, channels: str) -> dict[str, Monitor]:
+    """Those of a set of channels; what takes long only on the contact."""
+    nearest = NominalMonitor(rate=rate, score_rate=SCORE_RATE)
+    if channels == "words":
+        return {NEAREST: nearest.set_params(score_rate=SCORE_RATE / 2, levels=tuple(range(len(WORDS) * 2)))}
+    levels = tuple(number for number, name in enumerate(SETS[channels]) if name in ("left", "right"))
+    contact = {
+        WITH_LEVELS: clone(nearest).set_params(levels=levels),
+        "isolation forest": IsolationForestMonitor(rate=rate, score_rate=SCORE_RATE),
+    }
+    return {
+        NEAREST: nearest,
+        **(contact if channels == "contact" else {}),
+        "quantile band": QuantileBand(rate=rate, score_rate=SCORE_RATE, memory=1 / SCORE_RATE),
+        "largest z-score": QuantileBand(rate=rate, score_rate=SCORE_RATE, memory=1 / SCORE_RATE, normal=True),
+    }
+
+
+def thresholds(watched: dict[str, Watched]) -> dict[str, float]:
+    """By day, from the peaks of the nominal executions of all skills on the other days."""
+    days = sorted({day for one in watched.values() for day in one.calibration})
+    pooled = {day: [one.calibration[day] for one in watched.values() if day in one.calibration] for day in days}
+    return {day: conformal_threshold(np.concatenate(peaks), ALPHA) for day, peaks in pooled.items()}
+
+
+def interval(one: Watched, rng: np.random.Generator) -> list[float]:
+    """95 % interval of the AUROC: executions drawn with replacement, nominal and anomalous ones apart."""
+    peak, draws = one.peaks(), []
+    kinds = [np.flatnonzero(one.seen & one.nominal), np.flatnonzero(one.seen & ~one.nominal)]
+    for _ in range(BOOTSTRAP):
+        rows = np.concatenate([rng.choice(kind, len(kind)) for kind in kinds])
+        draws.append(auroc(one.nominal[rows], peak[rows]))
+    return np.quantile(np.array(draws, float), [0.025, 0.975]).tolist()
+
+
+def in_words(recordings: Recordings) -> Recordings:
+    """Force and torque as words: 1 for the word that was published last, of each axis.
+
+    Thresholds come from rest in all executions, without their outcomes.
+    """
+    two = replace(recordings, wrench=recordings.wrench[..., :2], axes=("force", "torque"), units=("", ""))
+    tracks = encode(two.wrench, rate=1 / two.dt, thresholds=auto_thresholds(two, 5), lengths=two.length).llb
+    now = np.arange(1, two.wrench.shape[1] + 1)
+    out = np.zeros((*two.wrench.shape, len(WORDS) + 1), np.float32)
+    for row, axis in np.ndindex(out.shape[0], out.shape[2]):
+        used = np.flatnonzero(tracks.label[row, axis])
+        used = used[np.argsort(tracks.emit[row, axis, used], kind="stable")]
+        last = np.searchsorted(tracks.emit[row, axis, used], now, "right")
+        out[row, np.arange(len(now)), axis, np.append(0, tracks.label[row, axis, used])[last]] = 1
+    wrench = out[..., 1:].reshape(*out.shape[:2], -1)
+    return replace(
+        two, wrench=wrench, axes=tuple(f"w{n}" for n in range(wrench.shape[2])), units=("",) * wrench.shape[2]
+    )
+
+
+def measure(
+    monitor: Monitor, executions: dict[str, Executions], columns: list[int], rng: np.random.Generator
+) -> dict[str, Any]:
+    """One method on one set of channels, every skill."""
+    watched = {
+        skill: hold_out(monitor, [part[:, columns] for part in one.series], one.nominal, one.day)
+        for skill, one in executions.items()
+    }
+    limits = thresholds(watched)
+    skills = {
+        skill: judge(one, limits, executions[skill].onset) | {"auroc_interval": interval(one, rng)}
+        for skill, one in watched.items()
+    }
+    return {"skills": skills, "false_alarms": _false_alarms(skills), "thresholds": limits}
+
+
+def _false_alarms(skills: dict[str, Any]) -> float:
+    calm = np.array([row["false_alarms_of"] for row in skills.values()]).sum(0)
+    return float(calm[0] / calm[1])
+
+
+def by_days(rows: dict[str, Any], executions: dict[str, Executions]) -> dict[str, Any]:
+    """Of each skill the row with levels where enough days teach, whichever is held out, else the one without."""
+    days = {skill: len(np.unique(one.day[one.nominal])) - 1 for skill, one in executions.items()}
+    chosen = {skill: WITH_LEVELS if count >= LEVEL_DAYS else NEAREST for skill, count in days.items()}
+    skills = {skill: rows[name]["skills"][skill] for skill, name in chosen.items()}
+    return {"chosen": chosen, "skills": skills, "false_alarms": _false_alarms(skills)}
+
+
+def main(seed: int = 0, skill: tuple[str, ...] = SKILLS, show: bool = True) -> None:
+    recordings = read_executions()
+    executions = {name: of_skill(recordings, name) for name in skill}
+    rng, rows = np.random.default_rng(seed), {}
+    sets = {name: [list(CHANNELS).index(channel) for channel in channels] for name, channels in SETS.items()}
+    sets["words"] = list(range(2 * len(WORDS)))
+    for name, columns in tqdm(sets.items(), file=sys.stderr, disable=None):
+        told = in_words(recordings) if name == "words" else recordings
+        of = {number: of_skill(told, number) for number in skill}
+        rows[name] = {
+            method: measure(monitor.set_params(random_state=seed), of, columns, rng)
+            for method, monitor in methods(1 / recordings.dt, name).items()
+        }
+    rows["contact"][BY_DAYS] = by_days(rows["contact"], executions)
+    result = {
+        "what": "anomalies of executions from nominal ones alone, days held out; AUROC of the largest score, alarms at "
+        f"a conformal threshold for {ALPHA:.0%} false alarms per execution, from training days only",
+        "chosen before skills 5 and 7 were looked at": ["contact", NEAREST],
+        "chosen after": ["contact", BY_DAYS],
+        "choices made after looking": AFTER_LOOKING,
+        "executions": {
+            name: {day: [int((one.nominal & (one.day == day)).sum()), int((~one.nominal & (one.day == day)).sum())]
+                   for day in np.unique(one.day).tolist()}
+            for name, one in executions.items()
+        },
+        "rows": rows,
+    }  # fmt: skip
+    write_result("kitting", "python -m experiments.external.kitting", result, seed, show)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

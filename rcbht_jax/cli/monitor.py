@@ -1,0 +1,205 @@
+"""``rcbht monitor fit``, ``monitor watch`` and ``monitor evaluate``: anomalies, learned from successes alone."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
+from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from rcbht_jax.introspection.nominal import NominalMonitor
+    from rcbht_jax.types import Recordings
+
+MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
+Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE, all of these.", "all")]
+Group = Annotated[str, option("Column of the days or sessions that differ from each other.")]
+FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
+ScoreRate = Annotated[float, option("Scores per second.")]
+Levels = Annotated[
+    tuple[str, ...], option("Axes whose values are compared beside their changes: sensors without a bias.", "none")
+]
+
+
+@dataclass(frozen=True)
+class MonitorFit(Command):
+    """Learn a monitor from nominal recordings of one skill: an anomaly score, and thresholds for few false alarms.
+
+    Example: rcbht monitor fit kitting.zarr --where skill=7 --group session -o skill7.monitor
+    """
+
+    store: Store
+    """Store of recordings; label tracks are not needed."""
+    where: Where = ()
+    nominal: str = "success"
+    """Outcome of nominal recordings; others are not used."""
+    group: Group = "session"
+    score_rate: ScoreRate = 20.0
+    levels: Levels = ()
+    exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Set the threshold by recordings that do not teach, so that its promise is exact."""
+    seed: int = 0
+    """Seed of that choice."""
+    out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
+        "nominal.monitor"
+    )
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.nominal_file import MonitorFile, save
+
+        recordings, series = _read(self.store, (*self.where, f"outcome={self.nominal}"))
+        monitor = _monitor(recordings, self.score_rate, self.levels)
+        monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
+        monitor.fit(series, groups=recordings.column(self.group))
+        save(self.out, MonitorFile(monitor, recordings.axes, self.where))
+        held = len(monitor.peaks_)
+        return {
+            "monitor": str(self.out),
+            "recordings": len(series),
+            "held_out": held,
+            "groups": len(np.unique(recordings.column(self.group))),
+            "fewest_false_alarms": 1 / (held + 1),
+        }
+
+    def text(self, result: dict[str, Any]) -> str:
+        return (
+            f"{result['monitor']}: {result['recordings']} nominal recordings of {result['groups']} group(s); promises "
+            f"a false alarm in {result['fewest_false_alarms']:.3g} of the recordings or more"
+        )
+
+
+@dataclass(frozen=True)
+class MonitorWatch(Command):
+    """Play recordings through a monitor, as JSON lines: one at the alarm, one at the end of each recording.
+
+    Example: rcbht monitor watch kitting.zarr --monitor skill7.monitor --where skill=7 --false-alarms 0.1
+    """
+
+    store: Store
+    """Store of recordings."""
+    monitor: Annotated[Path, option('File of "rcbht monitor fit".', aliases=["-m"], metavar="MONITOR"), MONITOR] = Path(
+        "nominal.monitor"
+    )
+    where: Where = ()
+    false_alarms: FalseAlarms = 0.05
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.nominal_file import load
+
+        file = load(self.monitor)
+        recordings, series = _read(self.store, self.where)
+        monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
+        if recordings.axes != file.axes or not np.isclose(1 / recordings.dt, monitor.rate):
+            raise InputError(
+                f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
+                f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
+            )
+        alarms = 0
+        for row, part in enumerate(series):
+            scores = monitor.scores(part)
+            above = np.flatnonzero(scores > level)
+            about = {"trial": str(recordings.trial[row]), "arm": str(recordings.arm[row])}
+            alarms += bool(len(above))
+            if len(above):
+                _line("Alarm", about, time=(int(above[0]) + 1) * recordings.dt, score=scores[above[0]], threshold=level)
+            _line("End", about, time=len(part) * recordings.dt, peak=scores.max(), outcome=str(recordings.outcome[row]))
+        return {"monitor": str(self.monitor), "recordings": len(series), "alarms": alarms, "threshold": level}
+
+    def text(self, result: dict[str, Any]) -> str:
+        # Standard output belongs to the alarms.
+        print(f"{result['recordings']} recordings, {result['alarms']} with an alarm", file=sys.stderr)
+        return ""
+
+
+@dataclass(frozen=True)
+class MonitorEvaluate(Command):
+    """Measure a monitor on groups that it has not seen: each group in turn is held out, the nominal others teach.
+
+    Example: rcbht monitor evaluate kitting.zarr --where skill=7 --group session --onset anomaly_rel --false-alarms 0.1
+    """
+
+    store: Store
+    """Store of recordings."""
+    where: Where = ()
+    nominal: str = "success"
+    """Outcome of nominal recordings; all others count as anomalous."""
+    group: Group = "session"
+    onset: Annotated[str, option("Column with the seconds after which the anomaly began, for the delay.", "")] = ""
+    false_alarms: FalseAlarms = 0.05
+    score_rate: ScoreRate = 20.0
+    levels: Levels = ()
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, thresholds
+
+        recordings, series = _read(self.store, self.where)
+        groups, nominal = recordings.column(self.group), recordings.outcome == self.nominal
+        monitor = _monitor(recordings, self.score_rate, self.levels)
+        with progress_bar("evaluate", "groups", len(np.unique(groups))) as bar:
+            watched = hold_out(monitor, series, nominal, groups, bar.update)
+        onset = _numbers(recordings.column(self.onset)) if self.onset else None
+        return judge(watched, thresholds(watched, self.false_alarms), onset)
+
+    def text(self, result: dict[str, Any]) -> str:
+        rows = {"all": result, **result["groups"]}
+        width = max(map(len, rows))
+        head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
+        return "\n".join([head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())])
+
+
+def _row(row: dict[str, Any]) -> str:
+    cells = [
+        (row["nominal"], "d", 7), (row["anomalous"], "d", 9), (row["auroc"], ".3f", 5),
+        (row["false_alarms"], ".3f", 12), (row["detected"], ".3f", 8), (row["delay_median"], ".2f", 5),
+    ]  # fmt: skip
+    return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
+
+
+def _read(store: Path, where: tuple[str, ...]) -> tuple[Recordings, list[NDArray[np.float64]]]:
+    """The chosen recordings, and their values ``[time, axis]``."""
+    from rcbht_jax.io.store import read_recordings
+
+    recordings = read_recordings(store)
+    chosen = np.ones(len(recordings), bool)
+    for condition in where:
+        name, equals, value = condition.partition("=")
+        if not equals:
+            raise InputError(f"--where {condition}: expected COLUMN=VALUE.")
+        chosen &= recordings.column(name).astype(str) == value
+    if not chosen.any():
+        raise InputError(f"{store} has no recording with {' and '.join(where)}.")
+    recordings = recordings.take(np.flatnonzero(chosen))
+    pairs = zip(recordings.wrench, recordings.length, strict=True)
+    return recordings, [wrench[:length].astype(np.float64) for wrench, length in pairs]
+
+
+def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:
+    from rcbht_jax.introspection.nominal import NominalMonitor
+
+    unknown = [name for name in levels if name not in recordings.axes]
+    if unknown:
+        raise InputError(f"There is no axis {unknown[0]}; there are {', '.join(recordings.axes)}.")
+    rate = 1 / recordings.dt
+    numbers = tuple(recordings.axes.index(name) for name in levels)
+    return NominalMonitor(rate=rate, score_rate=min(score_rate, rate), levels=numbers)
+
+
+def _numbers(column: NDArray[Any]) -> NDArray[np.float64]:
+    """Numbers of a column, NaN where it holds none."""
+    texts = [str(value) for value in column]
+    return np.array(
+        [float(text) if text.replace(".", "", 1).replace("-", "", 1).isdigit() else np.nan for text in texts]
+    )
+
+
+def _line(event: str, about: dict[str, str], **more: Any) -> None:
+    numbers = {name: round(float(value), 6) if isinstance(value, float) else value for name, value in more.items()}
+    print(json.dumps({"event": event, **about, **numbers}, allow_nan=False))

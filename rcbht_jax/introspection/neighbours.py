@@ -1,0 +1,118 @@
+"""Distances of a moment to nominal recordings at about the same time, channel by channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+
+LEAST_SCALE = 0.05  # of the standard deviation of a feature over all nominal moments
+LEAST_REFERENCE = 0.5  # of the median nominal distance of a channel
+AROUND = 5  # moments before and after over which the usual distance is taken
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Nominal recordings, described, and what is usual among them.
+
+    Padding: a recording that has ended stays as it ended; times before the beginning are infinite.
+    """
+
+    described: Float32[np.ndarray, "_ recording channel kind"]  # [reach + moment + reach, ...], in units of the scale
+    scale: Float[np.ndarray, "channel kind"]  # of each feature
+    reference: Float[np.ndarray, "moment channel"]  # usual distance of a held-out nominal recording
+    reach: int  # longest time, in moments, by which a neighbour may be early or late
+    slack: float  # moments
+    drift: float  # share of the elapsed time
+    neighbours: int
+
+
+def make_bank(
+    described: list[Float[np.ndarray, "_ channel kind"]],
+    groups: Int[np.ndarray, " recording"],
+    slack: float,
+    drift: float,
+    neighbours: int,
+) -> Bank:
+    """What a monitor learns.
+
+    Args:
+        described: nominal recordings ``[time, channel, kind]``.
+        groups: of each; what differs between groups is not compared. A single group = each recording by itself.
+        slack: moments by which a neighbour may be early or late.
+        drift: the same, as a share of the elapsed time.
+        neighbours: nearest recordings whose distance is averaged.
+
+    Raises:
+        InputError: fewer than two recordings, or bad numbers.
+    """
+    if len(described) < 2 or neighbours < 1 or slack < 0 or drift < 0:
+        raise InputError(
+            f"{len(described)} nominal recordings, {neighbours} neighbours, slack {slack:g}, drift {drift:g}; "
+            "it takes two recordings, one neighbour, and no negative times."
+        )
+    groups = groups if len(np.unique(groups)) > 1 else np.arange(len(described))
+    time = max(len(part) for part in described)
+    held = np.stack([part[np.minimum(np.arange(time), len(part) - 1)] for part in described])
+    squares = [
+        np.mean((held[groups == name] - np.median(held[groups != name], 0)) ** 2, (0, 1)) for name in np.unique(groups)
+    ]
+    spread = held.std((0, 1))
+    scale = np.maximum(np.sqrt(np.mean(squares, 0)), LEAST_SCALE * spread)
+    scale = np.where(scale > 0, scale, 1.0)  # a feature that never changes
+    reach = int(np.ceil(slack + drift * time))
+    scaled = np.moveaxis(held / scale, 0, 1)
+    edges = np.full_like(scaled[:1], np.inf), scaled[-1:]
+    padded = np.concatenate([edges[0].repeat(reach, 0), scaled, edges[1].repeat(reach, 0)]).astype(np.float32)
+    bank = Bank(padded, scale, np.ones((time, held.shape[2])), reach, slack, drift, neighbours)
+    return replace(bank, reference=_reference(bank, described, groups))
+
+
+def distances(
+    bank: Bank, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
+) -> Float32[np.ndarray, "time recording channel"]:
+    """Distance to the nearest moment of each nominal recording, root mean square over the kinds of features.
+
+    Args:
+        bank: the nominal recordings.
+        described: moments of a recording, not scaled.
+        time: of each, in moments since the beginning.
+    """
+    scaled = (described / bank.scale).astype(np.float32)[:, None]  # [time, 1, channel, kind]
+    now = np.minimum(time, len(bank.reference) - 1) + bank.reach
+    allowed = np.minimum(bank.slack + bank.drift * time, bank.reach)
+    least = np.full((len(time), bank.described.shape[1], scaled.shape[2]), np.inf, np.float32)
+    for offset in range(-bank.reach, bank.reach + 1):
+        rows = np.flatnonzero(abs(offset) <= allowed)
+        at = bank.described[now[rows] + offset]
+        square = np.zeros(at.shape[:3], np.float32)
+        for kind in range(at.shape[3]):  # one after the other: the sum does not depend on how many moments there are
+            square += (at[..., kind] - scaled[rows, :, :, kind]) ** 2
+        least[rows] = np.minimum(least[rows], square)
+    return np.sqrt(least / np.float32(scaled.shape[3]))
+
+
+def nearest(
+    distance: Float32[np.ndarray, "time recording channel"], neighbours: int
+) -> Float[np.ndarray, "time channel"]:
+    """Mean of the smallest distances over the recordings, as many as there are if there are fewer."""
+    count = min(neighbours, distance.shape[1])
+    return np.sort(distance, 1)[:, :count].mean(1, dtype=np.float64)
+
+
+def _reference(
+    bank: Bank, described: list[NDArray[np.float64]], groups: NDArray[np.int64]
+) -> Float[np.ndarray, "moment channel"]:
+    """Median distance of nominal recordings to those of other groups, around each time."""
+    time = len(bank.reference)
+    usual = np.full((len(described), time, bank.reference.shape[1]), np.nan)
+    for row, part in enumerate(described):
+        others = distances(bank, part, np.arange(len(part)))[:, groups != groups[row]]
+        usual[row, : len(part)] = nearest(others, bank.neighbours)
+    at_times = [np.nanmedian(usual[:, max(moment - AROUND, 0) : moment + AROUND + 1], (0, 1)) for moment in range(time)]
+    least = LEAST_REFERENCE * np.nanmedian(usual, (0, 1))
+    return np.maximum(np.stack(at_times), np.where(least > 0, least, 1.0))

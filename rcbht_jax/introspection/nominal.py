@@ -1,0 +1,362 @@
+"""Monitors that learn from successes alone: an anomaly score at every sample, and a threshold with few false alarms.
+
+A monitor sees nominal recordings of one skill only. At time t its score says how far the last moments are from what
+nominal recordings show around t; it uses no later sample. The threshold is a conformal quantile (Vovk et al. 2005;
+Angelopoulos and Bates 2023, section 1) of the peaks of nominal recordings that the score was not learned from, so that
+false alarms are counted per recording and not per sample.
+
+:class:`NominalMonitor` compares with the nearest nominal recordings, channel by channel; see
+:mod:`rcbht_jax.introspection.nominal_peers` for a band of quantiles and an isolation forest with the same interface.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike, NDArray
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.alarms import conformal_threshold
+from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest
+
+with needs_extra("learn"):
+    from sklearn.base import BaseEstimator
+    from sklearn.utils.validation import check_is_fitted
+
+CALIBRATIONS = ("cross", "split")
+FREEDOM = 3.0  # degrees of freedom of the Student t whose negative logarithm is the surprise
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class Monitor(BaseEstimator):  # type: ignore[misc]
+    """What all monitors share: time, calibration, alarms and streams; a subclass learns and scores.
+
+    Args:
+        rate: samples per second of the recordings.
+        score_rate: scores per second, at most ``rate``; samples between two scores are averaged.
+        memory: s over which the score is averaged.
+        calibration: ``"cross"``: every nominal recording is scored by a monitor of the other groups, and all of them
+            learn. ``"split"``: a random half learns, the other half sets the threshold. The promise of
+            :meth:`threshold` is exact for ``"split"``.
+        folds: most groups that are left out in turn; more are dealt out to so many folds.
+        random_state: of the split, and of what is random in the score.
+
+    Attributes:
+        n_features_in_: axes of a recording.
+        peaks_: largest scores ``[recording]`` of the nominal recordings that set the threshold.
+    """
+
+    rate: Any = 20.0
+    score_rate: Any = 20.0
+    memory: Any = 0.5
+    calibration: Any = "cross"
+    folds: Any = 10
+    random_state: Any = 0
+
+    def fit(self, X: Any, y: Any = None, groups: ArrayLike | None = None) -> Monitor:
+        """Learn from nominal recordings of one skill, each from the beginning of the skill.
+
+        Args:
+            X: recordings ``[time, axis]`` of any lengths, all nominal.
+            y: not used.
+            groups: day or session of each; the score is made insensitive to what differs between groups, and the
+                threshold covers it. None = each recording is a group of its own.
+
+        Raises:
+            InputError: fewer than three recordings, wrong shapes, values that are not finite, or bad parameters.
+        """
+        if self.calibration not in CALIBRATIONS:
+            raise InputError(f"calibration is {self.calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
+        self._check()
+        series = [_series(part) for part in X]
+        if len(series) < 3 or len({part.shape[1] for part in series}) > 1:
+            raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
+        self.n_features_in_ = series[0].shape[1]
+        names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
+        if names.shape != (len(series),):
+            raise InputError(f"There are {len(names)} groups for {len(series)} recordings.")
+        names = names if len(np.unique(names)) > 1 else np.arange(len(series))
+        parts = [_blocks(part, self._step) for part in series]
+        if self.calibration == "split":
+            train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
+            self._model = self._learn([parts[row] for row in train], names[train])
+            held = np.setdiff1d(np.arange(len(parts)), train)
+            self.peaks_ = np.array([self._peak(self._model, parts[row]) for row in held])
+        else:
+            self._model = self._learn(parts, names)
+            self.peaks_ = self._cross_peaks(parts, names)
+        return self
+
+    def scores(self, series: ArrayLike) -> Float[np.ndarray, " time"]:
+        """Anomaly score at every sample of a recording ``[time, axis]``, from this sample and those before.
+
+        Raises:
+            InputError: other axes than in :meth:`fit`, or values that are not finite.
+        """
+        return self.stream().push(series)
+
+    def threshold(self, alpha: float = 0.05) -> float:
+        """Score that a new nominal recording exceeds, ever, with a probability of at most ``alpha``.
+
+        With ``calibration="split"`` this holds for any finite number of recordings, on average over fits, if the new
+        one and those of the held-out half are exchangeable. With ``"cross"`` it is not proved, but tests bear it out;
+        a new day is not exchangeable with those seen, and there the false alarms have to be measured.
+
+        Raises:
+            InputError: fewer than 1 / ``alpha`` - 1 recordings set the threshold.
+        """
+        check_is_fitted(self, "peaks_")
+        return conformal_threshold(self.peaks_, alpha)
+
+    def detect(self, series: ArrayLike, alpha: float = 0.05) -> float:
+        """Seconds from the beginning of a recording to the alarm; inf = none.
+
+        Raises:
+            InputError: as :meth:`threshold` and :meth:`scores`.
+        """
+        above = np.flatnonzero(self.scores(series) > self.threshold(alpha))
+        return float((above[0] + 1) / self.rate) if len(above) else np.inf
+
+    def stream(self) -> MonitorStream:
+        """A new recording, sample by sample."""
+        check_is_fitted(self, "peaks_")
+        return MonitorStream(self)
+
+    @property
+    def _step(self) -> int:
+        return max(round(self.rate / self.score_rate), 1)
+
+    def _count(self, seconds: float) -> int:
+        """Scores within so many seconds, at least one."""
+        return max(round(seconds * self.rate / self._step), 1)
+
+    def _check(self) -> None:
+        for name in ("rate", "score_rate", "memory", "folds"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} is {getattr(self, name)}; expected a positive number.")
+
+    def _cross_peaks(
+        self, parts: list[Float[np.ndarray, "_ channel"]], groups: Int[np.ndarray, " recording"]
+    ) -> Float[np.ndarray, " recording"]:
+        """Peak of each recording, scored by what the other folds teach."""
+        fold = groups % int(self.folds)
+        peaks = np.zeros(len(parts))
+        for held in np.unique(fold):
+            rest = np.flatnonzero(fold != held)
+            if len(rest) < 2:
+                raise InputError("Without one of the groups a single recording remains; it takes two to learn from.")
+            model = self._learn([parts[row] for row in rest], groups[rest])
+            for row in np.flatnonzero(fold == held):
+                peaks[row] = self._peak(model, parts[row])
+        return peaks
+
+    def _peak(self, model: Any, part: Float[np.ndarray, "time channel"]) -> float:
+        return float(_moving_mean(self._surprise(model, part), self._count(self.memory)).max())
+
+    def _surprise(self, model: Any, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
+        time = np.arange(len(part))
+        head = part[: self._count(self._longest_head)]
+        return self._score(model, self._describe(part, head, part[:0], time), time)
+
+    @property
+    def _longest_head(self) -> float:
+        return 0.0
+
+    @property
+    def _lags(self) -> list[int]:
+        return []
+
+    def _describe(
+        self,
+        part: Float[np.ndarray, "time channel"],
+        head: Float[np.ndarray, "first channel"],
+        before: Float[np.ndarray, "past channel"],
+        time: Int[np.ndarray, " time"],
+    ) -> Float[np.ndarray, "time _ kind"]:
+        """What the score sees at each moment: by default the values themselves."""
+        return part[..., None]
+
+    @abstractmethod
+    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Any:
+        """A model from averaged nominal recordings ``[time, channel]``."""
+
+    @abstractmethod
+    def _score(
+        self, model: Any, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
+    ) -> Float[np.ndarray, " time"]:
+        """Score of each moment by itself, before it is averaged over ``memory``."""
+
+
+class MonitorStream:
+    """Scores of one recording as it comes; the same as those of the whole recording, however it is cut.
+
+    >>> rng = np.random.default_rng(0)
+    >>> monitor = NominalMonitor().fit(rng.normal(size=(8, 60, 2)))
+    >>> stream, series = monitor.stream(), rng.normal(size=(50, 2))
+    >>> in_pieces = np.concatenate([stream.push(series[:7]), stream.push(series[7:])])
+    >>> bool((in_pieces == monitor.scores(series)).all())
+    True
+    """
+
+    def __init__(self, monitor: Monitor) -> None:
+        self._monitor, axes = monitor, monitor.n_features_in_
+        self._samples = np.zeros((0, axes))  # of a block that is not complete
+        self._head = np.zeros((0, axes))  # the first blocks
+        self._before = np.zeros((0, axes))  # the latest blocks
+        self._recent = np.zeros(0)  # scores that are still averaged
+        self._time, self._last = 0, 0.0
+
+    def push(self, samples: ArrayLike) -> Float[np.ndarray, " time"]:
+        """Scores at new samples ``[time, axis]``; 0 before the first score.
+
+        Raises:
+            InputError: other axes than those learned, or values that are not finite.
+        """
+        monitor, new = self._monitor, _series(samples, least=0)
+        if new.shape[1] != monitor.n_features_in_:
+            raise InputError(f"The samples have {new.shape[1]} axes; the monitor learned {monitor.n_features_in_}.")
+        waiting, step = len(self._samples), monitor._step
+        joined = np.concatenate([self._samples, new])
+        whole = len(joined) // step * step
+        self._samples = joined[whole:]
+        means = [self._last, *self._advance(_blocks(joined[:whole], step))] if whole else [self._last]
+        self._last = float(means[-1])
+        return np.array(means, np.float64)[(waiting + 1 + np.arange(len(new))) // step]
+
+    def _advance(self, part: Float[np.ndarray, "time channel"]) -> Float[np.ndarray, " time"]:
+        monitor = self._monitor
+        time = self._time + np.arange(len(part))
+        room = max(monitor._count(monitor._longest_head) - len(self._head), 0)
+        self._head = np.concatenate([self._head, part[:room]])
+        raw = monitor._score(monitor._model, monitor._describe(part, self._head, self._before, time), time)
+        longest = max(monitor._lags, default=0)
+        self._before = np.concatenate([self._before, part])[-longest:] if longest else self._before
+        kept, count = len(self._recent), monitor._count(monitor.memory)
+        joined = np.concatenate([self._recent, raw])
+        self._recent = joined[max(len(joined) - count + 1, 0) :]
+        self._time += len(part)
+        return _moving_mean(joined, count)[kept:]
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class NominalMonitor(Monitor):
+    """Distance to the nearest nominal recordings at about the same time, summed over the channels as surprise.
+
+    Each channel is described by its change since the beginning of the skill and within ``lags``, so that the bias of a
+    sensor does not count. Features are divided by what they differ between groups. The distance of a channel to its
+    nearest nominal moments within ``slack`` + ``drift`` x elapsed time is divided by the usual distance of held-out
+    nominal recordings then, and its surprise is that of a Student t: log(1 + z^2 / 3). A single channel's burst counts
+    little, a deviation of several channels, or one that lasts, counts much.
+
+    A recording that lasts longer than nominal ones is compared with how those ended: lasting long is no anomaly by
+    itself, so that recordings that were cut at a failure and those that were not are scored alike.
+
+    Args:
+        lags: s, of the changes.
+        baseline: s at the beginning whose mean is subtracted.
+        levels: numbers of the axes whose values themselves are compared, too, as further channels: what is wrong from
+            the beginning, such as an object that is missing, is no change. For sensors without a bias of the day.
+        slack: s by which a moment may be early or late.
+        drift: the same, as a share of the elapsed time.
+        neighbours: nearest nominal recordings whose distances are averaged.
+
+    Attributes:
+        bank_: described nominal recordings, scales and usual distances: all that was learned.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> push = np.clip(np.arange(80) - 30, 0, 20)[:, None] * [0.5, 0.02]  # [time, axis], 4 s at 20 Hz
+        >>> nominal = push + 0.1 * rng.normal(size=(40, 80, 2))
+        >>> monitor = NominalMonitor(rate=20).fit(nominal)
+        >>> jammed = push + 0.1 * rng.normal(size=(80, 2))
+        >>> jammed[40:] += 8  # after 2 s
+        >>> monitor.detect(push), 2.0 < monitor.detect(jammed) < 2.5
+        (inf, True)
+    """
+
+    memory: Any = 1.0
+    lags: Any = (0.2, 0.4)
+    baseline: Any = 0.25
+    levels: Any = ()
+    slack: Any = 0.2
+    drift: Any = 0.1
+    neighbours: Any = 1
+
+    @property
+    def bank_(self) -> Bank:
+        check_is_fitted(self, "peaks_")
+        return self._model
+
+    def restore(self, axes: int, bank: Bank, peaks: Float[np.ndarray, " recording"]) -> NominalMonitor:
+        """The fitted state from its parts, as a file holds them."""
+        self.n_features_in_, self._model, self.peaks_ = axes, bank, peaks
+        return self
+
+    @property
+    def _longest_head(self) -> float:
+        return float(self.baseline)
+
+    @property
+    def _lags(self) -> list[int]:
+        return [self._count(lag) for lag in self.lags]
+
+    def _describe(
+        self,
+        part: Float[np.ndarray, "time channel"],
+        head: Float[np.ndarray, "first channel"],
+        before: Float[np.ndarray, "past channel"],
+        time: Int[np.ndarray, " time"],
+    ) -> Float[np.ndarray, "time _ kind"]:
+        if not len(part):
+            return np.zeros((0, part.shape[1] + len(self.levels), 1 + len(self._lags)))
+        seen = np.cumsum(head, 0) / np.arange(1, len(head) + 1)[:, None]
+        kinds = [part - seen[np.minimum(time, len(head) - 1)]]
+        joined, first = np.concatenate([before, part]), time[0] - len(before)
+        kinds += [part - joined[np.maximum(time - lag, 0) - first] for lag in self._lags]
+        changes = np.stack(kinds, 2)
+        levels = part[:, list(self.levels), None]
+        values = np.concatenate([levels, np.zeros((*levels.shape[:2], len(self._lags)))], 2)
+        return np.concatenate([changes, values], 1)
+
+    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
+        first = self._count(self.baseline)
+        described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
+        slack = self.slack * self.rate / self._step
+        return make_bank(described, groups, slack, self.drift, self.neighbours)
+
+    def _score(
+        self, model: Bank, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
+    ) -> Float[np.ndarray, " time"]:
+        distance = nearest(distances(model, described, time), model.neighbours)
+        ratio = distance / model.reference[np.minimum(time, len(model.reference) - 1)]
+        return np.log1p(ratio**2 / FREEDOM).mean(1)
+
+
+def _series(values: ArrayLike, least: int = 1) -> Float[np.ndarray, "time axis"]:
+    series = np.asarray(values, np.float64)
+    if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
+        raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
+    if not np.isfinite(series).all():
+        raise InputError("A recording holds values that are not finite.")
+    return series
+
+
+def _blocks(series: Float[np.ndarray, "time axis"], step: int) -> Float[np.ndarray, "_ axis"]:
+    """Means of successive ``step`` samples; an incomplete block at the end counts only if it is the only one."""
+    if 0 < len(series) < step:
+        return series.mean(0, keepdims=True)
+    return series[: len(series) // step * step].reshape(-1, step, series.shape[1]).mean(1)
+
+
+def _moving_mean(values: Float[np.ndarray, " time"], count: int) -> Float[np.ndarray, " time"]:
+    """Mean of the last ``count`` values, of fewer at the beginning; summed in the same order wherever a value is."""
+    padded = np.concatenate([np.zeros(count - 1), values])
+    total = np.zeros(len(values))
+    for shift in range(count):
+        total += padded[shift : shift + len(values)]
+    return total / count

@@ -1,0 +1,71 @@
+"""Files of nominal monitors: arrays and one JSON text. Loading runs no code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rcbht_jax
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.neighbours import Bank
+from rcbht_jax.introspection.nominal import NominalMonitor
+from rcbht_jax.learning.model_io import reading, write_archive
+
+FORMAT = "rcbht-monitor-1"
+_ARRAYS = ("described", "scale", "reference")
+_NUMBERS = ("reach", "slack", "drift", "neighbours")
+
+
+@dataclass(frozen=True)
+class MonitorFile:
+    """A fitted monitor, and what it was learned from."""
+
+    monitor: NominalMonitor
+    axes: tuple[str, ...]  # names
+    where: tuple[str, ...]  # which recordings taught, COLUMN=VALUE each
+
+
+def save(path: Path, file: MonitorFile) -> None:
+    """Write a fitted monitor.
+
+    Raises:
+        InputError: it cannot be written there.
+    """
+    bank = file.monitor.bank_
+    meta = {
+        "format": FORMAT,
+        "version": rcbht_jax.__version__,
+        "axes": file.axes,
+        "where": file.where,
+        "parameters": file.monitor.get_params(),
+        **{name: getattr(bank, name) for name in _NUMBERS},
+    }
+    write_archive(path, meta, {"peaks": file.monitor.peaks_, **{name: getattr(bank, name) for name in _ARRAYS}})
+
+
+def load(path: Path) -> MonitorFile:
+    """Read what :func:`save` wrote.
+
+    Raises:
+        InputError: missing, damaged, or not a monitor.
+    """
+    with reading(path, FORMAT) as (meta, archive):
+        arrays: dict[str, Any] = {name: archive[name] for name in _ARRAYS}
+        numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
+        bank = Bank(**arrays, **numbers)
+        monitor = NominalMonitor(**meta["parameters"])
+        axes, peaks = tuple(meta["axes"]), archive["peaks"]
+        moments, channels = bank.reference.shape
+        if (
+            bank.described.ndim != 4
+            or len(bank.described) != moments + 2 * bank.reach
+            or bank.scale.shape != bank.described.shape[2:]
+            or bank.described.shape[2] != channels
+            or channels != len(axes) + len(monitor.levels)
+            or not np.isfinite(peaks).all()
+        ):
+            raise InputError(f"{path} is damaged: its arrays do not fit each other.")
+        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, tuple(meta["where"]))

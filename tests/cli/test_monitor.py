@@ -1,0 +1,89 @@
+"""``rcbht monitor``: from a store to alarms, by commands alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.introspection.nominal_file import load
+from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.types import Recordings
+
+ONSET = 1.5  # s
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """18 successes and 6 failures of three days at 20 Hz, and a recording of another skill."""
+    rng = np.random.default_rng(0)
+    wrenches, failed = [], np.arange(25) % 4 == 3
+    for number in range(25):
+        wrench = (number % 3) * 4.0 + np.clip(np.arange(50) - 10, 0, 20)[:, None] * [0.5, 0.1]
+        wrench = wrench + 0.2 * rng.normal(size=wrench.shape)
+        wrench[int(ONSET * 20) :] += 5.0 * failed[number]
+        wrenches.append(wrench)
+    recordings = Recordings.from_arrays(
+        wrenches, 20.0, axes=("Fz", "grip"), outcome=np.where(failed, "failure", "success"),
+        day=[f"day {number % 3}" for number in range(25)], skill=["5"] * 24 + ["7"],
+        began=np.where(failed, str(ONSET), ""),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("monitor") / "runs.zarr"
+    write_recordings(path, recordings, {})
+    return path
+
+
+def lines(capsys: pytest.CaptureFixture[str], *words: object) -> list[dict]:
+    capsys.readouterr()
+    assert main([*map(str, words)]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+@pytest.fixture(scope="module")
+def model(store: Path) -> Path:
+    path = store.parent / "five.monitor"
+    assert main(["monitor", "fit", str(store), "--where", "skill=5", "--group", "day", "-o", str(path)]) == 0
+    return path
+
+
+def test_alarms_are_those_of_the_monitor(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    events = lines(capsys, "monitor", "watch", store, "-m", model, "--where", "skill=5", "--false-alarms", 0.1)
+    ends = {event["trial"]: event for event in events if event["event"] == "End"}
+    alarms = {event["trial"]: event for event in events if event["event"] == "Alarm"}
+    assert len(ends) == 24
+    assert {name for name, end in ends.items() if end["outcome"] == "failure"} <= set(alarms)
+    recordings, monitor = read_recordings(store), load(model).monitor
+    for row, trial in enumerate(recordings.trial.tolist()[:24]):
+        moment = monitor.detect(recordings.wrench[row], 0.1)
+        assert (alarms[trial]["time"] if trial in alarms else np.inf) == pytest.approx(moment)
+
+
+def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["monitor", "evaluate", store, "--where", "skill=5", "--group", "day", "--onset", "began"]
+    (found,) = lines(capsys, *words, "--false-alarms", 0.1, "--json")
+    assert (found["nominal"], found["anomalous"], set(found["groups"])) == (18, 6, {"day 0", "day 1", "day 2"})
+    assert found["auroc"] == 1
+    assert found["detected"] == 1
+    assert 0 <= found["delay_median"] < 0.5
+    assert main([*map(str, words), "--false-alarms", "0.01"]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert table[1].split()[:6] == ["all", "18", "6", "1.000", "-", "-"]  # 12 recordings cannot promise 1 in 100
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["fit", "--where", "skill"], "expected COLUMN=VALUE"),
+        (["fit", "--where", "skill=9"], "no recording with skill=9"),
+        (["fit", "--levels", "Mx"], "There is no axis Mx; there are Fz, grip"),
+        (["fit", "--where", "skill=7"], "three or more"),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    store: Path, words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["monitor", words[0], str(store), *words[1:], "-o", str(store.parent / "none")]) == 2
+    assert sentence in capsys.readouterr().err

@@ -1,0 +1,186 @@
+"""Monitors of nominal recordings: causal, the same in a stream, few false alarms, against a plain reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sklearn.base import clone
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection.nominal import FREEDOM, Monitor, NominalMonitor
+from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge, thresholds
+from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
+
+MONITORS = [
+    NominalMonitor(rate=20, score_rate=10, memory=0.5, levels=(1,)),
+    QuantileBand(rate=20, score_rate=20),
+    QuantileBand(rate=20, score_rate=20, normal=True),
+    IsolationForestMonitor(rate=20, score_rate=10, trees=5, folds=3),
+]
+every_monitor = pytest.mark.parametrize("monitor", MONITORS, ids=lambda one: type(one).__name__)
+
+
+def pushes(count: int, seed: int, shift: float = 0.0) -> list[NDArray[np.float64]]:
+    """Recordings of different lengths: a push in the middle, noise, the bias ``shift``."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(30, 45, count)
+    return [
+        shift + np.clip(np.arange(n) - 12, 0, 10)[:, None] * [1.0, 0.1] + 0.3 * rng.normal(size=(n, 2)) for n in lengths
+    ]
+
+
+@every_monitor
+def test_a_stream_in_any_pieces_gives_the_scores_of_the_whole(monitor: Monitor) -> None:
+    fitted, series = clone(monitor).fit(pushes(8, 0)), pushes(1, 1)[0]
+    whole = fitted.scores(series)
+    assert whole.shape == (len(series),)
+    assert whole.std() > 0
+    for sizes in ([1] * len(series), [3, 0, 8, 1, 1], [13, 2]):
+        stream, cuts = fitted.stream(), np.cumsum(sizes)
+        pieces = [stream.push(piece) for piece in np.split(series, cuts[cuts < len(series)])]
+        np.testing.assert_array_equal(np.concatenate(pieces), whole)
+
+
+@every_monitor
+def test_no_score_knows_later_samples(monitor: Monitor) -> None:
+    fitted, series = clone(monitor).fit(pushes(8, 0)), pushes(1, 1)[0]
+    changed = series.copy()
+    changed[20:] += 50
+    scores, others = fitted.scores(series), fitted.scores(changed)
+    np.testing.assert_array_equal(scores[:20], others[:20])
+    assert others[20:].max() > scores[20:].max()
+
+
+def by_hand(train: list[NDArray[np.float64]], test: NDArray[np.float64], monitor: NominalMonitor) -> list[float]:
+    """Distances of the first definition, moment by moment; one sample per score, no memory."""
+    lags, first, reach = (4, 8), 5, 4.0
+
+    def features(part: NDArray[np.float64], t: int, channel: int) -> NDArray[np.float64]:
+        x = part[:, channel]
+        return np.array([x[t] - x[: min(t + 1, first)].mean()] + [x[t] - x[max(t - lag, 0)] for lag in lags])
+
+    bank = monitor.bank_
+    longest = max(map(len, train))
+    out = []
+    for t in range(len(test)):
+        surprise = []
+        for channel in range(2):
+            here = features(test, t, channel) / bank.scale[channel]
+            now = min(t, longest - 1)
+            near = [
+                np.sqrt(np.mean((here - features(part, min(u, len(part) - 1), channel) / bank.scale[channel]) ** 2))
+                for part in train
+                for u in range(now - 60, now + 61)
+                if u >= 0 and abs(u - now) <= reach + 0.1 * t and abs(u - now) <= bank.reach
+            ]
+            surprise.append(np.log1p((min(near) / bank.reference[now, channel]) ** 2 / FREEDOM))
+        out.append(float(np.mean(surprise)))
+    return out
+
+
+def test_scores_are_those_of_the_definition() -> None:
+    train, test = pushes(4, 0), pushes(1, 3)[0]
+    test = np.concatenate([test, test[-20:]])  # longer than all of them
+    monitor = NominalMonitor(rate=20, score_rate=20, memory=0.05).fit(train)
+    np.testing.assert_allclose(monitor.scores(test), by_hand(train, test, monitor), rtol=2e-4, atol=1e-6)
+
+
+def test_the_bias_of_a_day_is_no_anomaly_but_a_level_is_where_it_counts() -> None:
+    train, groups = pushes(12, 0), np.arange(12) % 3
+    biased = pushes(1, 1, shift=30.0)[0]
+    assert NominalMonitor().fit(train, groups=groups).detect(biased, 0.1) == np.inf
+    assert NominalMonitor(levels=(0,)).fit(train, groups=groups).detect(biased, 0.1) < 1
+
+
+def test_lasting_long_is_no_anomaly() -> None:
+    monitor = NominalMonitor().fit(pushes(20, 0))
+    rng, series = np.random.default_rng(5), pushes(1, 1)[0]
+    longer = np.concatenate([series, [10.0, 1.0] + 0.3 * rng.normal(size=(100, 2))])
+    assert monitor.scores(longer)[-1] < 1.5 * monitor.peaks_.max()
+
+
+@pytest.mark.parametrize("calibration", ["split", "cross"])
+def test_false_alarms_of_new_recordings_are_as_promised(calibration: str) -> None:
+    """Exchangeable recordings: over many fits, the share of alarms is at most alpha, and not far below."""
+    alpha, fits, tests, count = 0.2, 30, 10, 24
+    alarms = []
+    for seed in range(fits):
+        series = np.random.default_rng(seed).standard_t(3, size=(count + tests, 8, 2)) * [1.0, 2.0]
+        monitor = NominalMonitor(rate=10, score_rate=10, calibration=calibration, folds=3, random_state=seed)
+        monitor.fit(series[:count])
+        level = monitor.threshold(alpha)
+        alarms += [monitor.scores(part).max() > level for part in series[count:]]
+    error = np.sqrt(alpha * (1 - alpha) * (1 / (fits * tests) + 1 / (fits * 12)))  # of recordings and of thresholds
+    assert alpha - 0.08 - 3 * error < np.mean(alarms) < alpha + 3 * error
+
+
+def test_a_threshold_that_cannot_be_promised_is_refused() -> None:
+    monitor = NominalMonitor().fit(pushes(8, 0))
+    assert len(monitor.peaks_) == 8
+    assert monitor.threshold(1 / 9) == monitor.peaks_.max()
+    with pytest.raises(InputError, match="it takes 19"):
+        monitor.threshold(0.05)
+
+
+def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
+    monitor, series = NominalMonitor(levels=(1,)).fit(pushes(6, 0)), pushes(1, 1)[0]
+    path = tmp_path / "nominal.monitor"
+    nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fz", "Mx"), ("skill=7",)))
+    again = nominal_file.load(path)
+    assert (again.axes, again.where) == (("Fz", "Mx"), ("skill=7",))
+    np.testing.assert_array_equal(again.monitor.scores(series), monitor.scores(series))
+    assert again.monitor.threshold(0.2) == monitor.threshold(0.2)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(InputError, match="not a readable"):
+        nominal_file.load(path)
+
+
+def test_every_group_is_scored_without_itself() -> None:
+    series, groups = pushes(12, 0), np.arange(12) % 3
+    nominal = np.arange(12) < 9
+    watched = hold_out(NominalMonitor(), series, nominal, groups)
+    teach = np.flatnonzero(nominal & (groups != 1))
+    alone = NominalMonitor().fit([series[row] for row in teach], groups=groups[teach])
+    np.testing.assert_array_equal(watched.scores[10], alone.scores(series[10]))
+    np.testing.assert_array_equal(watched.calibration["1"], alone.peaks_)
+    assert thresholds(watched, 0.05) == {}
+    assert set(thresholds(watched, 0.2)) == {"0", "1", "2"}
+
+
+def test_alarms_are_judged_by_the_onset() -> None:
+    peaks = [[0, 0, 0, 0], [0, 9, 0, 0], [0, 0, 9, 9], [9, 9, 9, 9], [0, 0, 0, 1]]
+    watched = Watched(
+        tuple(np.array(row, float) for row in peaks),
+        np.array([True, True, False, False, False]),
+        np.array(list("aaaab")),
+        np.array([2.0, 2, 2, 2, 2]),
+        {},
+        rate=2.0,
+    )
+    found = judge(watched, {"a": 5.0}, np.array([np.nan, np.nan, 1.0, 1.5, 1.0]))
+    assert found["false_alarms_of"] == [1, 2]
+    assert found["detected"] == 0.5  # the alarm after 0.5 s comes a second before the onset; group b is not counted
+    assert (found["early"], found["delay_median"]) == (1, 0.5)
+    assert found["auroc"] == (1.5 + 1.5 + 1) / 6
+    assert found["groups"]["b"]["detected"] is None
+
+
+@pytest.mark.parametrize(
+    ("monitor", "series", "words"),
+    [
+        (NominalMonitor(), pushes(2, 0), "three or more"),
+        (NominalMonitor(), [np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((5, 2))], "same axes"),
+        (NominalMonitor(), [np.full((5, 2), np.nan)] * 3, "not finite"),
+        (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
+        (NominalMonitor(neighbours=0), pushes(3, 0), "one neighbour"),
+        (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
+        (QuantileBand(share=2), pushes(3, 0), "share is 2"),
+    ],
+)
+def test_bad_input_is_one_sentence(monitor: Monitor, series: list[NDArray[np.float64]], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        monitor.fit(series)
