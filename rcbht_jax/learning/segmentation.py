@@ -1,0 +1,213 @@
+"""Segmentation: a label for every sample of recordings whose intervals are unknown.
+
+Two ensembles of extremely randomised trees (Geurts et al. 2006) in a row. The first sees the wrench and its words in
+windows that end at the sample; the second sees the same and what the first believed until then, which it learns from
+beliefs about recordings that the first was not trained on (stacked sequential learning, Cohen and Carvalho 2005).
+Few recordings are completed by copies at other speeds and forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.calibration.rest import auto_thresholds
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import Recordings
+
+with needs_extra("learn"):
+    from sklearn.base import BaseEstimator
+    from sklearn.ensemble import ExtraTreesClassifier
+    from sklearn.model_selection import GroupKFold
+    from sklearn.utils.validation import check_is_fitted
+
+UNKNOWN = -1  # class of a sample that is not annotated
+PERIOD = 0.025  # s between decisions; a label stays until the next one
+WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)  # s
+BELIEF_WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
+ENOUGH = 8  # recordings; fewer are completed by copies
+SPREAD = 0.3  # copies differ in speed and force by factors of exp(-SPREAD) to exp(SPREAD)
+FOLDS = 6  # in which the first ensemble forms beliefs about recordings that it was not trained on
+
+Table = Float[np.ndarray, "moment column"]
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
+    """Labels every sample of recordings.
+
+    Args:
+        words: also read the newest published words of each axis.
+        offline: read the future as well; else a label depends on no later sample.
+        trees: in each ensemble.
+        window: samples per straight-line fit of the words.
+        random_state: seed of trees, folds and copies.
+
+    Attributes:
+        classes_: sorted class indices.
+        thresholds_: gradient thresholds of the words.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force = rng.normal(size=(4, 200, 1)) * 0.1
+        >>> force[:, 100:] += 5
+        >>> recordings = Recordings.from_arrays(force, rate=40, axes=["grip"], units=["N"])
+        >>> y = [np.arange(200) // 100] * 4
+        >>> segmenter = WrenchSegmenter(trees=10).fit(recordings.take(np.arange(3)), y[:3])
+        >>> float((segmenter.predict(recordings.take(np.array([3])))[0] == y[3]).mean()) > 0.97
+        True
+    """
+
+    words: Any = True
+    offline: Any = False
+    trees: Any = 100
+    window: Any = 5
+    random_state: Any = 0
+
+    def fit(self, recordings: Recordings, y: Sequence[Int[np.ndarray, " sample"]]) -> WrenchSegmenter:
+        """Learn from annotated recordings.
+
+        Args:
+            recordings: one row per recording, of any axes.
+            y: class of each sample of each recording; UNKNOWN = not annotated.
+
+        Raises:
+            InputError: fewer than two classes, or labels of other lengths than the recordings.
+        """
+        if [len(part) for part in y] != recordings.length.tolist():
+            raise InputError("The labels are of other lengths than the recordings.")
+        self.classes_ = np.setdiff1d(np.concatenate(y), [UNKNOWN])
+        if len(self.classes_) < 2:
+            raise InputError(f"There are {len(self.classes_)} classes in {len(y)} recordings; two are needed.")
+        self.thresholds_ = auto_thresholds(recordings, self.window)
+        rng = np.random.default_rng(self.random_state)
+        completed, labels, group = _completed(recordings, y, rng)
+        tables = self._tables(completed)
+        every = _every(recordings.dt)
+        labels = [part[::every] for part in labels]
+        self.first_ = self._learn(tables, labels)
+        beliefs = self._held_out_beliefs(tables, labels, group)
+        both = [np.concatenate([table, self._course(p)], 1) for table, p in zip(tables, beliefs, strict=True)]
+        self.second_ = self._learn(both, labels)
+        return self
+
+    def predict_proba(self, recordings: Recordings) -> list[Float[np.ndarray, "sample class"]]:
+        """Probability of each class at each sample of each recording."""
+        check_is_fitted(self, "second_")
+        every = _every(recordings.dt)
+        out = []
+        for table, length in zip(self._tables(recordings), recordings.length.tolist(), strict=True):
+            believed = self._believe(self.first_, table)
+            second = self._believe(self.second_, np.concatenate([table, self._course(believed)], 1))
+            out.append(np.repeat(second, every, axis=0)[:length])
+        return out
+
+    def predict(self, recordings: Recordings) -> list[NDArray[np.int64]]:
+        """Class of each sample of each recording."""
+        return [self.classes_[part.argmax(1)] for part in self.predict_proba(recordings)]
+
+    def _learn(self, tables: Sequence[Table], labels: Sequence[NDArray[Any]]) -> Any:
+        x, y = np.concatenate(tables), np.concatenate(labels)
+        forest = ExtraTreesClassifier(
+            self.trees, min_samples_leaf=3, random_state=self.random_state
+        )
+        return forest.fit(x[y != UNKNOWN], y[y != UNKNOWN])
+
+    def _believe(self, forest: Any, table: Table) -> Table:
+        """Probabilities in the order of ``classes_``; a fold may lack a class."""
+        out = np.zeros((len(table), len(self.classes_)))
+        out[:, np.searchsorted(self.classes_, forest.classes_)] = forest.predict_proba(table)
+        return out
+
+    def _held_out_beliefs(
+        self, tables: Sequence[Table], labels: Sequence[NDArray[Any]], group: NDArray[Any]
+    ) -> list[Table]:
+        folds = min(FOLDS, len(np.unique(group)))
+        out: list[Table] = [np.zeros((0, 0))] * len(tables)
+        for train, test in GroupKFold(folds).split(group, groups=group):
+            forest = self._learn([tables[i] for i in train], [labels[i] for i in train])
+            for i in test:
+                out[i] = self._believe(forest, tables[i])
+        return out
+
+    def _tables(self, recordings: Recordings) -> list[Table]:
+        """What the first ensemble sees of each recording, one row per decision."""
+        dt, every = recordings.dt, _every(recordings.dt)
+        words = self._words(recordings, every) if self.words else [np.zeros((0, 0))] * len(recordings)
+        tables = []
+        for values, length, word in zip(recordings.wrench, recordings.length.tolist(), words, strict=True):
+            signal = with_norms(values[:length].astype(np.float64), recordings.units)
+            make = partial(trailing_statistics, dt=dt, windows=WINDOWS)
+            parts = [make(signal)[::every], running_totals(signal)[::every]]
+            if self.offline:
+                parts.append(make(signal[::-1])[::-1][::every])
+            tables.append(np.concatenate([*parts, word] if self.words else parts, 1))
+        return tables
+
+    def _words(self, recordings: Recordings, every: int) -> list[Table]:
+        config = EncoderConfig(window=self.window, dt=recordings.dt)
+        tracks = encode_batch(config, self.thresholds_, recordings.wrench, recordings.length)
+        out = []
+        for row, length in enumerate(recordings.length.tolist()):
+            times = np.arange(1, length + 1)[::every]
+            layers = [jax.tree.map(lambda values: values[row], getattr(tracks, layer)) for layer in LAYERS]  # noqa: B023
+            out.append(np.concatenate([latest_words(layer, times) for layer in layers], 1))
+        return out
+
+    def _course(self, belief: Table) -> Table:
+        """What the first ensemble believed until then, or throughout where the future is read."""
+        sides = [belief] if not self.offline else [belief, belief[::-1]]
+        parts = []
+        for step, side in zip((1, -1), sides, strict=False):
+            course = [side, trailing_statistics(side, PERIOD, BELIEF_WINDOWS)]
+            course += [np.maximum.accumulate(side), np.cumsum(side, 0) * PERIOD]
+            parts.append(np.concatenate(course, 1)[::step])
+        return np.concatenate(parts, 1)
+
+
+def _every(dt: float) -> int:
+    return max(1, round(PERIOD / dt))
+
+
+def _completed(
+    recordings: Recordings, y: Sequence[NDArray[Any]], rng: np.random.Generator
+) -> tuple[Recordings, list[NDArray[Any]], NDArray[np.int64]]:
+    """The recordings and copies of them, the labels of all, and which belong together in a fold.
+
+    Copies of a single recording are groups of their own: there is nothing else to hold out.
+    """
+    count = len(recordings)
+    rows = [*range(count), *rng.permutation(np.resize(np.arange(count), max(0, ENOUGH - count))).tolist()]
+    parts, labels = [], []
+    for number, row in enumerate(rows):
+        values, label = recordings.wrench[row, : recordings.length[row]], np.asarray(y[row])
+        if number >= count:
+            values, label = _copy(values, label, recordings.units, rng)
+        parts.append(values)
+        labels.append(label)
+    made = Recordings.from_arrays(parts, rate=1 / recordings.dt, axes=recordings.axes, units=recordings.units)
+    return made, labels, np.arange(len(rows)) if count == 1 else np.array(rows)
+
+
+def _copy(
+    values: NDArray[Any], label: NDArray[Any], units: Sequence[str], rng: np.random.Generator
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A recording at another speed, with another factor for the axes of each unit."""
+    speed = np.exp(rng.uniform(-SPREAD, SPREAD))
+    factor = {unit: np.exp(rng.uniform(-SPREAD, SPREAD)) for unit in dict.fromkeys(units)}
+    time = np.arange(len(values))
+    at = np.minimum(np.arange(max(2, int(len(values) / speed))) * speed, len(values) - 1)
+    moved = np.stack([np.interp(at, time, column) for column in values.T], 1)
+    return moved * np.array([factor[unit] for unit in units]), label[np.rint(at).astype(int)]
