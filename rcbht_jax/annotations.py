@@ -177,6 +177,29 @@ class Annotations:
             return np.zeros(0)
         return self.of_recording(recording).of(name).start
 
+    def of_samples(self, recording: int, track: str, length: int, dt: float) -> Int[np.ndarray, " sample"]:
+        """Code of the label of each sample of one recording; -1 where a track annotates nothing.
+
+        A sample belongs to the interval that holds its time; of several the one that begins last.
+
+        Args:
+            recording: its number.
+            track: its name.
+            length: samples of the recording.
+            dt: s between samples.
+
+        Example:
+            >>> marks = Annotations.from_starts("phase", ["push", "rest"], [[0.1, 0.3]], [0.4])
+            >>> marks.of_samples(0, "phase", 5, 0.1).tolist()
+            [-1, 0, 0, 1, -1]
+        """
+        marks = self.of_recording(recording).of(track)
+        codes = np.full(length, -1)
+        edges = np.rint(np.stack([marks.start, marks.end], 1) / dt).clip(0, length).astype(int).tolist()
+        for code, (first, last) in zip(marks.code.tolist(), edges, strict=True):
+            codes[first:last] = code
+        return codes
+
     def take(self, rows: NDArray[np.integer]) -> Annotations:
         """The annotations of some recordings ``[new recording]``, which may repeat, numbered anew."""
         first, last = np.searchsorted(self.recording, np.stack([rows, rows + 1]))

@@ -1,1 +1,1 @@
-"""Streamed beliefs, detected onsets, faults and latency."""
+"""Recordings of other robots and laboratories: one method for all of them, with peers beside it."""

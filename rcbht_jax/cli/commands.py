@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("rcbht_jax.cli.learning:Evaluate", "cross-validate a classifier of the labels, with baselines"),
     "train": ("rcbht_jax.cli.learning:Train", "train a classifier of the labels and write a model file"),
     "classify": ("rcbht_jax.cli.learning:Classify", "classify every sentence of a store with a trained model"),
+    "segment": ("rcbht_jax.cli.segment:Segment", "label every sample of recordings whose intervals are unknown"),
     "train-online": ("rcbht_jax.cli.stream:TrainOnline", "train a model that computes beliefs from a stream"),
     "stream": ("rcbht_jax.cli.stream:Stream", "compute beliefs and events from a stream, as JSON lines"),
     "serve": ("rcbht_jax.cli.stream:Serve", "show a stream, its labels and beliefs on a live web page"),

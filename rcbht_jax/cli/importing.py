@@ -41,6 +41,8 @@ class Import(Command):
     topic: Annotated[str, option("Topic of a bag.", "every topic of wrenches")] = ""
     labels: Annotated[str, option("Column that annotates the samples, with text or numbers.", "")] = ""
     outcome: Annotated[str, option("Column that states the outcome of a recording.", "")] = ""
+    keep_copies: Flag = False
+    """Import exact copies of other recordings as well, and note them."""
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
 
@@ -55,7 +57,7 @@ class Import(Command):
             raise InputError(f"{self.write_map.parent} is not a folder; create it first.")
         imported = import_source(
             self.source, self.out, self.KIND, self._mapping(), self.overwrite,
-            lambda items: progress_bar("import", "files", iterable=items),
+            lambda items: progress_bar("import", "files", iterable=items), self.keep_copies,
         )  # fmt: skip
         if self.write_map is not None:
             write_mapping(self.write_map, imported.mapping)

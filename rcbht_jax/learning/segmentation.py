@@ -8,8 +8,8 @@ Few recordings are completed by copies at other speeds and forces.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,21 +25,21 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.learning.segment_metrics import UNKNOWN, SegmentationScore, Segments, segmentation_score
 from rcbht_jax.types import Recordings
 
 with needs_extra("learn"):
-    from sklearn.base import BaseEstimator
+    from sklearn.base import BaseEstimator, clone
     from sklearn.ensemble import ExtraTreesClassifier
     from sklearn.model_selection import GroupKFold
     from sklearn.utils.validation import check_is_fitted
 
-UNKNOWN = -1  # class of a sample that is not annotated
 PERIOD = 0.025  # s between decisions; a label stays until the next one
 WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)  # s
 BELIEF_WINDOWS = (0.1, 0.3, 1.0, 3.0)  # s
 ENOUGH = 8  # recordings; fewer are completed by copies
 SPREAD = 0.3  # copies differ in speed and force by factors of exp(-SPREAD) to exp(SPREAD)
-FOLDS = 6  # in which the first ensemble forms beliefs about recordings that it was not trained on
+FOLDS = 4  # in which the first ensemble forms beliefs about recordings that it was not trained on
 
 Table = Float[np.ndarray, "moment column"]
 
@@ -120,9 +120,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
 
     def _learn(self, tables: Sequence[Table], labels: Sequence[NDArray[Any]]) -> Any:
         x, y = np.concatenate(tables), np.concatenate(labels)
-        forest = ExtraTreesClassifier(
-            self.trees, min_samples_leaf=3, random_state=self.random_state
-        )
+        forest = ExtraTreesClassifier(self.trees, min_samples_leaf=3, random_state=self.random_state)
         return forest.fit(x[y != UNKNOWN], y[y != UNKNOWN])
 
     def _believe(self, forest: Any, table: Table) -> Table:
@@ -211,3 +209,129 @@ def _copy(
     at = np.minimum(np.arange(max(2, int(len(values) / speed))) * speed, len(values) - 1)
     moved = np.stack([np.interp(at, time, column) for column in values.T], 1)
     return moved * np.array([factor[unit] for unit in units]), label[np.rint(at).astype(int)]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Which recordings teach and which are labelled.
+
+    Attributes:
+        track: of the annotations; "" = the usual one, see :meth:`rcbht_jax.annotations.Annotations.choose`.
+        group: column whose groups stay together.
+        folds: of the groups; 0 = each group is held out by itself.
+        one_shot: one recording teaches, all of other groups are tests; every annotated recording has its turn.
+    """
+
+    track: str = ""
+    group: str = "trial"
+    folds: int = 5
+    one_shot: bool = False
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """Labels of every sample, made by models that the recording had no part in.
+
+    Attributes:
+        recordings: that were labelled.
+        protocol: with the name of the track that was used.
+        classes: by code.
+        predicted: class of each sample ``[sample]`` of each recording; of one shot those of the last turn.
+        truth: the same of the annotations, UNKNOWN = not annotated.
+        score: of the annotated recordings.
+    """
+
+    recordings: Recordings
+    protocol: Protocol
+    classes: tuple[str, ...]
+    predicted: list[NDArray[np.int64]]
+    truth: list[NDArray[np.int64]]
+    score: SegmentationScore
+
+    @property
+    def annotated(self) -> NDArray[np.bool_]:
+        """Recordings of which a sample is annotated."""
+        return np.array([(part != UNKNOWN).any() for part in self.truth])
+
+    def rows(self) -> list[tuple[int, str, str, str, float, float, bool]]:
+        """A row per predicted interval: recording, trial, arm, label, start and end in s, annotated."""
+        data, known = self.recordings, self.annotated.tolist()
+        return [
+            (row, str(data.trial[row]), str(data.arm[row]), self.classes[code],
+             round(start * data.dt, 6), round(end * data.dt, 6), known[row])
+            for row, part in enumerate(map(Segments.of, self.predicted))
+            for code, start, end in zip(part.label.tolist(), part.start.tolist(), part.end.tolist(), strict=True)
+        ]  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        """Scores and what they are about."""
+        y = np.concatenate(self.truth)
+        folds = f"{self.protocol.folds} folds" if self.protocol.folds else "one group held out at a time"
+        how = "one recording teaches, all others are tests" if self.protocol.one_shot else folds
+        return {
+            "track": self.protocol.track,
+            "classes": list(self.classes),
+            "recordings": len(self.truth),
+            "annotated": int(self.annotated.sum()),
+            "protocol": f"{how}, grouped by {self.protocol.group}",
+            "score": self.score.to_json(),
+            "majority": float(np.bincount(y[y != UNKNOWN]).max() / (y != UNKNOWN).sum()),
+        }
+
+
+def segment(
+    recordings: Recordings,
+    segmenter: WrenchSegmenter,
+    protocol: Protocol = Protocol(),
+    progress: Callable[[int], Any] | None = None,
+) -> Segmentation:
+    """Label every recording by a model that it had no part in, and score those that are annotated.
+
+    Args:
+        recordings: some or all annotated.
+        segmenter: a copy is fitted for each part.
+        protocol: how they are divided.
+        progress: called with 1 after each model.
+
+    Raises:
+        InputError: no such track or column, or fewer than two annotated groups.
+    """
+    track = recordings.annotations.choose(protocol.track)
+    if not track:
+        raise InputError("The store has no annotations to learn from.")
+    truth = [
+        recordings.annotations.of_samples(row, track, length, recordings.dt)
+        for row, length in enumerate(recordings.length.tolist())
+    ]
+    known = np.array([(part != UNKNOWN).any() for part in truth])
+    groups = recordings.column(protocol.group)
+    if len(np.unique(groups[known])) < 2:
+        raise InputError(f"Only one {protocol.group} is annotated with {track}; another one is needed to test on.")
+    predicted: list[NDArray[np.int64]] = [np.zeros(0, np.int64)] * len(truth)
+    pairs: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+    for train, test in _splits(np.flatnonzero(known), groups, protocol):
+        model = clone(segmenter).fit(recordings.take(train), [truth[row] for row in train])
+        for row, part in zip(test.tolist(), model.predict(recordings.take(test)), strict=True):
+            predicted[row] = part
+            pairs.append((truth[row], part))
+        if progress:
+            progress(1)
+    new = np.flatnonzero(~known)
+    if len(new):
+        teachers = np.flatnonzero(known)
+        model = clone(segmenter).fit(recordings.take(teachers), [truth[row] for row in teachers])
+        for row, part in zip(new.tolist(), model.predict(recordings.take(new)), strict=True):
+            predicted[row] = part
+    score = segmentation_score([true for true, _ in pairs], [guess for _, guess in pairs], recordings.dt)
+    used = replace(protocol, track=track)
+    return Segmentation(recordings, used, recordings.annotations.labels[track], predicted, truth, score)
+
+
+def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -> Iterator[tuple[Any, Any]]:
+    """Rows that teach and rows that are labelled."""
+    if protocol.one_shot:
+        yield from ((np.array([row]), rows[groups[rows] != groups[row]]) for row in rows)
+        return
+    count = len(np.unique(groups[rows]))
+    folds = GroupKFold(min(protocol.folds or count, count), shuffle=True, random_state=0)
+    yield from ((rows[train], rows[test]) for train, test in folds.split(rows, groups=groups[rows]))

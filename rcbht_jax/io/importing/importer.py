@@ -3,7 +3,7 @@
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
 ``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT`` (samples), ``changes:COLUMN`` (one that should be constant),
-``beginning-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
+``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,11 @@ class Imported:
 
 
 def read_source(
-    source: Path, kind: str = "auto", mapping: Mapping | None = None, progress: Progress = iter
+    source: Path,
+    kind: str = "auto",
+    mapping: Mapping | None = None,
+    progress: Progress = iter,
+    keep_copies: bool = False,
 ) -> Imported:
     """Read a file, or every file below a folder; a broken one is reported and does not stop the import.
 
@@ -54,6 +58,7 @@ def read_source(
         mapping: what the columns mean; what it leaves open is guessed by
             :func:`~rcbht_jax.io.importing.guess.guess`.
         progress: wraps the list of files, for a progress bar.
+        keep_copies: also import recordings that are exact copies of others, and note ``copy-of:OTHER``.
 
     Raises:
         InputError: the source holds no usable recording, the mapping contradicts itself, or a package is missing.
@@ -73,7 +78,7 @@ def read_source(
     found, used, beside = _read(source, items, base, report, progress)
     _attach(found, beside, report)
     found = [_bounded(record, report) for record in found]
-    found = most_common(without_copies(found, report), report)
+    found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
         reason = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{source} holds no usable recording.{reason}")
@@ -91,6 +96,7 @@ def import_source(
     mapping: Mapping | None = None,
     overwrite: bool = False,
     progress: Progress = iter,
+    keep_copies: bool = False,
 ) -> Imported:
     """Read a file or a folder as :func:`read_source` does, and write it as a store at ``path``.
 
@@ -100,7 +106,7 @@ def import_source(
         InputError: as :func:`read_source`, or ``path`` exists and ``overwrite`` is false.
     """
     store.check_target(path, overwrite)
-    imported = read_source(source, kind, mapping, progress)
+    imported = read_source(source, kind, mapping, progress, keep_copies)
     report = imported.report
     attrs = {"importer": kind, "source_sha256": report.content_sha256, "import_report": report.to_dict()}
     store.write_recordings(path, imported.recordings, attrs, overwrite)

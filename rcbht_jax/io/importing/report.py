@@ -29,8 +29,8 @@ class ImportReport:
         return asdict(self)
 
 
-def without_copies(records: Sequence[Record], report: ImportReport) -> list[Record]:
-    """The recordings, exact copies once, in their order; copies and beginnings of others are reported.
+def without_copies(records: Sequence[Record], report: ImportReport, keep: bool = False) -> list[Record]:
+    """The recordings, exact copies once unless ``keep``, in their order; copies and beginnings of others are reported.
 
     Copies whose columns or annotations contradict each other are all kept and noted ``contradictory-duplicate:OTHER``;
     a recording that is the beginning of a longer one is kept and noted ``beginning-of:OTHER``.
@@ -51,8 +51,13 @@ def without_copies(records: Sequence[Record], report: ImportReport) -> list[Reco
             same = []
         twin = next((other for other in same if _facts(records[other]) == _facts(records[number])), None)
         if twin is not None:
-            dropped.add(number)
-            report.duplicates.append((records[number].name, f"exact copy of {records[twin].name}; imported once."))
+            original = records[twin].name
+            what = "imported all the same" if keep else "imported once"
+            report.duplicates.append((records[number].name, f"exact copy of {original}; {what}."))
+            if keep:
+                _note(records[number], f"copy-of:{original}")
+            else:
+                dropped.add(number)
             continue
         if same:
             first, name = records[same[0]], records[number].name

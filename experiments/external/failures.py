@@ -1,0 +1,156 @@
+"""Robot execution failures (UCI; Seabra Lopes and Camarinha-Matos 1999): the one method, its parts, and peers.
+
+Series of 15 samples from the detection of a failure; stratified folds, repeated. Copies in the data are kept, as other
+publications have them: LP2 and LP4 hold one pair each.
+
+Run: python -m experiments.external.failures --repeats 4 --seed 0
+Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows of MiniRocket,
+MultiRocketHydra and QUANT need the library aeon (see make peers).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from sklearn.model_selection import StratifiedKFold
+from sklearn.naive_bayes import GaussianNB
+
+from experiments._lib import raw_learners as raw
+from experiments._lib.benchmarks import FOLDS, rounded, segments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments.external import method
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import read_mapping
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.types import Recordings
+
+EXTERNAL = Path(os.environ.get("RCBHT_EXTERNAL", "../shared/data/external"))
+MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "robot_execution_failures.toml"
+SETS = ("lp1", "lp2", "lp4")
+PREFIXES = (2, 3, 4, 5, 6, 8, 10, 12, 15)  # samples
+MEMBERS = ("words", "wrench")
+
+Make = Callable[[str], validation.Estimator]
+
+
+class Experiment:
+    """The data sets, read once, and what makes each row."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed = repeats, seed
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def data(self, name: str, samples: int = 15) -> tuple[Recordings, LabelledIntervals]:
+        """A set, or the first samples of its series."""
+        file = EXTERNAL / "robot_execution_failures" / f"{name}.csv"
+        recordings = read_source(file, "csv", read_mapping(MAPPING), keep_copies=True).recordings
+        cut = np.minimum(recordings.length, samples)
+        recordings = replace(recordings, wrench=recordings.wrench[:, :samples], length=cut)
+        return recordings, labelled_intervals(recordings, TaskSpec("class", outcomes=()))
+
+    @cache  # noqa: B019
+    def described(self, name: str, samples: int = 15) -> dict[str, Any]:
+        return dict(zip(MEMBERS, method.describe(*self.data(name, samples)), strict=True))
+
+    def ours(self, name: str, samples: int = 15) -> validation.Estimator:
+        return method.vote(**self.described(name, samples), y=self.data(name, samples)[1].y)
+
+    def tuned(self, name: str) -> validation.Estimator:
+        """The vote or one of its members, by three folds of the training rows."""
+        y, x = self.data(name)[1].y, self.described(name)
+        ways: dict[str, Callable[..., Any]] = {
+            "words": lambda *rows: method.svm(x["words"], y, *rows),
+            "wrench": lambda *rows: method.trees(x["wrench"], y, *rows),
+        }
+        ways["both"] = lambda *rows: ways["words"](*rows) + ways["wrench"](*rows)
+
+        def predict(train: Any, test: Any, seed: int) -> Any:
+            folds = list(StratifiedKFold(3, shuffle=True, random_state=seed).split(train, y[train]))
+            right = {
+                way: sum((make(train[a], train[b], seed).argmax(1) == y[train[b]]).sum() for a, b in folds)
+                for way, make in ways.items()
+            }
+            best = max(right, key=lambda way: int(right[way]))
+            return ways[best](train, test, seed).argmax(1), {"chosen": best}
+
+        return predict
+
+    def member(self, name: str, member: str) -> validation.Estimator:
+        x, y = self.described(name)[member], self.data(name)[1].y
+        make = method.svm if member == "words" else method.trees
+        return lambda train, test, seed: (make(x, y, train, test, seed).argmax(1), {})
+
+    def peer(self, name: str, make: Callable[[Any, int], Any]) -> validation.Estimator:
+        """A classifier of aeon on the series themselves."""
+        recordings, items = self.data(name)
+        x = np.stack([part.T for part in segments(recordings, items)])
+        return raw.estimator(x, items.y, lambda seed: make(_aeon(), seed))
+
+    def makers(self) -> dict[str, Make]:
+        return {
+            "words + wrench": self.ours,
+            "words: SVM": lambda name: self.member(name, "words"),
+            "wrench: trees": lambda name: self.member(name, "wrench"),
+            "tuned in the folds": self.tuned,
+            "naive Bayes on the values": self.naive_bayes,
+            "majority": lambda name: validation.majority(self.data(name)[1].y),
+            "MiniRocket": lambda name: self.peer(name, lambda aeon, seed: aeon.MiniRocketClassifier(random_state=seed)),
+            "MultiRocketHydra": lambda name: self.peer(
+                name, lambda aeon, seed: aeon.MultiRocketHydraClassifier(random_state=seed)
+            ),
+            "QUANT": lambda name: self.peer(name, lambda aeon, seed: aeon.QUANTClassifier(random_state=seed)),
+        }
+
+    def naive_bayes(self, name: str) -> validation.Estimator:
+        recordings, items = self.data(name)
+        x = np.stack([part.ravel() for part in segments(recordings, items)])
+        return raw.estimator(x, items.y, lambda seed: GaussianNB())
+
+    def row(self, name: str, make: Callable[[], validation.Estimator], repeats: int) -> Callable[[], Any]:
+        def score() -> Any:
+            y = self.data(name)[1].y
+            splits = validation.repeated_folds(y, np.arange(len(y)), FOLDS, repeats, self.seed)
+            return rounded(validation.cross_validate(make(), y, splits, self.seed).summary()) | {"repeats": repeats}
+
+        return score
+
+
+class _aeon:
+    """The classifiers of aeon, wherever they are kept."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            from aeon.classification import convolution_based, interval_based
+        except ImportError as error:
+            raise SystemExit('the peers need the library aeon; see "make peers".') from error
+        return getattr(convolution_based, name, None) or getattr(interval_based, name)
+
+
+def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    """Score the method, its members and peers on three sets, and the method on the first samples."""
+    experiment = Experiment(repeats, seed)
+    about = {"folds": FOLDS, "repeats": repeats, "method": method.ABOUT}
+    command = f"python -m experiments.external.failures --repeats {repeats} --seed {seed}"
+    rows = Rows("external_failures", command, about, seed)
+    wanted = {
+        f"{name} | {title}": experiment.row(name, lambda make=make, name=name: make(name), repeats)
+        for title, make in experiment.makers().items()
+        for name in SETS
+    }
+    for name in SETS:
+        for samples in PREFIXES:
+            estimator = lambda name=name, samples=samples: experiment.ours(name, samples)  # noqa: E731
+            wanted[f"{name} | first {samples} samples"] = experiment.row(name, estimator, 1)
+    rows.fill(wanted, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

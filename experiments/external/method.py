@@ -1,0 +1,86 @@
+"""The one method that is used on every data set, and the choice that led to it.
+
+An SVM on the words (ranks of the features, RBF kernel, C = 10) and extremely randomised trees on the wrench itself
+(statistics and 16 resampled values) average their probabilities. Members, features, C and the size of the forest were
+chosen by the mean accuracy over six benchmarks of HIRO (:mod:`experiments.external.choice`), before the combination was
+scored on recordings of other laboratories.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from sklearn.ensemble import ExtraTreesClassifier
+
+from experiments._lib import raw_learners as raw
+from experiments._lib.benchmarks import segments
+from rcbht_jax.calibration.rest import rest_thresholds
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.learning.probability import fit_probabilistic
+from rcbht_jax.learning.svm import SvmSpec
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
+from rcbht_jax.types import Recordings
+
+FAMILIES = ("histogram", "attributes", "course", "edges")
+SVM = SvmSpec("rbf", 10.0, True, "scale", ranks=True)
+TREES, VALUES = 400, 16
+WINDOW, SHORT, FEW = 5, 2, 10  # samples per line; those of recordings with fewer than FEW windows
+ABOUT = {
+    "words": list(FAMILIES),
+    "svm": "ranks, rbf, C 10, gamma scale",
+    "thresholds": "auto",
+    "window": f"{WINDOW}, {SHORT} where half of the recordings have fewer than {FEW} windows",
+    "trees": f"{TREES}, on statistics and {VALUES} values of each axis",
+    "looks at the external sets before the choice": (
+        "trees on richer words and the wrench together were scored once on LP1, LP2 and LP4 with another programme"
+    ),
+}
+
+Matrix = Float[np.ndarray, "item feature"]
+Rows = Int[np.ndarray, " row"]
+
+
+def describe(
+    recordings: Recordings, items: LabelledIntervals, families: tuple[str, ...] = FAMILIES
+) -> tuple[Matrix, Matrix]:
+    """Features of the words, and of the wrench itself."""
+    short = np.median(recordings.length) < FEW * WINDOW
+    window = SHORT if short else WINDOW
+    limits = rest_thresholds(recordings, window).thresholds
+    tracks = encode_batch(EncoderConfig(dt=recordings.dt, window=window), limits, recordings.wrench, recordings.length)
+    words = extract_features(tracks, items, FeatureSpec(families=families)).values
+    return words.astype(np.float64), describe_wrench(segments(recordings, items))
+
+
+def describe_wrench(parts: raw.Segments) -> Matrix:
+    """Statistics and resampled values of every axis."""
+    return np.concatenate([raw.statistics(parts), raw.resampled(parts, VALUES).reshape(len(parts), -1)], 1)
+
+
+def trees(x: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
+    """Probabilities of the classes ``[test item, class]``."""
+    forest = ExtraTreesClassifier(TREES, random_state=seed).fit(x[train], y[train])
+    out = np.zeros((len(test), int(y.max()) + 1))
+    out[:, forest.classes_] = forest.predict_proba(x[test])
+    return out
+
+
+def svm(x: Matrix, y: Rows, train: Rows, test: Rows, seed: int) -> Matrix:
+    """Probabilities of the classes ``[test item, class]``; every class needs two items in ``train``."""
+    names = [str(code) for code in range(int(y.max()) + 1)]
+    machine = fit_probabilistic(x[train], y[train], train, names, SVM, seed)
+    return machine.probability(x[test])
+
+
+def vote(words: Matrix, wrench: Matrix, y: Rows) -> Any:
+    """The method as an estimator of :mod:`rcbht_jax.learning.validation`."""
+
+    def predict(train: Rows, test: Rows, seed: int) -> tuple[Rows, dict[str, Any]]:
+        total = svm(words, y, train, test, seed) + trees(wrench, y, train, test, seed)
+        return total.argmax(1), {}
+
+    return predict

@@ -1,0 +1,82 @@
+"""``rcbht segment``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from rcbht_jax.cli.command import Command, Flag, Sources, Store, option, progress_bar
+from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from rcbht_jax.learning.segmentation import Segmentation
+
+
+@dataclass(frozen=True)
+class Segment(Command):
+    """Label every sample of recordings whose intervals are unknown, and measure how well that works.
+
+    Annotated recordings are labelled by a model of the others, and scored; recordings without annotation are labelled
+    by a model of all annotated ones. The table has a row per interval: recording, trial, arm, label, start and end in
+    seconds, and whether the recording was annotated.
+
+    Example: rcbht segment caps.zarr --task phase -o segments.csv
+    """
+
+    store: Store
+    task: Annotated[str, option("Track of annotations whose labels to learn.", "the first")] = ""
+    source: Sources = ()
+    group: Annotated[str, option("Column whose groups are not divided between training and test.")] = "trial"
+    folds: Annotated[int, option("Parts of which each is labelled by a model of the others; 0 = every group.")] = 5
+    one_shot: Flag = False
+    """Train on one recording at a time and test on all others."""
+    offline: Flag = False
+    """Read the future of a recording as well; else a label depends on no later sample."""
+    seed: int = 0
+    """Seed of trees and copies."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="SEGMENTS.csv")] = Path("segments.csv")
+    """Table to write."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.atomic import atomic_write
+        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax.learning.segmentation import Protocol, WrenchSegmenter, segment
+
+        if self.out.suffix != ".csv":
+            raise InputError(f"{self.out} must end in .csv.")
+        recordings = read_recordings(self.store)
+        chosen = np.isin(recordings.source, self.source) if self.source else np.ones(len(recordings), bool)
+        protocol = Protocol(self.task, self.group, self.folds, self.one_shot)
+        segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed)
+        with progress_bar("segment", "models") as bar:
+            result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update)
+        with atomic_write(self.out) as draft:
+            draft.write_text(_table(result), encoding="utf-8")
+        return {"out": str(self.out), "causal": not self.offline, **result.to_json()}
+
+    def text(self, result: dict[str, Any]) -> str:
+        how = "causal" if result["causal"] else "offline"
+        lines = [
+            f"{result['out']}: {result['recordings']} recordings, {result['annotated']} of them annotated with "
+            f"{result['track']} ({', '.join(result['classes'])})"
+        ]
+        names = {"accuracy": "accuracy of samples", "macro_f1": "F1 of samples, mean of classes", "edit": "edit score"}
+        for name, value in result["score"].items():
+            unit = " s, median" if name == "delay" else ""
+            lines.append(f"  {names.get(name, name):32}{value:.3f}{unit}")
+        lines.append(f"  {'most frequent class':32}{result['majority']:.3f}")
+        return "\n".join([*lines, f"{result['protocol']}, {how}"])
+
+
+def _table(result: Segmentation) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("recording", "trial", "arm", "label", "start", "end", "annotated"))
+    writer.writerows(result.rows())
+    return text.getvalue()
