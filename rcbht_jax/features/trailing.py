@@ -81,7 +81,7 @@ def running_totals(signal: Signal) -> Table:
     return np.concatenate([np.maximum.accumulate(np.abs(signal)), np.cumsum(steps, 0)], 1)
 
 
-def with_norms(wrench: Signal, units: Sequence[str]) -> Signal:
+def with_norms(wrench: Signal, units: Sequence[str]) -> Table:
     """The axes, and the norm of each set of two or more axes of the same unit.
 
     >>> with_norms(np.array([[3.0, 4.0, 1.0]]), ("N", "N", "Nm")).tolist()

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
@@ -19,7 +18,7 @@ from rcbht_jax.errors import InputError
 OVERLAPS = (0.1, 0.25, 0.5)
 UNKNOWN = -1  # of a sample without annotation: it counts nowhere
 
-Labels = Int[np.ndarray, " sample"]
+Labels = NDArray[np.integer[Any]]  # [sample]
 
 
 @dataclass(frozen=True)

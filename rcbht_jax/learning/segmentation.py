@@ -15,7 +15,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
@@ -41,7 +41,7 @@ ENOUGH = 8  # recordings; fewer are completed by copies
 SPREAD = 0.3  # copies differ in speed and force by factors of exp(-SPREAD) to exp(SPREAD)
 FOLDS = 4  # in which the first ensemble forms beliefs about recordings that it was not trained on
 
-Table = Float[np.ndarray, "moment column"]
+Tables = list[NDArray[np.float64]]  # [moment, column] of each recording
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -76,7 +76,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
     window: Any = 5
     random_state: Any = 0
 
-    def fit(self, recordings: Recordings, y: Sequence[Int[np.ndarray, " sample"]]) -> WrenchSegmenter:
+    def fit(self, recordings: Recordings, y: Sequence[NDArray[Any]]) -> WrenchSegmenter:
         """Learn from annotated recordings.
 
         Args:
@@ -103,8 +103,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         self.second_ = self._learn(both, labels)
         return self
 
-    def predict_proba(self, recordings: Recordings) -> list[Float[np.ndarray, "sample class"]]:
-        """Probability of each class at each sample of each recording."""
+    def predict_proba(self, recordings: Recordings) -> Tables:
+        """Probability of each class ``[sample, class]`` of each recording."""
         check_is_fitted(self, "second_")
         every = _every(recordings.dt)
         out = []
@@ -118,29 +118,27 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         """Class of each sample of each recording."""
         return [self.classes_[part.argmax(1)] for part in self.predict_proba(recordings)]
 
-    def _learn(self, tables: Sequence[Table], labels: Sequence[NDArray[Any]]) -> Any:
+    def _learn(self, tables: Tables, labels: Sequence[NDArray[Any]]) -> Any:
         x, y = np.concatenate(tables), np.concatenate(labels)
         forest = ExtraTreesClassifier(self.trees, min_samples_leaf=3, random_state=self.random_state)
         return forest.fit(x[y != UNKNOWN], y[y != UNKNOWN])
 
-    def _believe(self, forest: Any, table: Table) -> Table:
+    def _believe(self, forest: Any, table: Float[np.ndarray, "moment column"]) -> Float[np.ndarray, "moment class"]:
         """Probabilities in the order of ``classes_``; a fold may lack a class."""
         out = np.zeros((len(table), len(self.classes_)))
         out[:, np.searchsorted(self.classes_, forest.classes_)] = forest.predict_proba(table)
         return out
 
-    def _held_out_beliefs(
-        self, tables: Sequence[Table], labels: Sequence[NDArray[Any]], group: NDArray[Any]
-    ) -> list[Table]:
+    def _held_out_beliefs(self, tables: Tables, labels: Sequence[NDArray[Any]], group: NDArray[Any]) -> Tables:
         folds = min(FOLDS, len(np.unique(group)))
-        out: list[Table] = [np.zeros((0, 0))] * len(tables)
+        out: Tables = [np.zeros((0, 0))] * len(tables)
         for train, test in GroupKFold(folds).split(group, groups=group):
             forest = self._learn([tables[i] for i in train], [labels[i] for i in train])
             for i in test:
                 out[i] = self._believe(forest, tables[i])
         return out
 
-    def _tables(self, recordings: Recordings) -> list[Table]:
+    def _tables(self, recordings: Recordings) -> Tables:
         """What the first ensemble sees of each recording, one row per decision."""
         dt, every = recordings.dt, _every(recordings.dt)
         words = self._words(recordings, every) if self.words else [np.zeros((0, 0))] * len(recordings)
@@ -154,7 +152,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             tables.append(np.concatenate([*parts, word] if self.words else parts, 1))
         return tables
 
-    def _words(self, recordings: Recordings, every: int) -> list[Table]:
+    def _words(self, recordings: Recordings, every: int) -> Tables:
         config = EncoderConfig(window=self.window, dt=recordings.dt)
         tracks = encode_batch(config, self.thresholds_, recordings.wrench, recordings.length)
         out = []
@@ -164,7 +162,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             out.append(np.concatenate([latest_words(layer, times) for layer in layers], 1))
         return out
 
-    def _course(self, belief: Table) -> Table:
+    def _course(self, belief: Float[np.ndarray, "moment class"]) -> Float[np.ndarray, "moment column"]:
         """What the first ensemble believed until then, or throughout where the future is read."""
         sides = [belief] if not self.offline else [belief, belief[::-1]]
         parts = []

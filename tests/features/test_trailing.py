@@ -1,0 +1,65 @@
+"""Descriptions of the past of every sample, against the definition computed sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.2, 1.0])
+def test_windows_end_at_the_sample(seconds):
+    dt, signal = 0.025, np.random.default_rng(1).normal(size=(60, 2)).cumsum(0) + 100
+    table = trailing_statistics(signal, dt, (seconds,))
+    count = round(seconds / dt)
+    for now in (0, 1, 5, 59):
+        window = signal[max(0, now - count + 1) : now + 1]
+        time = np.arange(len(window)) * dt
+        slope = np.polyfit(time, window, 1)[0] if len(window) > 1 else np.zeros(2)
+        mean = window.mean(0)
+        expected = [signal[now], mean, window.std(0), slope, window.min(0) - mean, window.max(0) - mean]
+        assert table[now] == pytest.approx(np.concatenate(expected), abs=2e-5)
+
+
+def test_nothing_depends_on_the_future():
+    signal = np.random.default_rng(2).normal(size=(50, 3))
+    other = signal.copy()
+    other[30:] += 7
+    for describe in (lambda x: trailing_statistics(x, 0.1), running_totals):
+        assert np.array_equal(describe(signal)[:30], describe(other)[:30])
+        assert not np.array_equal(describe(signal)[30:], describe(other)[30:])
+
+
+def test_norms_join_axes_of_one_unit():
+    wrench = np.random.default_rng(3).normal(size=(4, 6))
+    found = with_norms(wrench, ("N", "N", "N", "Nm", "Nm", "Nm"))
+    assert found[:, 6] == pytest.approx(np.sqrt((wrench[:, :3] ** 2).sum(1)))
+    assert found[:, 7] == pytest.approx(np.sqrt((wrench[:, 3:] ** 2).sum(1)))
+    assert with_norms(wrench[:, :1], ("N",)).shape == (4, 1)
+
+
+def test_a_word_counts_from_its_publication():
+    wrench = np.zeros((1, 400, 2), np.float32)
+    wrench[0, 150:250, 0] = np.linspace(0, 20, 100)
+    wrench[0, 250:, 0] = 20
+    tracks = encode_batch(EncoderConfig(), preset(axes=("Fx", "Fy")), wrench, np.array([400], np.int32))
+    track = tracks.primitive
+    label, t0, t1, emit = (np.asarray(getattr(track, name))[0] for name in ("label", "t0", "t1", "emit"))
+    one = type(track)(*(np.asarray(getattr(track, name))[0] for name in track.__dataclass_fields__))
+    times = np.arange(1, 401)
+    table = latest_words(one, times).reshape(400, 2, 4)
+    for now in (1, 40, 160, 200, 261, 400):
+        for axis in range(2):
+            published = [k for k in np.flatnonzero(label[axis]) if emit[axis, k] <= now]
+            row = table[now - 1, axis]
+            if not published:
+                assert not row.any()
+                continue
+            last = published[-1]
+            assert row[0] == label[axis, last]
+            assert row[2] == t1[axis, last] - t0[axis, last]
+            assert row[3] == now - t1[axis, last]

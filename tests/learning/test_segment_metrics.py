@@ -1,0 +1,96 @@
+"""Scores of segmentations, against their definitions and known cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import accuracy_score, f1_score
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning.segment_metrics import OVERLAPS, Segments, edit_distance, segmentation_score
+
+LABELS = st.lists(st.integers(-1, 3), min_size=1, max_size=40)
+
+
+def levenshtein(a: list[int], b: list[int]) -> int:
+    if not a or not b:
+        return len(a) + len(b)
+    table = [[i + j if i * j == 0 else 0 for j in range(len(b) + 1)] for i in range(len(a) + 1)]
+    for i in range(1, len(a) + 1):
+        for j in range(1, len(b) + 1):
+            change = table[i - 1][j - 1] + (a[i - 1] != b[j - 1])
+            table[i][j] = min(table[i - 1][j] + 1, table[i][j - 1] + 1, change)
+    return table[-1][-1]
+
+
+def runs(labels: list[int]) -> list[tuple[int, int, int]]:
+    out: list[tuple[int, int, int]] = []
+    for i, label in enumerate(labels):
+        if out and out[-1][0] == label and labels[i - 1] == label:
+            out[-1] = (label, out[-1][1], i + 1)
+        else:
+            out.append((label, i, i + 1))
+    return [run for run in out if run[0] != -1]
+
+
+@given(st.lists(st.integers(0, 3), max_size=12), st.lists(st.integers(0, 3), max_size=12))
+def test_edit_distance_is_levenshteins(a, b):
+    assert edit_distance(np.array(a, int), np.array(b, int)) == levenshtein(a, b)
+
+
+@given(LABELS)
+def test_segments_are_the_runs(labels):
+    found = Segments.of(np.array(labels))
+    assert list(zip(found.label.tolist(), found.start.tolist(), found.end.tolist(), strict=True)) == runs(labels)
+
+
+@given(LABELS, st.randoms())
+def test_scores_are_their_definitions(labels, random):
+    truth = np.array([*labels, 1])
+    guess = np.array([random.choice([label, 0, 1, 2, 3]) for label in truth.tolist()])
+    score = segmentation_score([truth], [guess], dt=0.5)
+    known = truth != -1
+    assert score.accuracy == pytest.approx(accuracy_score(truth[known], guess[known]))
+    classes = np.unique(truth[known])
+    macro = f1_score(truth[known], guess[known], labels=classes, average="macro", zero_division=0)
+    assert score.macro_f1 == pytest.approx(macro)
+    a, b = runs(truth.tolist()), runs(np.where(known, guess, -1).tolist())
+
+    def overlap(x, y):
+        inside = max(0, min(x[2], y[2]) - max(x[1], y[1]))
+        return inside / (max(x[2], y[2]) - min(x[1], y[1])) if x[0] == y[0] else 0.0
+
+    covering = sum((x[2] - x[1]) * max(overlap(x, y) for y in b) for x in a) / sum(x[2] - x[1] for x in a)
+    assert score.covering == pytest.approx(covering)
+    for least, value in zip(OVERLAPS, score.f1, strict=True):
+        taken, right = set(), 0
+        for y in b:
+            best = max(range(len(a)), key=lambda k: overlap(a[k], y))
+            if overlap(a[best], y) >= least and best not in taken:
+                taken.add(best)
+                right += 1
+        assert value == pytest.approx(2 * right / (len(a) + len(b)))
+
+
+def test_a_perfect_and_a_useless_segmentation():
+    truth = [np.repeat([0, 1, 2], 20), np.repeat([0, 2], 30)]
+    perfect = segmentation_score(truth, truth, 0.1)
+    assert set(perfect.to_json().values()) == {1.0, 0.0}  # the delay is 0, all else 1
+    assert perfect.delay == 0
+    useless = segmentation_score(truth, [np.full(60, 3), np.full(60, 3)], 0.1)
+    assert useless.accuracy == useless.edit == useless.covering == useless.found == useless.f1[0] == 0
+    flicker = [np.arange(60) % 3, np.arange(60) % 3]
+    assert segmentation_score(truth, flicker, 0.1).edit < 0.2
+    assert segmentation_score(truth, flicker, 0.1).f1[2] == 0
+
+
+def test_samples_without_annotation_count_nowhere():
+    truth = np.array([-1, -1, 0, 0, 1, 1])
+    first, second = np.array([3, 1, 0, 0, 1, 0]), np.array([0, 0, 0, 0, 1, 0])
+    assert segmentation_score([truth], [first], 1) == segmentation_score([truth], [second], 1)
+    with pytest.raises(InputError, match="No sample"):
+        segmentation_score([np.array([-1])], [np.array([0])], 1)
+    with pytest.raises(InputError, match="lengths differ"):
+        segmentation_score([truth], [first[:3]], 1)

@@ -1,0 +1,93 @@
+"""Segmentation of recordings whose intervals are unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.errors import InputError
+from rcbht_jax.learning.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
+from rcbht_jax.types import Recordings
+
+RATE, SHIFT = 40.0, 0.1
+TREES = {"trees": 8}
+
+
+def made(count: int = 6, seed: int = 0, shuffled: bool = False) -> Recordings:
+    """Rest, a rising force and a held force of random lengths, or the same labels in a wrong order of time."""
+    rng = np.random.default_rng(seed)
+    parts, starts, ends = [], [], []
+    for _ in range(count):
+        lengths = rng.integers(30, 60, 3)
+        force = np.concatenate([np.zeros(lengths[0]), np.linspace(0, 10, lengths[1]), np.full(lengths[2], 10.0)])
+        force = rng.permutation(force) if shuffled else force
+        parts.append(np.stack([force, -force / 2], 1) + rng.normal(size=(len(force), 2)) * 0.05)
+        starts.append(np.cumsum([0, *lengths[:2]]) / RATE)
+        ends.append(len(force) / RATE)
+    recordings = Recordings.from_arrays(parts, rate=RATE, axes=["Fz", "Fx"], units=["N", "N"])
+    return replace(recordings, annotations=Annotations.from_starts("phase", ["rest", "push", "hold"], starts, ends))
+
+
+def test_phases_are_found_causally():
+    result = segment(made(), WrenchSegmenter(**TREES), Protocol(folds=0))
+    assert result.score.accuracy > 0.93
+    assert result.score.f1[1] > 0.9
+    assert result.score.delay < 0.2
+    assert result.classes == ("rest", "push", "hold")
+    rows = result.rows()
+    assert [row[3] for row in rows if row[0] == 0] == ["rest", "push", "hold"]
+    assert rows[0][4] == 0
+
+
+def test_nonsense_is_not_learnt():
+    result = segment(made(shuffled=True), WrenchSegmenter(**TREES), Protocol(folds=0))
+    assert result.score.f1[1] < 0.7
+    assert result.score.accuracy < 0.85
+
+
+def test_a_label_does_not_depend_on_later_samples():
+    data = made()
+    y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
+    test = data.take(np.array([5]))
+    changed = test.wrench.copy()
+    changed[:, 60:] = 3
+    other = replace(test, wrench=changed)
+    train = data.take(np.arange(5))
+    causal = WrenchSegmenter(**TREES).fit(train, y[:5])
+    assert np.array_equal(causal.predict_proba(test)[0][:60], causal.predict_proba(other)[0][:60])
+    offline = WrenchSegmenter(offline=True, **TREES).fit(train, y[:5])
+    assert not np.array_equal(offline.predict_proba(test)[0][:60], offline.predict_proba(other)[0][:60])
+
+
+def test_one_recording_teaches():
+    result = segment(made(3), WrenchSegmenter(**TREES), Protocol(one_shot=True))
+    assert result.score.accuracy > 0.9
+
+
+def test_recordings_without_annotation_are_labelled():
+    data = made()
+    marks = data.annotations
+    kept = Annotations.from_table(
+        {"recording": marks.recording[3:], "track": np.full(15, "phase"), "label": marks.names()[3:],
+         "start": marks.start[3:], "end": marks.end[3:]},
+        marks.labels,
+    )  # fmt: skip
+    result = segment(replace(data, annotations=kept), WrenchSegmenter(**TREES), Protocol(folds=2))
+    assert result.annotated.tolist() == [False, *[True] * 5]
+    truth = marks.of_samples(0, "phase", int(data.length[0]), data.dt)
+    assert (result.predicted[0] == truth).mean() > 0.9
+
+
+def test_what_cannot_be_learnt_is_said():
+    data = made(2)
+    with pytest.raises(InputError, match="no annotations"):
+        segment(replace(data, annotations=Annotations()), WrenchSegmenter())
+    with pytest.raises(InputError, match="another one is needed"):
+        segment(data.take(np.array([0])), WrenchSegmenter())
+    with pytest.raises(InputError, match="two are needed"):
+        WrenchSegmenter().fit(data, [np.full(n, UNKNOWN) for n in data.length.tolist()])
+    with pytest.raises(InputError, match="other lengths"):
+        WrenchSegmenter().fit(data, [np.zeros(3, int)] * 2)
