@@ -1,0 +1,39 @@
+"""Tables of recordings of other laboratories."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments.tables.cells import NONE, markdown, score, table
+
+SETS = {"lp1": "LP1", "lp2": "LP2", "lp4": "LP4"}
+SCORES = ("accuracy", "macro_f1", "f1@10", "f1@25", "f1@50", "edit", "covering", "delay")
+
+
+@table("external-failures", "external_failures")
+def failures(result: dict[str, Any]) -> str:
+    """Accuracy of the one method, its members and peers."""
+    rows = result["rows"]
+    titles = dict.fromkeys(name.split(" | ")[1] for name in rows if "first" not in name)
+    lines = [[title, *(score(rows.get(f"{of} | {title}", {}).get("accuracy")) for of in SETS)] for title in titles]
+    return markdown(("accuracy", *SETS.values()), lines)
+
+
+@table("external-first", "external_failures")
+def first(result: dict[str, Any]) -> str:
+    """Accuracy after the first samples of a series."""
+    rows = result["rows"]
+    counts = list(dict.fromkeys(name.split("first ")[1].split()[0] for name in rows if "first" in name))
+    lines = []
+    for of, title in SETS.items():
+        found = [rows.get(f"{of} | first {count} samples") for count in counts]
+        lines.append((title, *(f"{row['accuracy']['mean']:.3f}" if row else NONE for row in found)))
+    return markdown(("samples", *counts), lines)
+
+
+@table("external-caps", "external_caps")
+def caps(result: dict[str, Any]) -> str:
+    """Scores of the segmentation of caps."""
+    head = ("accuracy", "macro F1", "F1@10", "F1@25", "F1@50", "edit", "covering", "delay, s")
+    lines = [(name, *(f"{row['score'][key]:.3f}" for key in SCORES)) for name, row in result["rows"].items()]
+    return markdown(("", *head), lines)
