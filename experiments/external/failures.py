@@ -10,7 +10,6 @@ MultiRocketHydra and QUANT need the library aeon (see make peers).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -24,6 +23,7 @@ from sklearn.naive_bayes import GaussianNB
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import FOLDS, rounded, segments
+from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.external import method
 from rcbht_jax.features.recipes import LEVELS
@@ -33,7 +33,6 @@ from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.types import Recordings
 
-EXTERNAL = Path(os.environ.get("RCBHT_EXTERNAL", "../shared/data/external"))
 MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "robot_execution_failures.toml"
 SETS = ("lp1", "lp2", "lp4")
 PREFIXES = (2, 3, 4, 5, 6, 8, 10, 12, 15)  # samples

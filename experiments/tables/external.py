@@ -37,3 +37,17 @@ def caps(result: dict[str, Any]) -> str:
     head = ("accuracy", "macro F1", "F1@10", "F1@25", "F1@50", "edit", "covering", "delay, s")
     lines = [(name, *(f"{row['score'][key]:.3f}" for key in SCORES)) for name, row in result["rows"].items()]
     return markdown(("", *head), lines)
+
+
+@table("external-kitting", "kitting")
+def kitting(result: dict[str, Any]) -> str:
+    """AUROC of each skill, false alarms and delay of monitors that know nominal executions only."""
+    lines = []
+    for channels, methods in result["rows"].items():
+        for name, row in methods.items():
+            skills = row["skills"].values()
+            late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
+            values = [f"{cell['auroc']:.3f}" for cell in skills]
+            lines.append((f"{channels}: {name}", *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}"))
+    head = ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
+    return markdown(head, lines)

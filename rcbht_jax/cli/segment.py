@@ -15,7 +15,7 @@ from rcbht_jax.cli.command import Command, Flag, Sources, Store, option, progres
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from rcbht_jax.learning.segmentation import Segmentation
+    from rcbht_jax.introspection.segmentation import Segmentation
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Segment(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
         from rcbht_jax.io.store import read_recordings
-        from rcbht_jax.learning.segmentation import Protocol, WrenchSegmenter, segment
+        from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
 
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")

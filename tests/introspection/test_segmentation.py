@@ -9,7 +9,7 @@ import pytest
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
+from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
 from rcbht_jax.types import Recordings
 
 RATE, SHIFT = 40.0, 0.1
