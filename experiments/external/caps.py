@@ -23,10 +23,10 @@ from experiments._lib.benchmarks import rounded
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
+from rcbht_jax.introspection.segmentation import Protocol, Segmentation, WrenchSegmenter, segment
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import read_mapping
 from rcbht_jax.learning.segment_metrics import segmentation_score
-from rcbht_jax.introspection.segmentation import Protocol, Segmentation, WrenchSegmenter, segment
 from rcbht_jax.types import Recordings
 
 MAPPING = Path(__file__).resolve().parents[2] / "examples" / "mappings" / "caps_40hz.toml"

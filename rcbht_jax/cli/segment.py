@@ -45,8 +45,8 @@ class Segment(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
-        from rcbht_jax.io.store import read_recordings
         from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
+        from rcbht_jax.io.store import read_recordings
 
         if self.out.suffix != ".csv":
             raise InputError(f"{self.out} must end in .csv.")
