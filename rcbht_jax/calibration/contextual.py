@@ -83,6 +83,7 @@ def combine(
     constant: Float[np.ndarray, "trial axis"],
     fallback: GradientThresholds,
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
+    least: Float[np.ndarray, " axis"] | float = 0.0,
 ) -> Context:
     """Medians over the trials, copied between axes and spaced.
 
@@ -92,6 +93,7 @@ def combine(
         fallback: limits ``[6, 4]`` used where no trial has a value; a constant limit is at least a thousandth of the
             small limit.
         copy: for each axis, the axes that its impulse and its constant limit are copied from.
+        least: constant limits at least, so that rest is constant, N/s or Nm/s.
 
     Raises:
         InputError: ``copy`` does not name six pairs of axes, or the fallback is not ordered.
@@ -106,7 +108,7 @@ def combine(
         np.where(np.isnan(copied), base[:, column], copied)
         for copied, column in ((medians[0][rows[0]], 0), (medians[1][rows[1]], 3))
     )
-    bottom = np.maximum(bottom, base[:, 3] * 1e-3)
+    bottom = np.maximum(np.maximum(bottom, base[:, 3] * 1e-3), least)
     # Where the rotation is steeper than the insertion the limits would be out of order.
     top = np.maximum(top, bottom * (1 + 1e-6))
     trials = np.array([int((~np.isnan(values)).any(1).sum()) for values in (impulse, constant)])
@@ -125,6 +127,7 @@ def calibrate(
     config: EncoderConfig,
     robot: str = "hiro",
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
+    least: Float[np.ndarray, " axis"] | float = 0.0,
 ) -> Context:
     """Apply the rule to the primitives that the robot's preset gives.
 
@@ -134,6 +137,7 @@ def calibrate(
         config: static configuration of the encoder.
         robot: its preset labels the primitives, and replaces limits for which there is no data.
         copy: see :func:`combine`.
+        least: see :func:`combine`.
 
     Raises:
         InputError: no recordings, or none with a rotation or an insertion that contains a primitive.
@@ -145,7 +149,7 @@ def calibrate(
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
     impulse, constant = trial_limits(tracks.primitive, recordings.starts(HARMONISED)[rows], end, recordings.dt)
-    context = combine(impulse, constant, base, copy)
+    context = combine(impulse, constant, base, copy, least)
     if not context.trials.any():
         raise InputError("No trial has a rotation or an insertion with a primitive in it; the states may be missing.")
     return context

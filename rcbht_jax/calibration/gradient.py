@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import ridge_leave_one_out
+from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares
 from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free, validate
@@ -135,6 +136,7 @@ def calibrate(
     *,
     held_out: CalibrationData | None = None,
     progress: Callable[[int], None] | None = None,
+    rest: RestSlopes | None = None,
 ) -> TrainResult:
     """Train thresholds and classifier, from ``start``.
 
@@ -145,6 +147,7 @@ def calibrate(
         options: settings of the training.
         held_out: trials whose loss at the temperature of each step is recorded; they are not used otherwise.
         progress: called with the number of steps done since the last call.
+        rest: its soft penalty is added to the loss where rest is not labelled constant.
 
     Raises:
         InputError: the initial thresholds are not strictly ordered, or the training diverges.
@@ -166,7 +169,7 @@ def calibrate(
         # copies are explicit, so that a transfer guard can show that nothing else leaves the device
         now, chosen = jax.device_put((temperature, rows.astype(np.int32)))
         outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, now)))
-        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, now)
+        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, now, rest)
         value, limits = jax.device_get((inside, _limits(parameters.free)))
         history.append((time.perf_counter() - began, float(value), outside))
         path.append(limits.astype(np.float64))
@@ -207,12 +210,16 @@ def _step(
     batch: Batch,
     rows: Array,
     temperature: Array,
+    rest: RestSlopes | None,
 ) -> tuple[Parameters, Any, Array]:
     some = jax.tree.map(lambda leaf: leaf[rows], batch) if options.batch else batch
 
     def total(parameters: Parameters) -> tuple[Array, Array]:
         value = loss(config, options, parameters, some, temperature)
-        return value + options.decay * jnp.sum(jnp.square(parameters.weights)), value
+        penalty = options.decay * jnp.sum(jnp.square(parameters.weights))
+        if rest is not None:
+            penalty = penalty + rest.soft_penalty(from_free(parameters.free).limits)
+        return value + penalty, value
 
     gradients, value = jax.grad(total, has_aux=True)(parameters)
     with jax.numpy_dtype_promotion("standard"):  # optax counts steps in integers

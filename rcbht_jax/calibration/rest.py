@@ -9,18 +9,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LabelTrack, Recordings
+from rcbht_jax.types import Array, LabelTrack, Recordings
 
 BLOCK = 0.5  # s, over which rest and movement are told apart
 QUIET = 0.99  # share of the windows at rest that shall be constant
 MARGIN = 1.5  # on that: rest differs from recording to recording, and one window spoils a composition
 STEPS = np.array([70.0, 46.0, 23.0]) / 70.0  # impulse, big and medium limit of the authors' preset, by its impulse
 LEAST = np.array([8.0, 4.0, 2.0])  # the same limits in constant limits at least
+
+QUANTILES = 200  # of the steepness at rest, for penalties
+SOFTNESS = 0.25  # of the soft penalty, in the logarithm of the steepness
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,50 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])
         limits.append([*np.maximum(impulse * STEPS, constant * LEAST), constant])
     return RestCalibration(GradientThresholds(np.array(limits)).validate(), rest)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RestSlopes:
+    """How steep windows at rest are, as the other methods of calibration penalise what calls them not constant.
+
+    Attributes:
+        steep: ``[axis, quantile]`` steepness of windows at rest, increasing, in units of the axis per second.
+        weight: of the penalty.
+    """
+
+    steep: Float[Array, "axis quantile"]
+    weight: float | Array = 1.0
+
+    @staticmethod
+    def of(recordings: Recordings, window: int = 5, weight: float = 1.0) -> RestSlopes:
+        """The slopes of :func:`rest_thresholds`.
+
+        Raises:
+            InputError: as there.
+
+        Example:
+            >>> wrench = np.random.default_rng(0).normal(size=(2, 400, 1)) * 0.01
+            >>> wrench[:, 200:] += np.linspace(0, 10, 200)[:, None]
+            >>> slopes = RestSlopes.of(Recordings.from_arrays(wrench, rate=100, axes=["grip"], units=["N"]))
+            >>> [float(slopes.penalty(np.full((1, 4), limit))) for limit in (0.0, 100.0)]
+            [1.0, 0.0]
+        """
+        rest = rest_thresholds(recordings, window).rest
+        steep = np.abs(window_slopes(recordings, window)[0])
+        levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
+        return RestSlopes(
+            np.stack([np.quantile(steep[rest[..., axis], axis], levels) for axis in range(steep.shape[2])]), weight
+        )
+
+    def penalty(self, limits: Float[Array, "*candidate axis 4"]) -> Float[Array, "*candidate"]:
+        """Weighted share of the windows at rest that are steeper than the constant limit, mean of the axes."""
+        return self.weight * (self.steep > limits[..., 3, None]).mean((-1, -2))
+
+    def soft_penalty(self, limits: Float[Array, "axis 4"]) -> Float[Array, ""]:
+        """Mean logarithm by which windows at rest exceed the constant limit, with a gradient however far they do."""
+        ratio = jnp.log(jnp.maximum(jnp.asarray(self.steep, limits.dtype), 1e-12)) - jnp.log(limits[..., 3, None])
+        return self.weight * SOFTNESS * jax.nn.softplus(ratio / SOFTNESS).mean()
 
 
 def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThresholds:

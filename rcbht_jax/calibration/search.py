@@ -24,6 +24,7 @@ from rcbht_jax._util import cma
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
 from rcbht_jax.calibration.objective import SCORES, Objective, scores
+from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset, validate
 from rcbht_jax.errors import InputError
@@ -124,7 +125,7 @@ class SearchResult:
     """The best thresholds of a search."""
 
     thresholds: GradientThresholds  # [6, 4]
-    value: float  # weighted sum of the scores
+    value: float  # weighted sum of the scores, less the penalty of rest
     scores: dict[str, float]  # by name, see SCORES
     start_value: float  # value of the base
     evaluations: int
@@ -188,7 +189,9 @@ class _Run:
         options: SearchOptions,
         stored: ScoreCheckpoint,
         chunk: int | None,
+        rest: RestSlopes | None,
     ):
+        self.rest = rest
         self.data, self.config, self.options, self.stored, self.chunk = data, config, options, stored, chunk
         self.weights = options.objective.weights()
         self.number = 0
@@ -219,9 +222,12 @@ class _Run:
         self.number += len(points)
         return known
 
-    def values(self, scores: NDArray[np.float32]) -> Floats:
-        """Weighted sum, rounded so that ties do not depend on the last bit of a device."""
-        return np.asarray((scores.astype(np.float64) @ self.weights).round(6))
+    def values(self, scores: NDArray[np.float32], points: Floats) -> Floats:
+        """Weighted sum less the penalty, rounded so that ties do not depend on the last bit of a device."""
+        value = scores.astype(np.float64) @ self.weights
+        if self.rest is not None:
+            value = value - self.rest.penalty(np.asarray(self.options.space.thresholds(points).limits))
+        return np.asarray(value.round(6))
 
     def note(self, best: float) -> None:
         best = max(best, self.history[-1][2] if self.history else -np.inf)
@@ -236,6 +242,7 @@ def search(
     chunk: int | None = None,
     checkpoint: Path | None = None,
     progress: Callable[[int], None] | None = None,
+    rest: RestSlopes | None = None,
 ) -> SearchResult:
     """The thresholds with the highest objective; ties go to the candidate evaluated first.
 
@@ -246,6 +253,7 @@ def search(
         chunk: candidates encoded at once; the result does not depend on it.
         checkpoint: file for the scores, from which a search with the same data and options resumes.
         progress: called with the number of candidates done since the last call.
+        rest: its penalty is subtracted from the objective of a candidate that does not label rest as constant.
 
     Raises:
         InputError: the checkpoint is damaged or belongs to another search, or there are fewer than two classes.
@@ -253,11 +261,11 @@ def search(
     if len(np.unique(jax.device_get(data.y))) < 2:
         raise InputError("Thresholds can only be searched on sentences of at least two classes.")
     made_by = None if checkpoint is None else _made_by(data, config, options)
-    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk)
+    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, rest)
     points = options.points()
     for rung in options.rungs:
         scores = run(points, rung, progress)
-        values = run.values(scores)
+        values = run.values(scores, points)
         if rung < 1:
             survivors = np.sort(np.argsort(-values, kind="stable")[: max(1, int(len(points) * options.keep))])
             points = points[np.union1d([0], survivors)]  # the base stays, for comparison
@@ -268,7 +276,7 @@ def search(
     for _ in range(options.generations):
         points = state.sample(options.population, options.seed)
         scores = run(points, 1.0, progress)
-        values = run.values(scores)
+        values = run.values(scores, points)
         state = state.update(points, values)
         index = int(values.argmax())
         if values[index] > best[2]:

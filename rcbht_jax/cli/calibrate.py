@@ -15,6 +15,7 @@ from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.calibration.dataset import CalibrationData
+    from rcbht_jax.calibration.rest import RestSlopes
     from rcbht_jax.encoding.encoder import EncoderConfig
     from rcbht_jax.encoding.thresholds import GradientThresholds
     from rcbht_jax.types import Recordings
@@ -66,6 +67,9 @@ class Calibrate(EncodingCommand):
     """Loss of the classifier (gradient)."""
     straight_through: Flag = False
     """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
+    rest_weight: float = 1.0
+    """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = rest does not matter. The
+    context method then takes what rest does as the least constant limit."""
     plot: Path | None = None
     """Figure to write: the thresholds over the gradients of each axis and state."""
     seed: int = 0
@@ -163,14 +167,25 @@ class Calibrate(EncodingCommand):
         seconds, axes = time.perf_counter() - start, list(recordings.axes)
         return {"thresholds": str(self.out), "axes": axes, "limits": limits, "seconds": seconds, **result}
 
+    def _slopes(self, recordings: Recordings, data: CalibrationData) -> RestSlopes | None:
+        from rcbht_jax.calibration.rest import RestSlopes
+
+        if self.rest_weight == 0:
+            return None
+        rows = np.flatnonzero(np.isin(recordings.trial, data.trial))
+        return RestSlopes.of(recordings.take(rows), self.window, self.rest_weight)
+
     def _context(
         self, recordings: Recordings, data: CalibrationData, config: EncoderConfig, base: GradientThresholds
     ) -> tuple[GradientThresholds, dict[str, Any]]:
         from rcbht_jax.calibration import contextual
+        from rcbht_jax.calibration.rest import QUIET
 
         rows = np.flatnonzero(np.isin(recordings.trial, data.trial) & (recordings.arm == self.arm))
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
-        context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy)
+        slopes = self._slopes(recordings, data)
+        least = 0.0 if slopes is None else np.quantile(slopes.steep, QUIET, axis=1)
+        context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _search(
@@ -187,8 +202,9 @@ class Calibrate(EncodingCommand):
             generations=self.generations,
             seed=self.seed,
         )
+        slopes = self._slopes(recordings, data)
         with progress_bar("search", "candidates") as bar:
-            best = search(data, config, options, checkpoint=self.checkpoint, progress=bar.update)
+            best = search(data, config, options, checkpoint=self.checkpoint, progress=bar.update, rest=slopes)
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 
@@ -201,6 +217,6 @@ class Calibrate(EncodingCommand):
             steps=self.steps, loss=self.loss, straight_through=self.straight_through, seed=self.seed
         )
         with progress_bar("train", "steps", self.steps) as bar:
-            trained = calibrate(data, config, base, options, progress=bar.update)
+            trained = calibrate(data, config, base, options, progress=bar.update, rest=self._slopes(recordings, data))
         losses = [trained.history[0][1], trained.history[-1][1]]
         return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}

@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.calibration.rest import auto_thresholds, rest_not_constant, rest_thresholds, window_slopes
+from rcbht_jax.calibration.rest import RestSlopes, auto_thresholds, rest_not_constant, rest_thresholds, window_slopes
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -132,3 +134,19 @@ def test_rest_of_human_demonstrations(external_dir: Path) -> None:
     tracks = encode_batch(config, calibrated.thresholds, recordings.wrench, recordings.length)
     assert (rest_not_constant(tracks.primitive, rest, 5, Primitive.CONS) < 0.2).all()
     assert (rest_not_constant(tracks.mc, rest, 5, MC.K) < 0.2).all()
+
+
+def test_calibration_penalises_a_rest_that_is_not_constant():
+    """A rest of strong noise, on which the objective alone would choose a constant limit below the noise."""
+    rng = np.random.default_rng(5)
+    slopes = RestSlopes(np.sort(np.abs(rng.normal(size=(6, 200))), axis=1))
+    limits = np.geomspace(8, 0.01, 30)[:, None, None] * np.array([8.0, 4.0, 2.0, 1.0]) * np.ones((30, 6, 1))
+    share = (slopes.steep[None] > limits[:, :, 3, None]).mean((1, 2))
+    assert slopes.penalty(limits) == pytest.approx(share)
+    assert (np.diff(slopes.penalty(limits)) >= 0).all()
+    soft = np.array([float(slopes.soft_penalty(jnp.asarray(one))) for one in limits])
+    excess = np.log(slopes.steep[None] / limits[:, :, 3, None]).clip(0).mean((1, 2))
+    assert np.abs(soft - excess).max() < 0.2
+    gradient = jax.grad(slopes.soft_penalty)(jnp.asarray(limits[10]))
+    assert (np.asarray(gradient)[:, 3] < 0).all()  # a higher constant limit lowers the penalty
+    assert not np.asarray(gradient)[:, :3].any()

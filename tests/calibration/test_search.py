@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from rcbht_jax._util import cma
+from rcbht_jax.calibration import contextual, gradient
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
+from rcbht_jax.calibration.gradient import GradientOptions
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
 from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
+from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.calibration.search import SearchOptions, SearchSpace, score_candidates, search
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -196,3 +201,16 @@ def test_errors_are_sentences(made):
     one = CalibrationData(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
     with pytest.raises(InputError, match="two classes"):
         search(one, CONFIG, SMALL)
+
+
+def test_every_method_raises_the_constant_limit_to_that_of_rest(made):
+    rest = RestSlopes(np.full((6, 4), 3.0), weight=10.0)
+    base = GradientThresholds(np.tile([40.0, 20.0, 5.0, 0.5], (6, 1)))
+    options = replace(SMALL, space=SearchSpace(base, (0,) * 6), candidates=16, generations=0)
+    free, held = (np.asarray(search(made, CONFIG, options, rest=way).thresholds.limits) for way in (None, rest))
+    assert (free[:, 3] < 3).all()  # else the case shows nothing
+    assert (held[:, 3] >= 3).all()
+    quick = GradientOptions(steps=8, rate=0.2, loss="fit")
+    assert (gradient.calibrate(made, CONFIG, base, quick, rest=rest).thresholds.limits[:, 3] > 1).all()
+    missing = np.full((1, 6), np.nan)
+    assert (contextual.combine(missing, missing, base, least=3.0).thresholds.limits[:, 3] == 3).all()
