@@ -16,7 +16,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import segments
-from rcbht_jax.calibration.rest import rest_thresholds
+from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.features import FeatureSpec
@@ -55,7 +55,7 @@ def describe(
     """Features of the words, and of the wrench itself."""
     short = np.median(recordings.length) < FEW * WINDOW
     window = SHORT if short else WINDOW
-    limits = rest_thresholds(recordings, window).thresholds
+    limits = auto_thresholds(recordings, window)
     tracks = encode_batch(EncoderConfig(dt=recordings.dt, window=window), limits, recordings.wrench, recordings.length)
     words = extract_features(tracks, items, FeatureSpec(families=families)).values
     return words.astype(np.float64), describe_wrench(segments(recordings, items))

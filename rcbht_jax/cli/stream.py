@@ -27,6 +27,7 @@ from rcbht_jax.cli.command import (
     progress_bar,
 )
 from rcbht_jax.cli.source import Source
+from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.events import Event
@@ -47,7 +48,7 @@ class TrainOnline(EncodingCommand):
     task: tuple[Task, ...] = ("states",)
     """Tasks, each with a classifier of its own."""
     detect: Flag = False
-    """Also learn to detect when a sub-task begins, for streams that do not announce it."""
+    """Also learn to detect when a sub-task begins, for streams that do not announce it: of the first track in --task."""
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
     source: Sources = ()
@@ -68,18 +69,16 @@ class TrainOnline(EncodingCommand):
         from rcbht_jax.introspection.training import HeadSpec, train_model
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.confounds import confounds
-        from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+        from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, track_of
 
         recordings = read_recordings(self.store)
-        tasks = [(task, False) for task in self.task] + [("states", True)] * self.detect
+        tasks = [TaskSpec(task, sources=self.source, sessions=self.session) for task in self.task]
+        phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
+        if self.detect and not phases:
+            raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
         specs = tuple(
-            HeadSpec(
-                TaskSpec(task, sources=self.source, sessions=self.session),
-                relative=self.relative,
-                phase=phase,
-                false_alarms=self.false_alarms,
-            )
-            for task, phase in tasks
+            HeadSpec(task, relative=self.relative, phase=number >= len(tasks), false_alarms=self.false_alarms)
+            for number, task in enumerate([*tasks, *phases])
         )
         config = EncoderConfig(window=self.window, dt=recordings.dt)
         thresholds, _ = self.read_limits(recordings, self.store)

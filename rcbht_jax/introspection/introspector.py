@@ -23,7 +23,8 @@ from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
 from rcbht_jax.types import Array
 
 FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event
-PHASE = "phase"  # the classifier that detects from the whole trial which sub-task goes on
+# The classifier that detects from the whole trial which sub-task goes on, and its name where a task is called "phase".
+PHASE, PHASE_IN_TRIAL = "phase", "phase in trial"
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,9 @@ class Introspector:
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
-        self._phases = PhaseFilter(_head(model, PHASE).classes) if detect else None
+        detector = _detector(model) if detect else None
+        self._detector = detector.name if detector else ""
+        self._phases = PhaseFilter(detector.classes) if detector else None
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
@@ -293,7 +296,7 @@ class Introspector:
         """The start of a sub-task, if one is detected now."""
         if self._phases is None:
             return []
-        belief = self.latest[PHASE]
+        belief = self.latest[self._detector]
         began = self._phases.update(belief.probabilities, belief.sample * self._config.dt)  # stamps may be dates
         return self.begin(detected=True) if began else []
 
@@ -314,12 +317,13 @@ class Introspector:
         return [FailureType(sample, time, belief.label, belief.probability, belief.level)]
 
 
-def _head(model: IntrospectionModel, name: str) -> Head:
-    for head in model.heads:
-        if head.name == name:
-            return head
+def _detector(model: IntrospectionModel) -> Head:
+    for name in (PHASE_IN_TRIAL, PHASE):
+        for head in model.heads:
+            if head.name == name and head.scope == "trial":
+                return head
     raise InputError(
-        f'the model has no classifier "{name}" to detect sub-tasks with; train one with: rcbht train-online --detect.'
+        f'the model has no classifier "{PHASE}" to detect sub-tasks with; train one with: rcbht train-online --detect.'
     )
 
 

@@ -16,7 +16,7 @@ from rcbht_jax.features.online import weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
 from rcbht_jax.introspection.alarms import conformal_threshold, held_out, peaks
 from rcbht_jax.introspection.chain import FeatureView, online_features_batch
-from rcbht_jax.introspection.introspector import PHASE
+from rcbht_jax.introspection.introspector import PHASE, PHASE_IN_TRIAL
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
@@ -141,7 +141,9 @@ class HeadSpec:
     @property
     def name(self) -> str:
         """Of the classifier."""
-        return PHASE if self.phase else self.task.task
+        if not self.phase:
+            return self.task.task
+        return PHASE_IN_TRIAL if self.task.task == PHASE else PHASE
 
 
 def learn(

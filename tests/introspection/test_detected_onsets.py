@@ -118,6 +118,9 @@ def test_a_phase_is_seen_since_trial_start_of_its_trial():
     spec = HeadSpec(TaskSpec(), phase=True)
     assert (spec.name, spec.scope) == (PHASE, "trial")
     assert (HeadSpec(TaskSpec()).name, HeadSpec(TaskSpec()).scope) == ("states", "subtask")
+    # A track of the user may have the name of the classifier.
+    names = {HeadSpec(TaskSpec("phase"), phase=phase).name for phase in (False, True)}
+    assert len(names) == 2
     from tests.introspection.test_training import sentences_of
 
     snapshots = regular_snapshots(sentences_of([200, 300, 100, 400]), 20)
