@@ -1,0 +1,53 @@
+"""``rcbht segment``: from a store to a table of intervals."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.types import Recordings
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five recordings with a contact, of which the last is not annotated."""
+    rng = np.random.default_rng(0)
+    begin = rng.integers(40, 80, 5)
+    wrenches = [np.where(np.arange(120) < one, 0.0, 8.0)[:, None] + rng.normal(size=(120, 1)) * 0.1 for one in begin]
+    starts = np.stack([np.zeros(4), begin[:4] / 40], 1)
+    marks = Annotations.from_starts("contact", ("free", "touch"), starts, np.full(4, 3.0))
+    recordings = replace(Recordings.from_arrays(wrenches, 40.0, axes=("grip",), units=("N",)), annotations=marks)
+    path = tmp_path_factory.mktemp("segment") / "runs.zarr"
+    write_recordings(path, recordings, {})
+    return path
+
+
+def test_a_table_of_intervals(store, tmp_path, capsys):
+    out = tmp_path / "segments.csv"
+    assert main(["segment", str(store), "-o", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["recordings"], result["annotated"], result["classes"]) == (5, 4, ["free", "touch"])
+    assert result["score"]["accuracy"] > 0.95 > result["majority"]
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    new = [row for row in rows if row["recording"] == "4"]
+    assert [row["label"] for row in new] == ["free", "touch"]
+    assert {row["annotated"] for row in new} == {"False"}
+    assert float(new[0]["start"]) == 0
+    assert float(new[-1]["end"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"), [(["--task", "nothing"], "nothing"), (["-o", "table.txt"], "must end in .csv")]
+)
+def test_what_it_refuses(store, words, said, capsys):
+    assert main(["segment", str(store), *words]) == 2
+    assert said in capsys.readouterr().err
