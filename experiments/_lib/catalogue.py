@@ -53,8 +53,14 @@ EXPERIMENTS = (
     Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
     Experiment("kitting", "external.kitting", 10, needs=("external",)),
     Experiment("external_choice", "external.choice", 5, needs=("data",)),
-    Experiment("external_failures", "external.failures", 15, needs=("external", "peers")),
-    Experiment("external_caps", "external.caps", 8, needs=("external",)),
+    Experiment(
+        "external_failures", "external.failures", 15, needs=("external", "peers"), shorter=("--repeats", "1"),
+        shorter_minutes=5,
+    ),
+    Experiment(
+        "external_caps", "external.caps", 8, needs=("external",), shorter=("--only", "without words", "trees"),
+        shorter_minutes=4,
+    ),
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
     Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),

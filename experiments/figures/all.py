@@ -191,6 +191,7 @@ PICTURES = {
     "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13",
     "label-map": f"rcbht plot map hiro.zarr --source {REAL} --by state",
     "online-beliefs": "rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-13 --model b.model",
+    "live-page": "rcbht serve hiro.zarr --trial 20121127-HIROSA-S-13 --model b.model --speed 1",
     "view": "rcbht view a.zarr sim-A-000004",
     "labels-primitive": "python -m tools.docs_pictures",
     "labels-mc": "python -m tools.docs_pictures",
