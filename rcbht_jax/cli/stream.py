@@ -48,7 +48,7 @@ class TrainOnline(EncodingCommand):
     task: tuple[Task, ...] = ("states",)
     """Tasks, each with a classifier of its own."""
     detect: Flag = False
-    """Also learn to detect when a sub-task begins, for streams that do not announce it: of the first track in --task."""
+    """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
     source: Sources = ()
