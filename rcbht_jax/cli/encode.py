@@ -116,17 +116,17 @@ class Encode(EncodingCommand):
         from rcbht_jax.encoding.batch import encode_batch
 
         thresholds, source = self.read_limits(recordings, self.store, self.scale)
-        config, limits, how = self._rule(recordings, thresholds)
+        config, limits, choices = self._rule(recordings, thresholds)
         total = int(recordings.length.sum())
         with progress_bar("encode", "samples", total, unit_scale=True) as bar:
             tracks = encode_batch(config, limits, recordings.wrench, recordings.length, progress=bar.update)
-        how = {"semantics": "online", "window": self.window, "config": asdict(config), **how}
+        how = {"semantics": "online", "window": self.window, "config": {**asdict(config), **choices}}
         return tracks, {**how, "thresholds": thresholds.limits.tolist(), "thresholds_from": source}
 
     def _rule(
         self, recordings: Recordings, thresholds: GradientThresholds
     ) -> tuple[AnyConfig, AnyLimits, dict[str, Any]]:
-        """Configuration and limits of the rule, and what the label tracks note beside them."""
+        """Configuration and limits of the rule, and what else decides which labels it makes."""
         from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.encoding.fit import FitConfig
         from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
@@ -147,7 +147,11 @@ class Encode(EncodingCommand):
         tolerance = auto_tolerance(recordings.wrench, recordings.length) if given is None else given
         limits = FitLimits(np.asarray(thresholds.limits), tolerance)
         limits.stacked()
-        return FitConfig(self.window, recordings.dt, *pairs, cap), limits, {"tolerance": tolerance.tolist()}
+        return (
+            FitConfig(self.window, recordings.dt, *pairs, cap),
+            limits,
+            {"rule": "fit", "tolerance": tolerance.tolist()},
+        )
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         from rcbht_jax.reference.dataset import encode_dataset
