@@ -26,11 +26,11 @@ def words(result: dict[str, Any]) -> str:
     """Primitives for each recording by axis, and the least share of rest that is constant."""
     axes = next(iter(result["sets"].values()))["axes"]
     rows = [
-        (name, rule, *(f"{value:.0f}" for value in row["words"]), f"{min(row['rest_constant']):.1%}")
+        (name, rule, *(f"{value:.0f}" for value in row["words"]), f"{min(row['rest_constant']):.3f}")
         for name, found in result["sets"].items()
         for rule, row in found["rows"].items()
     ]
-    return markdown(("", "rule", *axes, "rest that is constant, worst axis"), rows)
+    return markdown(("", "rule", *axes, "share of rest that is constant, worst axis"), rows)
 
 
 @table("fit-latency", "fit_quality")
@@ -40,6 +40,6 @@ def latency(result: dict[str, Any]) -> str:
         (name, rule, *(" / ".join(f"{value:.2f}" for value in row["latency"][layer].values()) for layer in LAYERS))
         for name, found in result["sets"].items()
         for rule, row in found["rows"].items()
-        if rule in ("paper", "fit x1")
+        if rule in ("paper", "fit x1", "fit x1, W=2")
     ]
     return markdown(("", "rule", *LAYERS.values()), rows)

@@ -1,10 +1,10 @@
 """Words that fit: what lines explain of the wrench, how many words that takes, and when they are published.
 
-Both rules label the same trials with windows of 5 samples and the preset's limits; the fit rule takes its tolerances
-from the set. R2 is pooled over the trials of a set: one minus the squared distances of the samples to the primitives'
-lines (their published mean and slope) over those to the mean of the trial. Latencies are seconds from the last sample
-of a word to its publication, without those that the end of a trial publishes. Rest is what the calibration from rest
-finds; a primitive there should be constant.
+Both rules label the same trials with windows of 5 samples (the fit rule also with 2) and the preset's limits; the fit
+rule takes its tolerances from the set. R2 is pooled over the trials of a set: one minus the squared distances of the
+samples to the primitives' lines (their published mean and slope) over those to the mean of the trial. Latencies are
+seconds from the last sample of a word to its publication, without those that the end of a trial publishes. Rest is what
+the calibration from rest finds; a primitive there should be constant.
 
 Run: python -m experiments.words.fit_quality
 Reads the recorded trials (RCBHT_DATA).
@@ -31,7 +31,8 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
 SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
-FACTORS = (0.5, 1.0, 2.0)  # on the default tolerance
+# Factor on the default tolerance, and window.
+FITS = {"fit x0.5": (0.5, 5), "fit x1": (1.0, 5), "fit x2": (2.0, 5), "fit x1, W=2": (1.0, 2)}
 
 
 def explained(track: LabelTrack, recordings: Recordings) -> NDArray[np.float64]:
@@ -79,10 +80,10 @@ def of_set(recordings: Recordings) -> dict[str, Any]:
     tolerance = auto_tolerance(wrench, length)
     paper = encode_batch(EncoderConfig(WINDOW, recordings.dt), thresholds, wrench, length)
     rows = {"paper": measured(paper, recordings, rest)}
-    for factor in FACTORS:
+    for name, (factor, window) in FITS.items():
         limits = FitLimits(np.asarray(thresholds.limits), tolerance * factor)
-        tracks = encode_batch(FitConfig(WINDOW, recordings.dt), limits, wrench, length)
-        rows[f"fit x{factor:g}"] = measured(tracks, recordings, rest)
+        tracks = encode_batch(FitConfig(window, recordings.dt), limits, wrench, length)
+        rows[name] = measured(tracks, recordings, rest)
     about = {"recordings": len(recordings), "axes": list(recordings.axes), "tolerance": tolerance.tolist()}
     return about | {"rows": rows}
 
