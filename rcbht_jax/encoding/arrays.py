@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -12,7 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
@@ -26,7 +29,9 @@ def encode(
     window: int = 5,
     thresholds: Thresholds | ArrayLike | str | None = None,
     lengths: ArrayLike | None = None,
-    config: EncoderConfig | None = None,
+    config: AnyConfig | None = None,
+    rule: Literal["paper", "fit"] = "paper",
+    tolerance: ArrayLike | None = None,
 ) -> LabelTracks:
     """Labels of one or many wrench signals: gradient primitives, motion compositions, low-level behaviours.
 
@@ -39,14 +44,17 @@ def encode(
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
             robot; None = the preset of HIRO, moments being axes whose names begin with M or T.
         lengths: samples that count of each recording, where ``[recording, time, axis]`` is padded.
-        config: all choices of the encoder at once, in place of ``rate`` and ``window``.
+        config: all choices of the encoder at once, in place of ``rate``, ``window`` and ``rule``.
+        rule: "paper", or "fit": words are runs of windows that one straight line explains (docs/fit_rule.md).
+        tolerance: of the fit rule, root mean square by which a line may differ from the samples, N and Nm: a number,
+            or one for each axis; None = from these recordings.
 
     Returns:
         labels ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several, on the host.
 
     Raises:
-        InputError: another shape, values that are not finite, recordings of different axes, or thresholds that do not
-            fit.
+        InputError: another shape, values that are not finite, recordings of different axes, thresholds that do not
+            fit, or a tolerance for the paper's rule.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.
@@ -57,8 +65,14 @@ def encode(
         >>> wrench[:, 2] = np.clip(20 * (np.arange(400) / 200 - 1), 0, 10)  # a push along z
         >>> rj.encode(wrench, rate=200).words("Fz")
         ['FX', 'PS', 'FX']
+        >>> fitted = rj.encode(wrench, rate=200, rule="fit")
+        >>> fitted.words("Fz"), fitted.primitive.t1[2].tolist()[:3]
+        (['FX', 'PS', 'FX'], [200, 300, 400])
     """
-    config = config or EncoderConfig(window=window, dt=1 / _positive(rate))
+    config = config or _config(rule, window, 1 / _positive(rate))
+    fits = isinstance(config, FitConfig)
+    if tolerance is not None and not fits:
+        raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
     several = isinstance(wrench, list | tuple)
     signals = [_signal(one, config.dt) for one in wrench] if several else [_signal(wrench, config.dt)]
     if not signals:
@@ -67,13 +81,31 @@ def encode(
     if any(names != axes for _, names in signals):
         raise InputError(f"The recordings have different axes: {', '.join(axes)} and others.")
     stacked, length = _padded([values for values, _ in signals], lengths)
-    tracks = encode_batch(config, _thresholds(thresholds, axes), stacked, length)
+    limits = _thresholds(thresholds, axes)
+    tracks = encode_batch(config, _fit_limits(limits, tolerance, stacked, length) if fits else limits, stacked, length)
     single = not several and signals[0][0].ndim == 2
     recordings = () if single else _names(wrench, len(length))
     info = TrackInfo(1 / config.dt, axes, recordings)
     if single:
         tracks = jax.tree.map(lambda values: values[0], tracks)
     return replace(tracks, info=info)
+
+
+def _config(rule: str, window: int, dt: float) -> AnyConfig:
+    if rule not in ("paper", "fit"):
+        raise InputError(f"There is no rule {rule!r}; there are paper and fit.")
+    return FitConfig(window, dt) if rule == "fit" else EncoderConfig(window, dt)
+
+
+def _fit_limits(
+    thresholds: GradientThresholds,
+    tolerance: ArrayLike | None,
+    wrench: NDArray[np.floating],
+    length: NDArray[np.int32],
+) -> FitLimits:
+    found = auto_tolerance(wrench, length) if tolerance is None else np.asarray(tolerance, np.float64)
+    gradients = np.asarray(thresholds.limits)
+    return FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]) if found.ndim == 0 else found)
 
 
 def _positive(rate: float) -> float:

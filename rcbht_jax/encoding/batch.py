@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, drain, encode, init, scan_lanes
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
+from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
@@ -71,8 +72,8 @@ def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS)
 
 
 def encode_batch(
-    config: EncoderConfig,
-    thresholds: Thresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     wrench: NDArray[np.floating],
     length: NDArray[np.int32],
     *,
@@ -81,8 +82,8 @@ def encode_batch(
     """Labels of a whole data set in the compact form, scheduled from the host; see :func:`encode_on_device`.
 
     Args:
-        config: static configuration.
-        thresholds: limits ``[axis, 4]``, or ``[recording, axis, 4]``.
+        config: static configuration; its type chooses the rule.
+        thresholds: limits ``[axis, 4]``, or ``[recording, axis, 4]``; of the fit rule FitLimits of the same axes.
         wrench: float32 or float64 ``[recording, time, axis]``, N and Nm; the dtype decides the precision.
         length: int ``[recording]``, samples that count.
         progress: called with the number of samples done since the last call.
@@ -93,29 +94,31 @@ def encode_batch(
     Raises:
         InputError: wrong shapes, thresholds out of order, a length beyond the array, or values that are not finite.
     """
-    limits, axes = _checked(thresholds, wrench, length), wrench.shape[2]
+    limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
+    rule = rule_of(config)
     schedule = plan(length, _PIECE_WINDOWS * config.window)
     slots = schedule.recording.shape[1]
     dtype = jnp.float64 if wrench.dtype == np.float64 else jnp.float32
-    state = init((slots * axes,), dtype)
+    state = rule.init((slots * axes,), dtype)
     rows = _Rows(axes)
     for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
         piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)
         lane_count = np.repeat(count, axes)
         fresh = jnp.asarray(np.repeat(offset == 0, axes))
-        state, tracks = _piece(
-            config, jnp.asarray(lane_limits), state, fresh, jnp.asarray(piece), jnp.asarray(lane_count)
-        )
+        lanes = jnp.asarray(lane_limits)
+        state, tracks = _piece(config, lanes, state, fresh, jnp.asarray(piece), jnp.asarray(lane_count))
         rows.add(tracks, recording)
         done = (recording >= 0) & (offset + schedule.samples >= length[recording])
         if done.any():
-            rows.add(_drained(config, state), np.where(done, recording, -1))
+            rows.add(_drained(config, lanes, state), np.where(done, recording, -1))
         if progress is not None:
             progress(int(count.sum()))
     return rows.compact(len(length))
 
 
-def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArray[np.int32]) -> NDArray[np.floating]:
+def _checked(
+    config: AnyConfig, thresholds: AnyLimits, wrench: NDArray[np.floating], length: NDArray[np.int32]
+) -> NDArray[np.floating]:
     if wrench.ndim != 3 or not wrench.shape[2]:
         raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, axis].")
     if length.shape != wrench.shape[:1] or length.size == 0:
@@ -127,11 +130,12 @@ def _checked(thresholds: Thresholds, wrench: NDArray[np.floating], length: NDArr
     for index, samples in enumerate(length):
         if not np.isfinite(wrench[index, :samples]).all():
             raise InputError(f"Recording {index} holds values that are not finite numbers; remove or interpolate them.")
-    limits, axes = np.asarray(limits_of(thresholds)), wrench.shape[2]
-    validate(limits)
-    if limits.shape not in ((axes, 4), (len(length), axes, 4)):
-        raise InputError(f"Thresholds have shape {limits.shape}; expected [{axes}, 4] or [recording, {axes}, 4].")
-    return np.broadcast_to(limits, (len(length), axes, 4)).astype(wrench.dtype)
+    limits, axes = checked_limits(config, thresholds), wrench.shape[2]
+    width = limits.shape[-1]
+    if limits.shape not in ((axes, width), (len(length), axes, width)):
+        shape = (*limits.shape[:-1], 4)
+        raise InputError(f"Thresholds have shape {shape}; expected [{axes}, 4] or [recording, {axes}, 4].")
+    return np.broadcast_to(limits, (len(length), axes, width)).astype(wrench.dtype)
 
 
 def _gather(
@@ -142,7 +146,7 @@ def _gather(
     offset: NDArray[np.int64],
     samples: int,
 ) -> tuple[NDArray[np.floating], NDArray[np.int32], NDArray[np.floating]]:
-    """One piece of every slot: samples ``[time, lane]``, counts ``[slot]``, limits ``[4, lane]``."""
+    """One piece of every slot: samples ``[time, lane]``, counts ``[slot]``, limits ``[4 or 5, lane]``."""
     slots, axes = len(recording), wrench.shape[2]
     piece = np.zeros((samples, slots, axes), wrench.dtype)
     count = np.zeros(slots, np.int32)
@@ -151,13 +155,13 @@ def _gather(
         stop = min(start + samples, length[index])
         count[slot] = stop - start
         piece[: stop - start, slot] = wrench[index, start:stop]
-    lane_limits = limits[np.maximum(recording, 0)].reshape(slots * axes, 4).T
+    lane_limits = limits[np.maximum(recording, 0)].reshape(slots * axes, -1).T
     return piece.reshape(samples, slots * axes), count, lane_limits
 
 
 @partial(jax.jit, static_argnums=0)
 def _piece(
-    config: EncoderConfig,
+    config: AnyConfig,
     limits: jax.Array,
     state: EncoderState,
     fresh: jax.Array,
@@ -168,10 +172,12 @@ def _piece(
         wide = jnp.broadcast_to(fresh, leaf.shape) if leaf.ndim == 1 else jnp.broadcast_to(fresh[None], leaf.shape)
         return jnp.where(wide, jnp.zeros_like(leaf), leaf)
 
-    return scan_lanes(config, limits, jax.tree.map(restart, state), samples, count)
+    return rule_of(config).scan_lanes(config, limits, jax.tree.map(restart, state), samples, count)
 
 
-_drained = jax.jit(drain, static_argnums=0)
+@partial(jax.jit, static_argnums=0)
+def _drained(config: AnyConfig, limits: jax.Array, state: EncoderState) -> LabelTracks:
+    return rule_of(config).drain(config, limits, state)
 
 
 class _Rows:

@@ -165,7 +165,7 @@ def unpack(published: PackedLabels) -> LabelTracks:
 
     Under a scan, apply it to each step by ``jax.vmap`` or leave the packed form as it is.
     """
-    return LabelTracks(*(_track(x, published.emit) for x in _unpack(published.ints, published.reals)))
+    return LabelTracks(*(track_of(x, published.emit) for x in unpack_segments(published.ints, published.reals)))
 
 
 def flush(
@@ -194,7 +194,7 @@ def flush(
     rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
     lane_limits = jnp.broadcast_to(jnp.asarray(limits_of(thresholds), rest.dtype), (*shape, 4)).reshape(lanes, 4)
     state, out = step_partial(config, lane_limits, state, rest, count)
-    joined = _join(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
+    joined = join_tracks(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, leaf.shape[-1]), joined)
 
 
@@ -221,7 +221,7 @@ def encode(
     lane_limits = _lane_limits(limits_of(thresholds), lanes, (trials, axes))
     length = jnp.repeat(length.astype(jnp.int32), axes)
     state, tracks = scan_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
-    joined = _join(tracks, drain(config, state))
+    joined = join_tracks(tracks, drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(trials, axes, leaf.shape[-1]), joined)
 
 
@@ -262,7 +262,7 @@ def scan_lanes(
     return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
 
 
-def _join(a: LabelTracks, b: LabelTracks) -> LabelTracks:
+def join_tracks(a: LabelTracks, b: LabelTracks) -> LabelTracks:
     return jax.tree.map(lambda x, y: jnp.concatenate([x, y], axis=-1), a, b)
 
 
@@ -274,9 +274,9 @@ def _lane_limits(limits: Array, like: Array, lanes: tuple[int, ...] | None = Non
 
 
 def _advance(config: EncoderConfig, state: EncoderState, x: Segment, count: Array) -> tuple[EncoderState, PackedLabels]:
-    held, out = chain(config, _unpack(state.ints, state.reals), x)
-    state = EncoderState(state.time + count, *_pack(held))
-    return state, PackedLabels(*_pack(out), state.time)
+    held, out = chain(config, unpack_segments(state.ints, state.reals), x)
+    state = EncoderState(state.time + count, *pack_segments(held))
+    return state, PackedLabels(*pack_segments(out), state.time)
 
 
 def chain(config: EncoderConfig, held: Sequence[Segment], x: Segment) -> tuple[list[Segment], list[Segment]]:
@@ -304,7 +304,7 @@ def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
 
     State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots.
     """
-    layers = drain_segments(config, _unpack(state.ints, state.reals))
+    layers = drain_segments(config, unpack_segments(state.ints, state.reals))
     return LabelTracks(*(_last_axis_track(layer, state.time) for layer in layers))
 
 
@@ -347,16 +347,16 @@ def _append(stacked: Segment, *parts: Segment) -> Segment:
 
 def _last_axis_track(stacked: Segment, time: Array) -> LabelTrack:
     stacked = jax.tree.map(lambda leaf: leaf.T, stacked)
-    return _track(stacked, jnp.broadcast_to(time[:, None], stacked.label.shape))
+    return track_of(stacked, jnp.broadcast_to(time[:, None], stacked.label.shape))
 
 
-def _pack(held: Sequence[Segment]) -> tuple[Array, Array]:
+def pack_segments(held: Sequence[Segment]) -> tuple[Array, Array]:
     ints = jnp.stack([leaf for x in held for leaf in (x.label, x.t0, x.t1)])
     reals = jnp.stack([leaf for x in held for leaf in (x.vmax, x.vmin, x.area, x.rise)])
     return ints, reals
 
 
-def _unpack(ints: Array, reals: Array) -> list[Segment]:
+def unpack_segments(ints: Array, reals: Array) -> list[Segment]:
     count = ints.shape[0] // _INTS
     return [
         Segment(*(ints[_INTS * k + i] for i in range(_INTS)), *(reals[_REALS * k + i] for i in range(_REALS)))
@@ -364,7 +364,7 @@ def _unpack(ints: Array, reals: Array) -> list[Segment]:
     ]
 
 
-def _track(x: Segment, emit: Array) -> LabelTrack:
+def track_of(x: Segment, emit: Array) -> LabelTrack:
     """Published form of segments: means instead of sums, zeros where empty."""
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
     label = x.label.astype(jnp.int8)

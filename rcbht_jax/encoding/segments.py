@@ -37,7 +37,7 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
     """What :func:`fit` finds without thresholds: slopes ``[...]``, N/s or Nm/s, and segments whose label is 0."""
     dtype = samples.dtype
     n = jnp.maximum(count, 2).astype(dtype)
-    total, moment = _sums(samples, count, (n - 1) / 2)
+    total, moment = sums(samples, count, (n - 1) / 2)
     spread = jnp.asarray(_squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
     n, spread, period = jax.lax.optimization_barrier((n, spread, jnp.full_like(n, dt)))
     slope = moment / spread
@@ -53,7 +53,7 @@ def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[
     return dt * (n * (n * n - 1) / 12)
 
 
-def _sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
+def sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
     """Sum and first moment about the middle of the samples that count, in order of time."""
     lowest = float(np.finfo(samples.dtype).min)
 
@@ -67,9 +67,13 @@ def _sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
 
     zero = jnp.zeros_like(samples[0])
     index = jnp.arange(samples.shape[0], dtype=jnp.int32)
-    unroll: int | bool = True if samples.shape[0] <= _UNROLLED else _UNROLLED
-    sums, _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unroll)
-    return sums
+    found, _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unrolled(samples.shape[0]))
+    return found
+
+
+def unrolled(window: int) -> int | bool:
+    """How far a scan over the samples of a window is unrolled."""
+    return True if window <= _UNROLLED else _UNROLLED
 
 
 def gradient_label(slope: Array, limits: Array) -> Array:

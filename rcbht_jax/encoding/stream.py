@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, flush, init, step, unpack
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
+from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
 
-_step = jax.jit(step, static_argnums=0)
 _unpack = jax.jit(unpack)
-_flush = jax.jit(flush, static_argnums=0)
+
+
+@partial(jax.jit, static_argnums=0)
+def _step(config: AnyConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, PackedLabels]:
+    return rule_of(config).step(config, limits, state, window)
+
+
+@partial(jax.jit, static_argnums=0)
+def _flush(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
+    return rule_of(config).flush(config, limits, state, rest, count)
 
 
 class WindowBuffer:
@@ -52,7 +62,7 @@ class WindowBuffer:
 
 
 def held(
-    config: EncoderConfig, limits: Float[Array, "axis 4"], state: EncoderState, buffer: WindowBuffer
+    config: AnyConfig, limits: Float[Array, "axis limit"], state: EncoderState, buffer: WindowBuffer
 ) -> LabelTracks:
     """Labels that a stream would still publish if it ended now, as host arrays ``[axis, slot]``; nothing changes."""
     count = jnp.full(limits.shape[0], buffer.count, jnp.int32)
@@ -63,12 +73,13 @@ class Encoder:
     """Streaming encoder of one wrench: samples in as they come, labels out.
 
     It remembers a state of fixed size and less than one window of samples. Labels come as LabelTracks ``[axis, slot]``
-    of host arrays, one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots; label 0 marks a slot where nothing
-    was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however the samples are cut into chunks.
+    of host arrays, one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each); label
+    0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however the
+    samples are cut into chunks.
 
     Args:
-        config: static configuration.
-        thresholds: limits ``[axis, 4]``.
+        config: static configuration; its type chooses the rule.
+        thresholds: limits ``[axis, 4]``; of the fit rule FitLimits.
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
     Raises:
@@ -83,15 +94,14 @@ class Encoder:
         12
     """
 
-    def __init__(self, config: EncoderConfig, thresholds: Thresholds, dtype: type[np.floating] = np.float32) -> None:
-        limits = np.asarray(limits_of(thresholds))
-        validate(limits)
+    def __init__(self, config: AnyConfig, thresholds: AnyLimits, dtype: type[np.floating] = np.float32) -> None:
+        limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
-            raise InputError(f"Thresholds have shape {limits.shape}; a stream expects [axis, 4].")
+            raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
         self._config = config
         self._limits = jnp.asarray(limits, dtype)
         self._axes = limits.shape[0]
-        self._state: EncoderState = init((self._axes,), dtype)
+        self._state: EncoderState = rule_of(config).init((self._axes,), dtype)
         self._buffer = WindowBuffer(config.window, self._axes, dtype)
 
     @property
@@ -126,5 +136,5 @@ class Encoder:
 
     def restart(self) -> None:
         """Start a new stream; what is still held is forgotten."""
-        self._state = init((self._axes,), self._buffer.samples.dtype)
+        self._state = rule_of(self._config).init((self._axes,), self._buffer.samples.dtype)
         self._buffer.count = 0

@@ -53,6 +53,11 @@ def test_encode_keeps_labels_and_says_how(store: Path, capsys: pytest.CaptureFix
     tracks, attrs = read_tracks(store, result["name"])
     assert np.count_nonzero(tracks.llb.label) == result["labels"]["llb"] > 0
     assert attrs["config"]["gate"] is False
+    fitted = run(capsys, "encode", store, "--rule", "fit", "--tolerance", 0.5)
+    assert fitted["name"] == "online-W5-fit-tol0.5"
+    tracks, attrs = read_tracks(store, fitted["name"])
+    assert np.count_nonzero(tracks.primitive.label) == fitted["labels"]["primitive"] > 0
+    assert (attrs["config"]["rule"], attrs["config"]["tolerance"]) == ("fit", [0.5] * 6)
     offline = run(capsys, "encode", store, "--mode", "offline", "--clean")
     assert offline["name"] == "offline-clean"
     tracks, _ = read_tracks(store, "offline-clean")
@@ -108,7 +113,10 @@ def test_grammars_stand_side_by_side_or_are_chosen_from(
         ("encode", "nowhere.zarr"), ("encode", "STORE"), ("encode", "STORE", "--window", "1"),
         ("encode", "STORE", "--window", "x"), ("encode", "STORE", "--latency-cap", "-1"),
         ("encode", "STORE", "--scale", "0", "--name", "none"), ("evaluate", "STORE", "--tracks", "online-W5+none"),
-        ("encode", "STORE", "--scale", "2", "--mode", "offline"),
+        ("encode", "STORE", "--scale", "2", "--mode", "offline"), ("encode", "STORE", "--tolerance", "1"),
+        ("encode", "STORE", "--rule", "fit", "--tolerance", "1", "2"),
+        ("encode", "STORE", "--rule", "fit", "--tolerance", "0"),
+        ("encode", "STORE", "--rule", "fit", "--pipe", "one-slot"),
         ("evaluate", "STORE", "--session", "Z"), ("evaluate", "STORE", "--tracks", "none"),
         ("evaluate", "STORE", "--train-on", "A"), ("evaluate", "STORE", "--folds", "1"),
         ("evaluate", "STORE", "--task", "failure-type"), ("evaluate", "STORE", "--costs", "-1"),

@@ -30,6 +30,10 @@ BY_HAND = (
 )  # fmt: skip
 # One cell of each table, and where its number is: table, first cells of the row, column, format and place.
 CELLS = [
+    ("fit-lines", "REAL | fit x1", "Fz", ".4f fit_quality > sets > REAL > rows > fit x1 > r2 > 2"),
+    ("fit-words", "SIM1 | paper", "Mx", ".0f fit_quality > sets > SIM1 > rows > paper > words > 3"),
+    ("fit-latency", "two-arm | fit x1", "behaviours",
+     ".2f fit_quality > sets > two-arm > rows > fit x1 > latency > llb > median"),
     ("results", "states, real trials, streamed, at their end", "here, 95 % interval",
      ".3f table2 > rows > REAL at 10 Hz > all > full-sequence accuracy > mean"),
     ("peers-folds", "MiniRocket + ridge", "SIM1 states",

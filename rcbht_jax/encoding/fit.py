@@ -1,0 +1,311 @@
+"""Words that fit the signal: runs of windows that one straight line explains, named when they end.
+
+The rule is specified in docs/fit_rule.md. :func:`init`, :func:`step` and :func:`flush` are pure and loop-free, safe
+under ``jit``, ``vmap`` and ``scan``; lanes (axes, arms, trials) are trailing batch dimensions, as in
+:mod:`rcbht_jax.encoding.encoder`, whose containers and compositions they share. Streaming and batch results are equal
+bit for bit. The state has a fixed size, whatever the length of the stream.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from rcbht_jax.encoding import composition, pipe
+from rcbht_jax.encoding.encoder import (
+    EncoderState,
+    PackedLabels,
+    join_tracks,
+    pack_segments,
+    track_of,
+    unpack,
+    unpack_segments,
+)
+from rcbht_jax.encoding.fit_line import Line, fenced, join, window_line
+from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import MC, Primitive
+from rcbht_jax.types import Array, LabelTracks, Segment
+
+_ABOVE = 4  # segments held above the run: composer and accumulator of compositions, the same of behaviours
+_RUN_INTS, _RUN_REALS = 2, 2  # t0, t1; mean, slope
+_INTS, _REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
+DRAIN_STEPS = 5  # the run, then each of the held segments in turn
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Static choices of the fit rule (hashable: one compilation each).
+
+    Attributes:
+        window: samples per straight-line fit, >= 2.
+        dt: seconds between samples.
+        gate: pair primitives only when amplitudes are within 2 and durations within 5 times.
+        adj_exempt: repeated adjustments stay apart, so that alignments and shifts can be distinguished.
+        contact_first: impulses only lead pairs.
+        latency_cap: seconds that a composition or behaviour waits for its successor, or None: without limit.
+        impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
+        noise_below: single compositions shorter than this many seconds become noise.
+
+    Raises:
+        InputError: a value is out of range.
+
+    Example:
+        >>> FitConfig(window=20, dt=0.001).short  # samples in 0.1 s
+        100
+    """
+
+    window: int = 5
+    dt: float = 0.005
+    gate: bool = True
+    adj_exempt: bool = True
+    contact_first: bool = False
+    latency_cap: float | None = 0.2
+    impulse_below: float = 0.2
+    noise_below: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.window < 2:
+            raise InputError(f"The window is {self.window} samples; a line needs at least 2.")
+        if not 0 < self.dt < float("inf"):
+            raise InputError(f"The sampling period is {self.dt} s; expected a positive, finite number.")
+        if self.latency_cap is not None and not 0 < self.latency_cap < float("inf"):
+            raise InputError(f"The latency cap is {self.latency_cap} s; expected a positive number or none.")
+        if not (0 < self.impulse_below < float("inf") and 0 <= self.noise_below < float("inf")):
+            raise InputError("The longest impulse and the shortest composition must be finite, positive times.")
+
+    @property
+    def short(self) -> int:
+        """Samples below which a single composition is noise."""
+        return round(self.noise_below / self.dt)
+
+    @property
+    def cap(self) -> int | None:
+        """Samples that a word waits for its successor."""
+        return None if self.latency_cap is None else round(self.latency_cap / self.dt)
+
+
+def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
+    """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
+    return EncoderState(
+        jnp.zeros(lanes, jnp.int32), jnp.zeros((_INTS, *lanes), jnp.int32), jnp.zeros((_REALS, *lanes), dtype)
+    )
+
+
+def step(
+    config: FitConfig,
+    limits: Float[Array, "*axes 5"],
+    state: EncoderState,
+    window: Float[Array, " window *lanes"],
+) -> tuple[EncoderState, PackedLabels]:
+    """One full window of samples for every lane.
+
+    Args:
+        config: static configuration.
+        limits: gradient limits and tolerance ``[axis, 5]`` or ``[*lanes, 5]``, of
+            :meth:`rcbht_jax.encoding.tolerance.FitLimits.stacked`.
+        state: of the same lanes, the last of which are the axes.
+        window: ``config.window`` samples, N and Nm.
+
+    Returns:
+        the new state and at most one label per layer and lane, packed; see :func:`rcbht_jax.encoding.encoder.unpack`.
+
+    Raises:
+        InputError: the window has another number of samples.
+
+    Example:
+        >>> limits = jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
+        >>> state, packed = step(FitConfig(), limits, init((1,)), jnp.zeros((5, 1)))
+        >>> state, packed = step(FitConfig(), limits, state, jnp.arange(5.0)[:, None])  # the constant run ends
+        >>> unpack(packed).primitive.label.tolist(), unpack(packed).primitive.t1.tolist()
+        ([7], [5])
+    """
+    return step_partial(config, limits, state, window, jnp.full_like(state.time, config.window))
+
+
+def step_partial(
+    config: FitConfig,
+    limits: Float[Array, "*axes 5"],
+    state: EncoderState,
+    window: Float[Array, " window *lanes"],
+    count: Int[Array, "*lanes"],
+) -> tuple[EncoderState, PackedLabels]:
+    """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
+    if window.shape[0] != config.window:
+        raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
+    return _advance(config, _by_lane(limits, window), state, *window_line(window, count))
+
+
+def flush(
+    config: FitConfig,
+    limits: Float[Array, "*axes 5"],
+    state: EncoderState,
+    rest: Float[Array, " window *lanes"],
+    count: Int[Array, "*lanes"],
+) -> LabelTracks:
+    """End of the stream: the last partial window, then all that is still held.
+
+    The state stays as it is, so that these are also the provisional labels of a stream that goes on.
+
+    Args:
+        config: static configuration.
+        limits: ``[axis, 5]`` or ``[*lanes, 5]``.
+        state: of the same lanes.
+        rest: the samples that did not fill a window, then anything.
+        count: how many of them there are, < window; a single one is dropped.
+
+    Returns:
+        labels ``[*lanes, slot]`` with 1 + 5 slots: the window's, then the drained ones.
+    """
+    state, out = step_partial(config, limits, state, rest, count)
+    first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
+    return join_tracks(first, drain(config, _by_lane(limits, rest), state))
+
+
+def scan_lanes(
+    config: FitConfig,
+    limits: Float[Array, "5 lane"],
+    state: EncoderState,
+    samples: Float[Array, "time lane"],
+    count: Int[Array, " lane"],
+) -> tuple[EncoderState, LabelTracks]:
+    """Scan one piece of a recording per lane; pieces but the last must be multiples of the window.
+
+    Args:
+        config: static configuration.
+        limits: of every lane, in the dtype of the samples.
+        state: of the lanes.
+        samples: N or Nm.
+        count: samples that count; the last count % window of them are the partial window.
+
+    Returns:
+        the new state, and labels ``[lane, slot]`` with one slot per window.
+    """
+    window, lanes = config.window, samples.shape[1]
+    windows = -(-samples.shape[0] // window)
+    samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
+    start = jnp.arange(windows, dtype=jnp.int32)[:, None] * window
+    full = jnp.swapaxes(samples.reshape(windows, window, lanes), 0, 1)
+    lines = window_line(full, jnp.clip(count[None] - start, 0, window))
+
+    def body(state: EncoderState, row: tuple[Line, Array]) -> tuple[EncoderState, PackedLabels]:
+        return _advance(config, limits, state, *row)
+
+    state, out = jax.lax.scan(body, state, lines)
+    return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
+
+
+def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderState) -> LabelTracks:
+    """The run, then all held words, each layer drained into the next: labels ``[*lanes, 5]``."""
+    t0, t1, line, held = _opened(state)
+    arrival = pipe.keep(t1 > t0, _primitive(config, limits, t0, t1, line))
+    rounds = []
+    for number in range(DRAIN_STEPS):
+        held, out = _above(config, held, arrival, state.time, force=number)
+        arrival = pipe.keep(jnp.zeros_like(t0, bool), arrival)
+        rounds.append(out)
+    layers = [jax.tree.map(lambda *leaves: jnp.stack(leaves, -1), *layer) for layer in zip(*rounds, strict=True)]
+    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
+    return LabelTracks(*(track_of(layer, emit) for layer in layers))
+
+
+def _by_lane(limits: Array, like: Array) -> Array:
+    """Limits ``[..., axis, 5]`` as ``[5, *lanes]`` in the dtype of the signal."""
+    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*like.shape[1:], limits.shape[-1]))
+    return jnp.moveaxis(wide, -1, 0)
+
+
+def _opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
+    """First sample, end and line of the run, and the four segments above it."""
+    t0, t1 = state.ints[:_RUN_INTS]
+    mean, slope = state.reals[:_RUN_REALS]
+    return t0, t1, Line(t1 - t0, mean, slope), unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:])
+
+
+def _advance(
+    config: FitConfig, limits: Array, state: EncoderState, x: Line, residual: Array
+) -> tuple[EncoderState, PackedLabels]:
+    """The line of a window, of no samples where it ended before, joins the run or ends it."""
+    t0, t1, run, held = _opened(state)
+    x = replace(x, count=jnp.where(state.time < 0, 0, x.count))  # never negative, but no compiler knows: no constant
+    now, there = state.time + x.count, x.count > 0
+    joint, growth = join(run, x)
+    allowed = 12 * limits[4] * limits[4] * x.count.astype(growth.dtype)
+    fits = (run.count > 0) & (growth + fenced(12 * residual) <= allowed)
+    word = pipe.once(pipe.packed(there & fits, there & ~fits), now)  # joins; begins a run
+    joins, begins = word & 1 > 0, word >> 1 > 0
+    ended = pipe.keep(begins & (run.count > 0), _primitive(config, limits, t0, t1, run))
+    held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
+    ints, reals = pack_segments(held)
+    line = jnp.stack([jnp.where(joins, b, jnp.where(begins, c, a)) for a, b, c in _values(run, joint, x)])
+    span = jnp.stack([jnp.where(begins, state.time, t0), jnp.where(there, now, t1)])
+    state = EncoderState(now, jnp.concatenate([span, ints]), jnp.concatenate([line, reals]))
+    return state, PackedLabels(*pack_segments(out), now)
+
+
+def _values(*lines: Line) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    return tuple(line.mean for line in lines), tuple(line.slope for line in lines)
+
+
+def _primitive(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:
+    """The labelled segment of a run."""
+    n = jnp.maximum(line.count, 1).astype(line.mean.dtype)
+    slope = fenced(line.slope * (1 / config.dt))
+    label = gradient_label(slope, limits[:4])
+    long = line.count > round(config.impulse_below / config.dt)
+    label = jnp.where(long & (label == Primitive.PIMP), jnp.int32(Primitive.BPOS), label)
+    label = jnp.where(long & (label == Primitive.NIMP), jnp.int32(Primitive.BNEG), label)
+    level = line.slope * line.slope * ((n - 1) * (n + 1)) <= 12 * limits[4] * limits[4]
+    label = jnp.where(level, jnp.int32(Primitive.CONS), label)
+    half = fenced(jnp.abs(line.slope) * (n - 1) * 0.5)
+    return Segment(label, t0, t1, line.mean + half, line.mean - half, fenced(line.mean * n), fenced(slope * n))
+
+
+def _above(
+    config: FitConfig, held: list[Segment], x: Segment, now: Array, force: int | None = None
+) -> tuple[list[Segment], list[Segment]]:
+    """A primitive, or none, through both composers and accumulators.
+
+    Args:
+        config: static configuration.
+        held: the four segments of the state, in order.
+        x: the primitive; an empty one lets time pass.
+        now: samples received.
+        force: at the end of the stream nothing is late; number 1 to 4 of the held segments leaves.
+
+    Returns:
+        the four segments held afterwards and one published segment per layer.
+    """
+    hm, bm, hl, bl = held
+
+    def late(h: Segment, number: int) -> Array:
+        if force is not None:
+            return jnp.full_like(h.label, force == number, bool)
+        return jnp.zeros_like(h.label, bool) if config.cap is None else now - h.t1 > config.cap
+
+    hm, m = _overdue(late(hm, 1), composition.single_composition(hm), x,
+                     *composition.push_primitive(hm, x, config.gate, config.contact_first))  # fmt: skip
+    bm, m = _accumulate(late(bm, 2), bm, m, int(MC.A) if config.adj_exempt else None)
+    hl, l = _overdue(late(hl, 3), composition.single_behaviour(hl, config.short), m,
+                     *composition.push_composition(hl, m, config.short))  # fmt: skip
+    bl, l = _accumulate(late(bl, 4), bl, l, None)
+    return [hm, bm, hl, bl], [x, m, l]
+
+
+def _overdue(late: Array, alone: Segment, x: Segment, h: Segment, out: Segment) -> tuple[Segment, Segment]:
+    """What a composer holds and says, once a late word does not wait for a partner any more."""
+    leaves = late & (x.label == 0) & (alone.label > 0)
+    return pipe.keep(~leaves, h), pipe.select(leaves, alone, out)
+
+
+def _accumulate(late: Array, b: Segment, x: Segment, exempt: int | None) -> tuple[Segment, Segment]:
+    """Equal neighbours merge, but for an exempt label; a word leaves when another one arrives, or late."""
+    arrived = x.label > 0
+    same = arrived & (x.label == b.label)
+    same = same if exempt is None else same & (x.label != exempt)
+    leaves = jnp.where(arrived, ~same, late) & (b.label > 0)
+    new = pipe.select(arrived, x, pipe.keep(~leaves, b))
+    return pipe.select(same, pipe.merge(b, x, b.label), new), pipe.keep(leaves, b)

@@ -1,0 +1,89 @@
+"""What the fit rule needs to know of every axis: gradient limits, and how far a line may be from the signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from rcbht_jax.encoding.thresholds import validate
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Array
+
+SHARE = 0.015  # of an axis's usual range
+USUAL = (1.0, 99.0)  # percentiles that bound the usual range
+NOISE = 2.5  # standard deviations of noise that a tolerance must exceed, lest noise break lines
+_NORMAL_MAD = 0.6745  # median of |x| of a standard normal variable
+_SECOND_DIFFERENCE = 6**0.5  # deviation of x[i] - 2 x[i+1] + x[i+2] of white noise of deviation 1
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FitLimits:
+    """Gradient limits and tolerance of every axis, for :mod:`rcbht_jax.encoding.fit`.
+
+    Attributes:
+        gradients: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, units of the axis per second.
+        tolerance: float ``[..., axis]``, root mean square by which a line may differ from the samples; > 0.
+    """
+
+    gradients: Float[Array, "*batch axis 4"]
+    tolerance: Float[Array, "*batch axis"]
+
+    def stacked(self) -> NDArray[np.float64]:
+        """Both as one host array ``[..., axis, 5]``, the tolerance last.
+
+        Raises:
+            InputError: limits or tolerances of wrong shape, not finite, not positive or not in order.
+
+        Example:
+            >>> FitLimits(np.array([[70.0, 46.0, 23.0, 1.0]]), np.array([0.5])).stacked().tolist()
+            [[70.0, 46.0, 23.0, 1.0, 0.5]]
+        """
+        gradients, tolerance = np.asarray(self.gradients, np.float64), np.asarray(self.tolerance, np.float64)
+        validate(gradients)
+        try:
+            tolerance = np.broadcast_to(tolerance, gradients.shape[:-1])
+        except ValueError:
+            raise InputError(
+                f"Tolerances have shape {tolerance.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
+            ) from None
+        if not (np.isfinite(tolerance).all() and (tolerance > 0).all()):
+            raise InputError("A tolerance must be a finite, positive number.")
+        return np.concatenate([gradients, tolerance[..., None]], axis=-1)
+
+
+def auto_tolerance(
+    wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"]
+) -> Float[np.ndarray, " axis"]:
+    """A tolerance for every axis: 1.5 % of its usual range, or 2.5 deviations of its noise where that is more.
+
+    The usual range lies between the 1st and 99th percentile of all samples. The deviation of the noise comes from the
+    median of second differences, which straight lines and rare jumps do not change (white noise is assumed).
+
+    Args:
+        wrench: N and Nm, finite within the lengths.
+        length: samples that count.
+
+    Returns:
+        float64, units of the axes; 1 for an axis that never changes, where any tolerance gives the same.
+
+    Example:
+        >>> ramp = np.linspace(0, 100, 1001)[None, :, None]
+        >>> auto_tolerance(ramp, np.array([1001])).round(6).tolist()
+        [1.47]
+    """
+    parts = [np.asarray(one[:samples], np.float64) for one, samples in zip(wrench, length, strict=True)]
+    values = np.concatenate(parts)
+    if not len(values):
+        return np.ones(wrench.shape[2])
+    low, high = np.percentile(values, USUAL, axis=0)
+    bends = np.concatenate([np.abs(np.diff(part, n=2, axis=0)) for part in parts])
+    noise = np.median(bends, axis=0) / (_NORMAL_MAD * _SECOND_DIFFERENCE) if len(bends) else 0.0
+    tolerance = np.maximum(SHARE * (high - low), NOISE * noise)
+    spare = SHARE * (values.max(axis=0) - values.min(axis=0))  # an axis that changes more rarely than usual
+    tolerance = np.where(tolerance > 0, tolerance, spare)
+    return np.where(tolerance > 0, tolerance, 1.0)

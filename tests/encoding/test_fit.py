@@ -1,0 +1,243 @@
+"""The fit rule against the NumPy oracle of its specification, streaming against batch, and what it promises."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
+
+import rcbht_jax as rj
+from rcbht_jax.encoding import fit
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.fit_line import Line, join, window_line
+from rcbht_jax.encoding.stream import Encoder
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import Primitive
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from tests.support.fit_oracle import FitOracle, least_squares, near
+from tests.support.trees import assert_trees_equal
+
+FIELDS = ("label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
+SAMPLES, AXES = 333, ("Fx", "Fz", "My")
+TOLERANCE = np.array([0.137, 0.41, 0.0523])
+LIMITS = FitLimits(preset("hiro", AXES).limits, TOLERANCE)
+CONFIGS = {
+    "default": (FitConfig(), {}),
+    "window 2": (FitConfig(window=2), {"window": 2}),
+    "window 20, 1 kHz": (FitConfig(window=20, dt=0.001), {"window": 20, "dt": 0.001, "cap": 200, "impulse": 200}),
+    "never late": (FitConfig(latency_cap=None), {"cap": None}),
+    "other pairs": (
+        FitConfig(gate=False, adj_exempt=False, contact_first=True, impulse_below=0.05),
+        {"gate": False, "adj_exempt": False, "contact_first": True, "impulse": 10},
+    ),
+}
+signals = st.tuples(st.integers(0, 2**32 - 1), st.sampled_from(["noise", "steps", "ramps"]), st.integers(0, SAMPLES))
+
+
+def wrench_of(seed: int, style: str) -> np.ndarray:
+    """Random walks, or steps and ramps with a little noise, which keeps comparisons from being ties."""
+    rng = np.random.default_rng(seed)
+    if style == "noise":
+        return np.cumsum(rng.normal(size=(SAMPLES, 3)) * [0.02, 0.3, 0.05], 0)
+    knots = rng.integers(-4, 5, (SAMPLES // 10 + 2, 3)) * rng.choice([0.0, 0.1, 1.0], (SAMPLES // 10 + 2, 1))
+    times = np.arange(SAMPLES) / 10
+    where = np.floor(times) if style == "steps" else times
+    clean = np.stack([np.interp(where, np.arange(len(knots)), knot) for knot in knots.cumsum(0).T], 1)
+    return clean + rng.normal(size=clean.shape) * 0.003
+
+
+def published(track: LabelTrack, lane: tuple[int, ...]) -> list[tuple[float, ...]]:
+    used = np.asarray(track.label)[lane] > 0
+    return list(zip(*(np.asarray(getattr(track, name))[lane][used].tolist() for name in FIELDS), strict=True))
+
+
+def layers(tracks: LabelTracks) -> tuple[LabelTrack, ...]:
+    return tracks.primitive, tracks.mc, tracks.llb
+
+
+def batch(config: FitConfig, wrench: np.ndarray, length: int, limits: FitLimits = LIMITS) -> LabelTracks:
+    return encode_batch(config, limits, wrench[None], np.array([length], np.int32))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@settings(max_examples=12)
+@given(signal=signals)
+def test_labels_equal_the_oracle(name: str, signal: tuple[int, str, int]) -> None:
+    config, options = CONFIGS[name]
+    seed, style, length = signal
+    wrench = wrench_of(seed, style)
+    with jax.enable_x64(True):
+        ours = batch(config, wrench, length)
+    for axis in range(3):
+        expected = FitOracle(tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis]), **options)
+        expected.encode(wrench[:length, axis])
+        if near(expected):
+            continue
+        for track, rows in zip(layers(ours), expected.out, strict=True):
+            got = published(track, (0, axis))
+            assert [row[:4] for row in got] == [(i.label, i.t0, i.t1, now) for i, now in rows]
+            values = [(i.vmax, i.vmin, i.avg, i.grad) for i, _ in rows]
+            np.testing.assert_allclose([row[4:] for row in got], values, rtol=1e-8, atol=1e-8)
+
+
+def test_the_oracle_is_rarely_undecided_and_sees_every_primitive() -> None:
+    seen, undecided = set(), 0
+    for seed in range(30):
+        for axis in range(3):
+            oracle = FitOracle(tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis]))
+            oracle.encode(wrench_of(seed, ("noise", "steps", "ramps")[seed % 3])[:, axis])
+            undecided += near(oracle)
+            seen |= {item.label for item, _ in oracle.out[0]}
+    assert undecided < 10
+    assert seen == set(map(int, Primitive))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@settings(max_examples=8)
+@given(signal=signals, cuts=st.lists(st.integers(0, 40), max_size=15), peeks=st.sets(st.integers(0, 30)))
+def test_any_chunking_equals_the_batch_bit_for_bit(
+    dtype: type, signal: tuple[int, str, int], cuts: list[int], peeks: set[int]
+) -> None:
+    seed, style, length = signal
+    wrench = wrench_of(seed, style).astype(dtype)
+    with jax.enable_x64(dtype == np.float64):
+        whole = batch(FitConfig(), wrench, length)
+        stream, parts, start = Encoder(FitConfig(), LIMITS, dtype), [], 0
+        for index, cut in enumerate([*cuts, length]):
+            parts += stream.push(wrench[start : min(start + cut, length)])
+            start = min(start + cut, length)
+            if index in peeks:
+                stream.peek()
+        last = stream.peek()
+        parts.append(stream.flush())
+    assert_trees_equal(last, parts[-1])
+    streamed = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+    for axis in range(3):
+        for one, other in zip(layers(whole), layers(streamed), strict=True):
+            assert published(other, (axis,)) == published(one, (0, axis))
+
+
+def test_a_step_maps_over_arms() -> None:
+    windows = jnp.asarray(wrench_of(0, "ramps")[:300], jnp.float32).reshape(60, 5, 3)
+    limits = jnp.asarray(LIMITS.stacked(), jnp.float32)
+    states = jax.vmap(lambda _: fit.init((3,)))(jnp.arange(2))
+    one, many = fit.init((3,)), jax.jit(jax.vmap(fit.step, (None, None, 0, 0)), static_argnums=0)
+    single = jax.jit(fit.step, static_argnums=0)
+    for window in windows[:12]:
+        states, both = many(FitConfig(), limits, states, jnp.stack([window * 0, window]))
+        one, out = single(FitConfig(), limits, one, window)
+        assert_trees_equal(jax.tree.map(lambda leaf: leaf[1], both), out)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10**6), cuts=st.tuples(st.integers(2, 40), st.integers(2, 40)))
+def test_joined_lines_are_those_of_all_samples(seed: int, cuts: tuple[int, int]) -> None:
+    y = np.random.default_rng(seed).normal(size=sum(cuts)) + 50
+    parts = y[: cuts[0]], y[cuts[0] :]
+    (ma, sa, ra), (mb, sb, rb) = map(least_squares, parts)
+    with jax.enable_x64(True):
+        lines = [Line(jnp.int32(len(p)), jnp.float64(m), jnp.float64(s)) for p, m, s in
+                 zip(parts, (ma, mb), (sa, sb), strict=True)]  # fmt: skip
+        line, growth = map(jax.device_get, jax.jit(join)(*lines))
+    mean, slope, residual = least_squares(y)
+    np.testing.assert_allclose([line.mean, line.slope, growth / 12], [mean, slope, residual - ra - rb], atol=1e-9)
+
+
+def test_single_precision_suffices_for_an_hour_beside_a_large_constant() -> None:
+    rng = np.random.default_rng(0)
+    y = (1000 + rng.normal(size=(720_000, 1)) * 0.1).astype(np.float32)
+    track = encode_batch(FitConfig(), FitLimits(preset("hiro", ["Fz"]).limits, np.array([0.5])), y[None],
+                         np.array([720_000], np.int32)).primitive  # fmt: skip
+    assert published(track, (0, 0))[0][:3] == (Primitive.CONS, 0, 720_000)
+    mean, slope, _ = least_squares(y[:, 0].astype(float))
+    assert abs(track.avg[0, 0, 0] - mean) < 5e-3
+    assert abs(track.grad[0, 0, 0] - slope / 0.005) < 1e-4
+    line, residual = window_line(jnp.float32(1000) + jnp.arange(4, dtype=jnp.float32)[:, None], jnp.array([4]))
+    assert (float(line.mean[0]), float(line.slope[0]), float(residual[0])) == (1001.5, 1.0, 0.0)
+
+
+def test_rest_is_constant_and_a_contact_is_not() -> None:
+    rng = np.random.default_rng(1)
+    drift = np.linspace(0, 1.5, 4000)[:, None] * [0.3, 0.5, 0.05]
+    wrench = rng.normal(size=(4000, 3)) * [0.1, 0.2, 0.01] + drift
+    wrench[3000:] += np.clip(np.arange(1000) / 40, 0, 1)[:, None] * [5.0, 20.0, 2.0]
+    tracks = rj.encode(Recordings.from_arrays([wrench], axes=AXES).wrench[0], rule="fit")
+    for axis in range(3):
+        rows = published(tracks.primitive, (axis,))
+        constant = sum(min(row[2], 3000) - row[1] for row in rows if row[0] == Primitive.CONS and row[1] < 3000)
+        assert constant >= 0.95 * 3000
+        assert any(row[0] != Primitive.CONS and 2990 <= row[1] <= 3010 for row in rows)
+
+
+def test_words_come_in_time() -> None:
+    wrench = wrench_of(3, "noise")
+    tracks = batch(FitConfig(), wrench.astype(np.float32), SAMPLES)
+    for track, most in zip(layers(tracks), (5, 40 + 10, 40 + 20), strict=True):
+        for row in published(track, (0, 1)):
+            assert row[3] - row[2] <= most
+
+
+@pytest.mark.parametrize(
+    "options", [{"window": 1}, {"dt": 0.0}, {"latency_cap": 0.0}, {"impulse_below": 0.0}, {"noise_below": -1.0}]
+)
+def test_configurations_that_make_no_sense_are_refused(options: dict) -> None:
+    with pytest.raises((InputError, TypeCheckError)):
+        FitConfig(**options)
+
+
+@pytest.mark.parametrize("tolerance", [np.zeros(3), np.full(3, np.nan), np.ones(4)])
+def test_tolerances_that_make_no_sense_are_refused(tolerance: np.ndarray) -> None:
+    with pytest.raises((InputError, TypeCheckError)):
+        rj.encode(np.zeros((50, 3)), rule="fit", tolerance=tolerance)
+
+
+def test_limits_belong_to_their_rule() -> None:
+    wrench, length = np.zeros((1, 10, 3), np.float32), np.array([10], np.int32)
+    with pytest.raises(InputError, match="tolerance"):
+        encode_batch(FitConfig(), preset("hiro", AXES), wrench, length)
+    with pytest.raises(InputError, match="tolerance"):
+        encode_batch(EncoderConfig(), LIMITS, wrench, length)
+    with pytest.raises(InputError, match="belongs to the fit rule"):
+        rj.encode(wrench, tolerance=1.0)
+    with pytest.raises((InputError, TypeCheckError)):
+        rj.encode(wrench, rule="best")
+
+
+def test_the_tolerance_is_a_share_of_the_range_unless_noise_asks_for_more() -> None:
+    rng = np.random.default_rng(0)
+    wave = np.sin(np.arange(2000) / 50)[:, None] * [10.0, 10.0, 0.0]
+    noise = rng.normal(size=(2000, 3)) * [0.01, 1.0, 0.0]
+    found = auto_tolerance((wave + noise)[None], np.array([2000]))
+    np.testing.assert_allclose(found, [0.3, 2.5, 1.0], rtol=0.05)
+
+
+def test_one_tolerance_serves_all_axes_and_a_larger_one_gives_fewer_words() -> None:
+    wrench = wrench_of(5, "noise")
+    fine, coarse = (rj.encode(wrench, rule="fit", tolerance=tolerance) for tolerance in (0.05, 0.8))
+    assert (fine.primitive.label > 0).sum() > 2 * (coarse.primitive.label > 0).sum()
+    each = rj.encode(wrench, rule="fit", tolerance=[0.05, 0.05, 0.05])
+    assert_trees_equal(layers(each), layers(fine))
+
+
+def test_lines_of_recorded_trials_explain_nearly_all_with_half_of_the_words(hiro_recordings: Recordings) -> None:
+    rows = np.flatnonzero((hiro_recordings.source == "REAL_HIRO_ONE_SA_SUCCESS") & (hiro_recordings.session == "A"))
+    few = hiro_recordings.take(rows[:4])
+    signals = [wrench[:samples] for wrench, samples in zip(few.wrench, few.length, strict=True)]
+    fitted, paper = rj.encode(signals, rule="fit"), rj.encode(signals)
+    assert (fitted.primitive.label > 0).sum() <= 0.5 * (paper.primitive.label > 0).sum()
+    missed, total = np.zeros(6), np.zeros(6)
+    for recording, signal in enumerate(signals):
+        total += ((signal - signal.mean(0)) ** 2).sum(0)
+        for axis in range(6):
+            for _, t0, t1, _, _, _, mean, slope in published(fitted.primitive, (recording, axis)):
+                line = mean + slope * few.dt * (np.arange(t0, t1) - (t0 + t1 - 1) / 2)
+                missed[axis] += ((signal[t0:t1, axis] - line) ** 2).sum()
+    assert (1 - missed / total >= 0.999).all()
