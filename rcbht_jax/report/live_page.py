@@ -77,6 +77,7 @@ class Broadcast:
         self._history: deque[bytes] = deque(maxlen=HISTORY)
         self._viewers: list[queue.Queue[bytes | None]] = []
         self._number = 0
+        self._closed = False
 
     def publish(self, frame: dict[str, Any]) -> None:
         """Send a frame to all viewers."""
@@ -94,8 +95,9 @@ class Broadcast:
             self._send(packet)
 
     def close(self) -> None:
-        """Signal the end of the stream to all viewers."""
+        """Signal the end of the stream to all viewers; nobody can join any more."""
         with self._lock:
+            self._closed = True
             self._send(None)
 
     def _send(self, packet: bytes | None) -> None:
@@ -105,9 +107,10 @@ class Broadcast:
             viewer.put_nowait(packet)
 
     def join(self) -> queue.Queue[bytes | None] | None:
-        """A queue of messages that begins with the latest ones; None if there are already ``VIEWERS``."""
+        """A queue of messages that begins with the latest ones; None if it is closed or there are ``VIEWERS``."""
         with self._lock:
-            if len(self._viewers) >= VIEWERS:
+            # A browser keeps spare connections, through which it would come back to a server that has been closed.
+            if self._closed or len(self._viewers) >= VIEWERS:
                 return None
             viewer: queue.Queue[bytes | None] = queue.Queue(2 * HISTORY)
             for packet in (*self._lasting.values(), *self._history):
@@ -248,7 +251,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _stream(self) -> None:
         viewer = self.server.broadcast.join()
         if viewer is None:
-            self.send_error(503, "Too many viewers")
+            self.send_error(503, "Too many viewers, or closed")
             return
         try:
             self._head("text/event-stream")

@@ -196,7 +196,7 @@ def test_what_happens_to_a_stream():
         twelve = session_of(axes, rj.labels.UNITS * 2)
         with PageServer(twelve, port=port) as server:
             feed(Frames(twelve, server.broadcast), readings(12, 300))
-            wait_for(driver, "about.axes.length === 12 && kept.t.length === 300 && !dirty", 120)
+            wait_for(driver, "about.axes.length === 12 && kept.t.length === 300 && !dirty")
             assert "1.50 s" in driver.find_element("id", "clock").text.replace("1.49", "1.50")
             assert driver.find_elements("id", "signal-2") == []
             assert len(driver.find_elements("css selector", "#now tbody tr")) == 12
