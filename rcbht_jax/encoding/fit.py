@@ -106,9 +106,7 @@ class FitConfig:
         return None if self.latency_cap is None else round(self.latency_cap / self.dt)
 
 
-def init(
-    config: FitConfig, lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32
-) -> EncoderState:
+def init(config: FitConfig, lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
     reals = jnp.zeros((_REALS + config.kept, *lanes), dtype)
     return EncoderState(jnp.zeros(lanes, jnp.int32), jnp.zeros((_INTS, *lanes), jnp.int32), reals)
@@ -276,6 +274,8 @@ def _advance(
     there, breaks, found = word & 1 > 0, word >> 1 & 1 > 0, word >> 2
     leaves = jnp.where(there, jnp.where(count == window, window, stop), 0)  # samples that are not kept any longer
     joint = join(line, span_line(samples, start, jnp.where(breaks, found, leaves)))
+    one = jnp.where(now < 0, 2, 1).astype(joint.mean.dtype)  # see pipe.once: what is divided is computed once
+    joint = Line(joint.count, joint.mean / one, joint.slope / one)
     fresh = span_line(samples, found, leaves)
     ended = pipe.keep(breaks, _primitive(config, limits, t0, t0 + joint.count, joint))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes

@@ -52,7 +52,7 @@ def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes
     origin = samples[length // 2]
     count = jnp.maximum(stop - start, 0)
     middle = (start + stop - 1).astype(samples.dtype) / 2
-    per_sample, per_spread = (jnp.asarray(table, samples.dtype)[count] for table in _reciprocals(length))
+    spread = jnp.asarray(_spreads(length), samples.dtype)[count]
 
     def add(sums: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
         index, y = row
@@ -62,7 +62,8 @@ def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes
     zero = jnp.zeros_like(origin)
     index = jnp.arange(length, dtype=jnp.int32)
     (total, moment), _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unrolled(length))
-    return Line(count, origin + fenced(total * per_sample), fenced(moment * per_spread))
+    # Quotients, because a compiler that fuses a step into one loop per output repeats products, but no division.
+    return Line(count, origin + total / jnp.maximum(count, 1).astype(samples.dtype), moment / spread)
 
 
 @jax.tree_util.register_dataclass
@@ -105,7 +106,7 @@ def residuals_after(
     zero = jnp.zeros_like(samples[0])
     rows = (jnp.arange(samples.shape[0], dtype=jnp.int32), samples)
     start = _Growing(zero, zero, zero, zero)
-    return jax.lax.scan(add, start, rows, reverse=True, unroll=unrolled(samples.shape[0]))[1]
+    return jax.lax.scan(add, start, rows, reverse=True, unroll=1)[1]
 
 
 def best_break(
@@ -176,12 +177,10 @@ def join(a: Line, b: Line) -> Line:
     return Line(a.count + b.count, a.mean + fenced(nb * step), slope)
 
 
-def _reciprocals(window: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of n = 0 ... window samples, and of the sum of their squared offsets from the middle; 0 in place of infinity."""
+def _spreads(window: int) -> NDArray[np.float64]:
+    """Sum of squared offsets from the middle of n = 0 ... window samples; 1 for fewer than two."""
     n = np.arange(window + 1, dtype=np.float64)
-    each = np.stack([n, n * (n * n - 1) / 12])
-    first, second = np.divide(1, each, out=np.zeros_like(each), where=each > 0)
-    return first, second
+    return np.where(n < 2, 1, n * (n * n - 1) / 12)
 
 
 def _spread(n: Array) -> Array:
