@@ -23,14 +23,14 @@ def lines(result: dict[str, Any]) -> str:
 
 @table("fit-words", "fit_quality")
 def words(result: dict[str, Any]) -> str:
-    """Primitives for each recording by axis, and the least share of rest that is constant."""
+    """Primitives for each recording by axis, and the least share of the approach that is constant."""
     axes = next(iter(result["sets"].values()))["axes"]
     rows = [
-        (name, rule, *(f"{value:.0f}" for value in row["words"]), f"{min(row['rest_constant']):.3f}")
+        (name, rule, *(f"{value:.0f}" for value in row["words"]), f"{min(row['approach_constant']):.3f}")
         for name, found in result["sets"].items()
         for rule, row in found["rows"].items()
     ]
-    return markdown(("", "rule", *axes, "share of rest that is constant, worst axis"), rows)
+    return markdown(("", "rule", *axes, "share of the approach that is constant, worst axis"), rows)
 
 
 @table("fit-latency", "fit_quality")

@@ -3,8 +3,8 @@
 Both rules label the same trials with windows of 5 samples (the fit rule also with 2) and the preset's limits; the fit
 rule takes its tolerances from the set. R2 is pooled over the trials of a set: one minus the squared distances of the
 samples to the primitives' lines (their published mean and slope) over those to the mean of the trial. Latencies are
-seconds from the last sample of a word to its publication, without those that the end of a trial publishes. Rest is what
-the calibration from rest finds; a primitive there should be constant.
+seconds from the last sample of a word to its publication, without those that the end of a trial publishes. Before
+contact, that is in the annotated approach, a primitive should be constant.
 
 Run: python -m experiments.words.fit_quality
 Reads the recorded trials (RCBHT_DATA).
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.results_io import write_result
-from rcbht_jax.calibration.rest import rest_not_constant, rest_thresholds
+from rcbht_jax.calibration.rest import rest_not_constant
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
@@ -61,29 +61,40 @@ def latency(track: LabelTrack, recordings: Recordings) -> dict[str, float]:
     return {"median": median, "p95": late, "max": float(seconds.max())}
 
 
-def measured(tracks: LabelTracks, recordings: Recordings, rest: NDArray[np.bool_]) -> dict[str, Any]:
+def before_contact(recordings: Recordings) -> NDArray[np.bool_]:
+    """Samples ``[recording, time, axis]`` of the annotated approach."""
+    code = recordings.annotations.labels["states"].index("approach")
+    samples = recordings.wrench.shape[1]
+    rows = [
+        recordings.annotations.of_samples(row, "states", samples, recordings.dt) == code
+        for row in range(len(recordings))
+    ]
+    return np.broadcast_to(np.stack(rows)[..., None], recordings.wrench.shape)
+
+
+def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.bool_]) -> dict[str, Any]:
     words = {layer: (getattr(tracks, layer).label > 0).sum(-1).mean(0) for layer in LAYERS}
     return {
         "r2": explained(tracks.primitive, recordings).tolist(),
         "words": words["primitive"].tolist(),
         "all_words": {layer: float(count.sum()) for layer, count in words.items()},
         "latency": {layer: latency(getattr(tracks, layer), recordings) for layer in LAYERS},
-        "rest_constant": (1 - rest_not_constant(tracks.primitive, rest, WINDOW, Primitive.CONS)).tolist(),
+        "approach_constant": (1 - rest_not_constant(tracks.primitive, approach, 1, Primitive.CONS)).tolist(),
     }
 
 
 def of_set(recordings: Recordings) -> dict[str, Any]:
     """Both rules on one set; the fit rule with several tolerances."""
     thresholds = preset("hiro", recordings.axes)
-    rest = rest_thresholds(recordings, WINDOW).rest
+    approach = before_contact(recordings)
     wrench, length = recordings.wrench, recordings.length
     tolerance = auto_tolerance(wrench, length)
     paper = encode_batch(EncoderConfig(WINDOW, recordings.dt), thresholds, wrench, length)
-    rows = {"paper": measured(paper, recordings, rest)}
+    rows = {"paper": measured(paper, recordings, approach)}
     for name, (factor, window) in FITS.items():
         limits = FitLimits(np.asarray(thresholds.limits), tolerance * factor)
         tracks = encode_batch(FitConfig(window, recordings.dt), limits, wrench, length)
-        rows[name] = measured(tracks, recordings, rest)
+        rows[name] = measured(tracks, recordings, approach)
     about = {"recordings": len(recordings), "axes": list(recordings.axes), "tolerance": tolerance.tolist()}
     return about | {"rows": rows}
 

@@ -1,0 +1,42 @@
+"""``rcbht describe``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Trial, option
+
+
+@dataclass(frozen=True)
+class Describe(Command):
+    """Tell a trial in sentences: which axes rise, fall or ring, when, by how much and how fast.
+
+    The store needs no labels; the lines of the fit rule are made on the way.
+
+    Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
+    """
+
+    store: Store
+    trial: Trial
+    arm: Arm | None = None
+    """Arm to tell of, if the trial has both."""
+    source: SourcePrefix = ""
+    task: Annotated[str, option("Track of annotations to name.", "the first")] = ""
+    least: Annotated[float, option("Smallest change that is told, as a share of the usual range of its axis.")] = 0.2
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.cli.plot import find_recording
+        from rcbht_jax.introspection.description import describe_recording
+        from rcbht_jax.io.store import read_recordings
+
+        recordings = read_recordings(self.store)
+        index = find_recording(recordings, self.trial, self.arm, self.source)
+        told = describe_recording(recordings, index, self.least, self.task)
+        return {"trial": self.trial, "sentences": [{"seconds": seconds, "text": text} for seconds, text in told]}
+
+    def text(self, result: dict[str, Any]) -> str:
+        rows = result["sentences"]
+        if not rows:
+            return f"{result['trial']}: nothing changes."
+        return "\n".join(f"{row['seconds']:7.2f} s  {row['text']}" for row in rows)

@@ -1,0 +1,274 @@
+"""A recording in sentences: which axes changed when, by how much and how fast, and what rang.
+
+Built from the lines of primitives (best those of the fit rule). A change is a rise or fall between two turning points
+that are at least a given height apart (zigzag rule), or between one and a level stretch; its times are those at which a
+tenth and nine tenths of it are done. Several changes in alternation, equally far apart, are a ringing. What begins
+together is one sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from rcbht_jax.encoding.arrays import encode
+from rcbht_jax.encoding.tolerance import USUAL
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import LabelTrack, Recordings
+
+TOGETHER = 0.1  # s between onsets that are told as one
+PLATEAU = 0.5  # s of a level stretch that divides one rise into two
+SLOWEST_HALF = 1.0  # s between turning points of a ringing at most
+_SWINGS = 4  # changes that make a ringing
+_UNEVEN = 3.0  # ratio of the longest to the shortest half period of a ringing
+
+
+@dataclass(frozen=True)
+class Change:
+    """One rise or fall of an axis.
+
+    Attributes:
+        axis: its name.
+        start: s, when a tenth of it is done.
+        end: s, when nine tenths of it are done.
+        rise: N or Nm, negative for a fall.
+    """
+
+    axis: str
+    start: float
+    end: float
+    rise: float
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """Rises and falls of an axis in alternation.
+
+    Attributes:
+        axis: its name.
+        start: s.
+        end: s.
+        height: N or Nm, of the largest swing.
+        frequency: Hz.
+    """
+
+    axis: str
+    start: float
+    end: float
+    height: float
+    frequency: float
+
+
+def polyline(track: LabelTrack, dt: float) -> tuple[Float[np.ndarray, " knot"], Float[np.ndarray, " knot"]]:
+    """First and last points of the lines of one axis's primitives: times in s, values.
+
+    Args:
+        track: primitives of one axis, ``[slot]``.
+        dt: s between samples.
+    """
+    used = np.asarray(track.label) > 0
+    t0, t1, mean, slope = (np.asarray(getattr(track, name))[used].astype(float) for name in ("t0", "t1", "avg", "grad"))
+    half = slope * (t1 - t0 - 1) * dt / 2
+    times = np.stack([t0, t1 - 1], 1).ravel() * dt
+    return times, np.stack([mean - half, mean + half], 1).ravel()
+
+
+def turning_points(values: NDArray[np.floating], least: float) -> list[int]:
+    """Indices of the extremes that follow each other at a distance of at least ``least``, first and last included.
+
+    Example:
+        >>> turning_points(np.array([0.0, 0.2, 5.0, 4.9, 5.1, 1.0, 1.2]), 1.0)
+        [0, 4, 5]
+    """
+    found, low, high, way = [0], 0, 0, 0
+    for index, value in enumerate(values.tolist()):
+        low = index if value < values[low] else low
+        high = index if value > values[high] else high
+        if way >= 0 and values[high] - value >= least and high > found[-1] - (way == 0):
+            found, low, way = _turned(found, high, way), index, -1
+        elif way <= 0 and value - values[low] >= least and low > found[-1] - (way == 0):
+            found, high, way = _turned(found, low, way), index, 1
+    last = high if way > 0 else low
+    return [*found, last] if way and last > found[-1] else found
+
+
+def _turned(found: list[int], extreme: int, way: int) -> list[int]:
+    """The first extreme replaces the beginning, where nothing has turned yet."""
+    return [*found, extreme] if way else [extreme]
+
+
+def changes(axis: str, times: NDArray[np.floating], values: NDArray[np.floating], least: float) -> list[Change]:
+    """Changes of one axis by at least ``least``, in order.
+
+    Args:
+        axis: its name.
+        times: of the knots of :func:`polyline`, s.
+        values: of the knots, N or Nm.
+        least: smallest change, > 0.
+
+    Example:
+        >>> changes("Fz", np.array([0.0, 1.0, 1.5, 3.0]), np.array([0.0, 0.0, 10.0, 10.0]), 1.0)
+        [Change(axis='Fz', start=1.05, end=1.45, rise=10.0)]
+    """
+    if not len(values):
+        return []
+    points = turning_points(values, least)
+    out = []
+    for first, last in _parts(points, times, values, least):
+        rise = float(values[last] - values[first])
+        done = np.maximum.accumulate((values[first : last + 1] - values[first]) / rise)
+        start, end = (_when(times[first : last + 1], done, share) for share in (0.1, 0.9))
+        out.append(Change(axis, start, end, rise))
+    return out
+
+
+def _parts(
+    points: list[int], times: NDArray[np.floating], values: NDArray[np.floating], least: float
+) -> list[tuple[int, int]]:
+    """Pairs of knots that bound a change: turning points, and level stretches of half a second between them."""
+    level = (np.diff(times) >= PLATEAU) & (np.abs(np.diff(values)) < least / 2)
+    found = []
+    for first, last in pairwise(points):
+        cuts = [first, *(edge for k in range(first, last) if level[k] for edge in (k, k + 1)), last]
+        parts = [(a, b) for a, b in pairwise(cuts) if abs(values[b] - values[a]) >= least]
+        found += parts or [(first, last)]
+    return found
+
+
+def _when(times: NDArray[np.floating], done: NDArray[np.floating], share: float) -> float:
+    after = int(np.searchsorted(done, share))
+    gap = done[after] - done[after - 1]
+    part = (share - done[after - 1]) / gap
+    return round(float(times[after - 1] + part * (times[after] - times[after - 1])), 3)
+
+
+def with_ringing(series: Sequence[Change]) -> list[Change | Ringing]:
+    """Changes of one axis, those in quick, even alternation told as one ringing."""
+    out: list[Change | Ringing] = []
+    run: list[Change] = []
+    for change in series:
+        if run and not _goes_on([*run, change]):
+            out += _told(run)
+            run = run[-1:] if len(run) < _SWINGS and _goes_on([run[-1], change]) else []
+            out = out[:-1] if run else out
+        run.append(change)
+    return out + _told(run)
+
+
+def _goes_on(run: list[Change]) -> bool:
+    gaps = np.diff([(change.start + change.end) / 2 for change in run])
+    heights = np.abs([change.rise for change in run])
+    return bool(gaps.max() <= min(SLOWEST_HALF, _UNEVEN * gaps.min()) and heights[0] <= 2 * heights[1])
+
+
+def _told(run: list[Change]) -> list[Change | Ringing]:
+    if len(run) < _SWINGS:
+        return list(run)
+    middles = [(change.start + change.end) / 2 for change in run]
+    frequency = (len(run) - 1) / 2 / (middles[-1] - middles[0])
+    height = max(abs(change.rise) for change in run)
+    return [Ringing(run[0].axis, run[0].start, run[-1].end, height, frequency)]
+
+
+def sentences(found: Sequence[Change | Ringing], units: Mapping[str, str]) -> list[tuple[float, str]]:
+    """Time and text of each sentence, in order; axes that begin to change within 0.1 s share one.
+
+    Args:
+        found: changes and ringings of all axes.
+        units: of each axis.
+
+    Example:
+        >>> sentences([Change("Fz", 1.0, 1.3, 13.0), Change("My", 1.05, 1.2, -0.4)], {"Fz": "N", "My": "Nm"})
+        [(1.0, 'Fz rises 13 N in 0.3 s, My falls 0.4 Nm in 0.15 s')]
+    """
+    groups: list[list[Change | Ringing]] = []
+    for one in sorted(found, key=lambda item: item.start):
+        if groups and one.start - groups[-1][0].start <= TOGETHER:
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return [(group[0].start, ", ".join(_text(one, units.get(one.axis, "")) for one in group)) for group in groups]
+
+
+def _text(one: Change | Ringing, unit: str) -> str:
+    seconds = _number(max(one.end - one.start, 0.0))
+    unit = f" {unit}" if unit else ""
+    if isinstance(one, Ringing):
+        return f"{one.axis} rings at {_number(one.frequency)} Hz for {seconds} s, by up to {_number(one.height)}{unit}"
+    way = "rises" if one.rise > 0 else "falls"
+    return f"{one.axis} {way} {_number(abs(one.rise))}{unit} in {seconds} s"
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+
+
+def describe(
+    track: LabelTrack, axes: Sequence[str], units: Mapping[str, str], dt: float, least: Sequence[float]
+) -> list[tuple[float, str]]:
+    """Time and text of each sentence about one recording.
+
+    Args:
+        track: primitives ``[axis, slot]``; those of the fit rule follow the signal best.
+        axes: their names.
+        units: of each axis.
+        dt: s between samples.
+        least: of each axis, the smallest change that is told.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> force = np.interp(np.arange(600) / 200, [0, 1, 1.5, 3], [0, 0, 12, 12])
+        >>> track = rj.encode(force[:, None], rate=200, rule="fit", tolerance=0.2).primitive
+        >>> describe(track, ["Fz"], {"Fz": "N"}, 0.005, [1.0])
+        [(1.05, 'Fz rises 12 N in 0.4 s')]
+    """
+    found: list[Change | Ringing] = []
+    for index, axis in enumerate(axes):
+        lane = LabelTrack(*(np.asarray(getattr(track, name))[index] for name in track.__dataclass_fields__))
+        found += with_ringing(changes(axis, *polyline(lane, dt), least[index]))
+    return sentences(found, units)
+
+
+def describe_recording(
+    recordings: Recordings, row: int, share: float = 0.2, track: str = ""
+) -> list[tuple[float, str]]:
+    """Time and text of each sentence about a recording, with the names of annotated intervals where they begin.
+
+    Args:
+        recordings: any axes.
+        row: which one.
+        share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change that is told.
+        track: of annotations to name; default the first.
+
+    Returns:
+        seconds and text, in order of time.
+
+    Raises:
+        InputError: a share that is not between 0 and 1.
+
+    Example:
+        >>> push = np.interp(np.arange(600) / 200, [0, 1, 1.5, 3], [0, 0, 12, 12])[:, None]
+        >>> describe_recording(Recordings.from_arrays([push], 200.0, axes=["grip"], units=["N"]), 0)
+        [(1.05, 'grip rises 12 N in 0.4 s')]
+    """
+    if not 0 < share < 1:
+        raise InputError(f"The smallest change is {share:g} of an axis's range; expected a number between 0 and 1.")
+    wrench = recordings.wrench[row, : recordings.length[row]]
+    if len(wrench) < 2:
+        return []
+    primitives = encode(wrench, rate=1 / recordings.dt, rule="fit").primitive
+    low, high = np.percentile(wrench, USUAL, axis=0)
+    least = np.where(high > low, share * (high - low), np.inf)
+    units = dict(zip(recordings.axes, recordings.units, strict=True))
+    told = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
+    track = recordings.annotations.choose(track)
+    if track:
+        marks = recordings.annotations.of_recording(row).of(track)
+        begun = zip(marks.start.tolist(), marks.names().tolist(), strict=True)
+        told += [(round(start, 3), f"[{track}: {label}]") for start, label in begun]
+    return sorted(told)

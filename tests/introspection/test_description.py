@@ -1,0 +1,99 @@
+"""Sentences about recordings: turning points against brute force, changes and ringings that were put in."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.description import (
+    Change,
+    Ringing,
+    changes,
+    describe_recording,
+    sentences,
+    turning_points,
+    with_ringing,
+)
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.types import Recordings
+
+
+@given(st.lists(st.integers(-9, 9), min_size=1, max_size=40), st.integers(1, 6))
+def test_turning_points_alternate_and_leave_no_larger_swing_out(heights: list[int], least: int) -> None:
+    values = np.array(heights, float)
+    points = turning_points(values, least)
+    assert points == sorted(set(points))
+    steps = np.diff(values[points])
+    assert (np.abs(steps) >= least).all()
+    assert (steps[1:] * steps[:-1] < 0).all()
+    # Between two turning points nothing turns back by as much, and before the first and after the last one neither.
+    for first, last in pairwise(points):
+        sign = np.sign(values[last] - values[first])
+        way = values[first : last + 1] * sign
+        assert (np.maximum.accumulate(way) - way).max() < least
+    if len(points) == 1:
+        assert np.ptp(values) < least
+    else:
+        assert np.ptp(values[: points[0] + 1]) < least
+        assert np.ptp(values[points[-1] :]) < least
+
+
+def test_times_are_those_of_a_tenth_and_nine_tenths() -> None:
+    time = np.array([0.0, 2.0, 3.0, 9.0])
+    assert changes("Fx", time, np.array([1.0, 1.0, -9.0, -9.0]), 2.0) == [Change("Fx", 2.1, 2.9, -10.0)]
+    assert changes("Fx", time, np.array([1.0, 1.5, 1.0, 1.2]), 2.0) == []
+
+
+def test_even_swings_ring_and_a_single_push_does_not() -> None:
+    swings = [Change("Fz", 1 + k * 0.25, 1.1 + k * 0.25, 8.0 * (-1) ** k) for k in range(6)]
+    push = Change("Fz", 0.0, 0.4, 40.0)
+    told = with_ringing([push, *swings])
+    assert told[0] == push
+    assert isinstance(told[1], Ringing)
+    assert (told[1].frequency, told[1].height, len(told)) == (pytest.approx(2.0), 8.0, 2)
+    slow = [Change("Fz", k * 2.0, k * 2.0 + 1, 8.0 * (-1) ** k) for k in range(6)]
+    assert with_ringing(slow) == slow
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 3.0), st.floats(0.1, 50.0)), max_size=12))
+def test_no_change_is_lost_or_told_twice(steps: list[tuple[float, float]]) -> None:
+    starts = np.cumsum([0.0, *(gap for gap, _ in steps)])[:-1]
+    series = [Change("a", t, t + 0.005, h * (-1) ** k) for k, (t, (_, h)) in enumerate(zip(starts, steps, strict=True))]
+    told = with_ringing(series)
+    alone = [one for one in told if isinstance(one, Change)]
+    rings = [one for one in told if isinstance(one, Ringing)]
+    inside = [c for c in series if any(r.start <= c.start and c.end <= r.end for r in rings)]
+    assert [c for c in series if c not in inside] == [c for c in alone if c not in inside]
+
+
+def test_axes_that_change_together_share_a_sentence() -> None:
+    found = [Change("My", 1.05, 1.2, -0.4), Change("Fz", 1.0, 1.3, 131.7), Change("Fx", 1.2, 1.3, 2.0)]
+    assert sentences(found, {"Fz": "N", "My": "Nm", "Fx": ""}) == [
+        (1.0, "Fz rises 132 N in 0.3 s, My falls 0.4 Nm in 0.15 s"),
+        (1.2, "Fx rises 2 in 0.1 s"),
+    ]
+
+
+def test_a_recording_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = np.arange(1600) / 200
+    ring = np.where(time > 4, 6 * np.exp(-(time - 4) / 2) * np.sin(2 * np.pi * 2.5 * (time - 4)), 0)
+    push = np.interp(time, [0, 1, 1.2, 8], [0, 0, 15, 15])
+    noise = np.random.default_rng(0).normal(size=1600) * 0.05
+    recordings = Recordings.from_arrays([np.stack([push + ring + noise, noise * 0], 1)], axes=["grip", "off"])
+    write_recordings(tmp_path / "one.zarr", recordings, {})
+    assert main(["describe", str(tmp_path / "one.zarr"), str(recordings.trial[0]), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["sentences"]
+    assert rows[0]["text"].startswith("grip rises 15 in 0.16 s")
+    assert rows[0]["seconds"] == pytest.approx(1.02, abs=0.02)
+    assert rows[1]["text"].startswith("grip rings at 2.5 Hz")
+    assert not any("off" in row["text"] for row in rows)
+    with pytest.raises(InputError, match="between 0 and 1"):
+        describe_recording(recordings, 0, 1.5)
