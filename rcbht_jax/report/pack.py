@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.events import Belief
+from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.export.dataset import words
 from rcbht_jax.labels import LAYERS
@@ -99,6 +100,7 @@ def pack(
         "step": step.tolist(),
         "words": counts,
         "marks": [[mark.seconds, mark.text, mark.dashed] for mark in state_marks(recordings, row)],
+        "told": describe_recording(recordings, row),
         "beliefs": [{"head": b.head, "classes": b.classes, "steps": len(b.sample)} for b in beliefs],
     }
     return about, base64.b64encode(zlib.compress(raw)).decode("ascii")

@@ -73,6 +73,14 @@ async function show(number) {
   byId("about").textContent = `${a.trial}: ${a.source}, session ${a.session}, ${a.outcome}${failure}, ${arm}, ${trial.seconds.toFixed(2)} s`;
   byId("word").textContent = "Point at a word, or move from word to word with the arrow keys.";
   byId("previous").disabled = number === 0;
+  byId("told").replaceChildren(...a.told.map(([time, text]) => {
+    const row = document.createElement("li"), go = document.createElement("button");
+    go.type = "button";
+    go.textContent = `${time.toFixed(2)} s`;
+    go.addEventListener("click", () => look(time - 1, time + 3));
+    row.append(go, ` ${text}`);
+    return row;
+  }));
   byId("next").disabled = number === facts.trials.length - 1;
   draw();
 }

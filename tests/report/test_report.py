@@ -23,6 +23,7 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief
+from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel, save
 from rcbht_jax.introspection.session import Session
@@ -294,6 +295,12 @@ def test_page_works_at_this_width(width: int, height: int, report: Path, data: D
         np.testing.assert_allclose(decoded.T, data.recordings.wrench[0], atol=1e-3)
         pixels = "c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
         assert driver.execute_script(f"const c = arguments[0]; return new Set({pixels}).size", plot) > 20
+        told = describe_recording(data.recordings, 0)
+        rows = driver.execute_script("return Array.from(document.querySelectorAll('#told li'), row => row.textContent)")
+        assert rows == [f"{seconds:.2f} s {text}" for seconds, text in told]
+        driver.execute_script("look(0, 1)")
+        driver.execute_script("document.querySelectorAll('#told button')[1].click()")
+        assert driver.execute_script("return view.to - view.from") == pytest.approx(3.0)  # the whole: it has no 4 s
         # Keyboard: the first word of Fx's behaviours, then the next one, zoom, next trial.
         driver.execute_script("arguments[0].focus()", plot)
         plot.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
