@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.encoder import FLUSH_SLOTS
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     FAMILIES,
@@ -112,7 +111,7 @@ def restart(spec: FeatureSpec, stats: RunningStats, begin: Array) -> RunningStat
     return jax.tree.map(lambda new, old: jnp.where(begin == stats.begin, old, new), fresh, stats)
 
 
-def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
+def _stacked(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
     """Layers of ``[axis, slot]`` as arrays ``[layer, axis, slot]``, with empty slots at the end where one has fewer."""
     layers = [getattr(tracks, name) for name in spec.layers]
     slots = max(layer.label.shape[-1] for layer in layers)
@@ -130,8 +129,9 @@ def grow(dt: float, stats: RunningStats, now: Array, window: int) -> RunningStat
     return replace(stats, readings=online_signal.grow(stats.readings, dt, stats.begin, now, window))
 
 
-def add(spec: FeatureSpec, dt: float, stats: RunningStats, words: LabelTrack) -> RunningStats:
-    """Add labels ``[layer, axis, slot]``; what lies before the beginning of the interval is cut off."""
+def add(spec: FeatureSpec, dt: float, stats: RunningStats, tracks: LabelTracks) -> RunningStats:
+    """Add labels ``[axis, slot]`` of each layer; what lies before the beginning of the interval is cut off."""
+    words = _stacked(spec, tracks)
     label = words.label.astype(jnp.int32)
     span = jnp.maximum(words.t1 - jnp.maximum(words.t0, stats.begin), 0)
     used = (label > 0) & (span > 0)
@@ -141,9 +141,7 @@ def add(spec: FeatureSpec, dt: float, stats: RunningStats, words: LabelTrack) ->
     last, runs = _add_runs(spec, stats, code)
     readings = stats.readings
     if readings is not None:
-        layer = spec.layers.index("primitive")
-        primitives = jax.tree.map(lambda leaf: leaf[layer, :, : FLUSH_SLOTS[0]], words)  # the rest is padding
-        readings = online_signal.extend(readings, dt, stats.begin, primitives)
+        readings = online_signal.extend(readings, dt, stats.begin, tracks.primitive)
     return RunningStats(
         begin=stats.begin,
         count=stats.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
