@@ -84,6 +84,13 @@ Tolerance = Annotated[
         "1.5 % of an axis's usual range, or what its noise asks for",
     ),
 ]
+Weighing = Annotated[
+    tuple[Literal["count", "time", "change"], ...],
+    option(
+        "What labels weigh in the families histogram and ngram: one, their time, or their change of value.",
+        "time and count in histogram, count in ngram",
+    ),
+]
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
 

@@ -24,6 +24,7 @@ from rcbht_jax.cli.command import (
     Sources,
     Store,
     Task,
+    Weighing,
     progress_bar,
 )
 from rcbht_jax.cli.source import Source
@@ -55,6 +56,7 @@ class TrainOnline(RuleCommand):
     session: Sessions = ()
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
+    weighing: Weighing = ()
     seed: int = 0
     """Seed of the folds."""
     out: OutModel = Path("online.model")
@@ -77,7 +79,13 @@ class TrainOnline(RuleCommand):
         if self.detect and not phases:
             raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
         specs = tuple(
-            HeadSpec(task, relative=self.relative, phase=number >= len(tasks), false_alarms=self.false_alarms)
+            HeadSpec(
+                task,
+                relative=self.relative,
+                phase=number >= len(tasks),
+                false_alarms=self.false_alarms,
+                weighing=self.weighing,
+            )
             for number, task in enumerate([*tasks, *phases])
         )
         config = self.config(recordings.dt)

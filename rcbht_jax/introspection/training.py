@@ -119,6 +119,7 @@ class HeadSpec:
     phase: bool = False  # states from the features of the whole trial, to find out when a sub-task begins
     false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
+    weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
     subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
 
     @property
@@ -133,7 +134,7 @@ class HeadSpec:
         subtask = self.scope == "subtask"
         every, relative = (SUBTASK, SUBTASK_RELATIVE) if subtask else (TRIAL, TRIAL_RELATIVE)
         families = self.families or (relative if self.relative else every)
-        return FeatureView(FeatureSpec(families=families, balance=subtask))
+        return FeatureView(FeatureSpec(families=families, weighing=self.weighing, balance=subtask))
 
     @property
     def learning(self) -> tuple[Grid, int]:
