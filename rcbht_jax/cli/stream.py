@@ -91,7 +91,8 @@ class TrainOnline(RuleCommand):
         config = self.config(recordings.dt)
         thresholds, _ = self.read_limits(recordings, self.store)
         teachers = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
-        limits = self.limits(config, thresholds, recordings.take(teachers))
+        # Without any, training says why.
+        limits = self.limits(config, thresholds, recordings.take(teachers) if len(teachers) else recordings)
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:

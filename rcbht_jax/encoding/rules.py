@@ -93,13 +93,17 @@ def limits_for(
             raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
         return thresholds
     gradients = np.asarray(limits_of(thresholds), np.float64)
-    try:
-        found = auto_tolerance(wrench, length) if learned else np.asarray(tolerance, np.float64)
-    except ValueError:
-        raise InputError(f"The tolerance is {tolerance!r}; expected numbers, or {AUTO!r}.") from None
+    found = auto_tolerance(wrench, length) if learned else _numbers(tolerance)
     limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]) if found.ndim == 0 else found)
     limits.stacked()
     return limits
+
+
+def _numbers(tolerance: Any) -> NDArray[np.float64]:
+    try:
+        return np.asarray(tolerance, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"The tolerance is {tolerance!r}; expected numbers, or {AUTO!r}.") from None
 
 
 def checked_limits(config: AnyConfig, limits: AnyLimits) -> NDArray[np.floating]:
