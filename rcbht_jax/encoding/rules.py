@@ -94,7 +94,12 @@ def limits_for(
         return thresholds
     gradients = np.asarray(limits_of(thresholds), np.float64)
     found = auto_tolerance(wrench, length) if learned else _numbers(tolerance)
-    limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]) if found.ndim == 0 else found)
+    try:
+        limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]))
+    except ValueError:
+        raise InputError(
+            f"Tolerances have shape {found.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
+        ) from None
     limits.stacked()
     return limits
 

@@ -28,7 +28,7 @@ from rcbht_jax.learning.model_io import write_archive
 from tests.support.introspection_models import CONFIG, FIT, FIT_LIMITS, LIMITS, VIEW, fit_model, trial
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/run_chain.py"
-WRENCH = np.concatenate([trial(0, 90, 61), trial(1, 91, 102), trial(2, 93, 90)])
+WRENCH = np.concatenate([trial(0, 90, 61), trial(1, 91, 102), trial(2, 93, 91)])
 
 
 def test_a_file_keeps_rule_window_limits_and_tolerance(tmp_path: Path) -> None:
