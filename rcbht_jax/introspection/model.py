@@ -108,7 +108,7 @@ class IntrospectionModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes."""
-        return tuple(self.extra.get("axes", axis_names(len(self.stacked_limits))))
+        return tuple(self.extra.get("axes") or axis_names(len(self.stacked_limits)))
 
     @property
     def units(self) -> tuple[str, ...]:
