@@ -28,7 +28,7 @@ def encode(
     lengths: ArrayLike | None = None,
     config: AnyConfig | None = None,
     rule: Literal["paper", "fit"] = "paper",
-    tolerance: ArrayLike | None = None,
+    tolerance: ArrayLike | Sequence[float] | None = None,
 ) -> LabelTracks:
     """Labels of one or many wrench signals: gradient primitives, motion compositions, low-level behaviours.
 

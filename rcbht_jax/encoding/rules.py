@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
@@ -66,7 +66,7 @@ def config_of(rule: str, window: int, dt: float) -> AnyConfig:
 def limits_for(
     config: AnyConfig,
     thresholds: Thresholds,
-    tolerance: ArrayLike | None,
+    tolerance: ArrayLike | Sequence[float] | None,
     wrench: NDArray[np.floating],
     length: NDArray[np.integer],
 ) -> AnyLimits:
