@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset, read_thresholds
 from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.introspector import Introspector
@@ -37,7 +37,9 @@ PARAMETERS: dict[str, Any] = {
     "thresholds": "",  # file of "rcbht calibrate", in place of the preset
     "rate": 0.0,  # Hz of the samples, for words alone; 0 = by their time stamps
     "window": 5,  # samples per straight line, for words alone
-    "lead": 10.0,  # s at the beginning from which robot:=auto takes the thresholds
+    "rule": "paper",  # of the words, paper or fit, for words alone
+    "tolerance": 0.0,  # of rule:=fit, N and Nm; 0 = from the first readings
+    "lead": 10.0,  # s at the beginning from which robot:=auto takes the thresholds, and rule:=fit the tolerances
     "timeout": 1.0,  # s without a message that are reported as silence
 }
 CONTROL: dict[str, Message] = {"begin": Begin(), "reset": Reset()}
@@ -96,18 +98,22 @@ class Bridge:
     @property
     def _lead(self) -> float:
         learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
+        learns |= self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
         return float(self._parameters["lead"]) if learns else 0.0
 
     def _words(self, early: list[Message]) -> WordIntrospector:
         opening = read_opening(iter(early), self._lead)
         rate, window = self._parameters["rate"] or opening.rate(), self._parameters["window"]
+        recordings = opening.recordings(rate, AXES)
         if self._parameters["thresholds"]:
             thresholds, _ = read_thresholds(Path(self._parameters["thresholds"]), AXES)
         elif self._parameters["robot"] == "auto":
-            thresholds = live_thresholds(opening.recordings(rate, AXES), window)
+            thresholds = live_thresholds(recordings, window)
         else:
             thresholds = preset(self._parameters["robot"], AXES)
-        return WordIntrospector(EncoderConfig(window, 1 / rate), thresholds, AXES)
+        config, tolerance = config_of(self._parameters["rule"], window, 1 / rate), self._parameters["tolerance"] or None
+        limits = limits_for(config, thresholds, tolerance, recordings.wrench, recordings.length)
+        return WordIntrospector(config, limits, AXES)
 
     def _open(self, introspector: Introspector | WordIntrospector) -> None:
         introspector.warm_up()

@@ -20,7 +20,8 @@ import tyro
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from rcbht_jax.encoding.thresholds import GradientThresholds
+    from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
+    from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds
     from rcbht_jax.types import Recordings
 
 
@@ -70,6 +71,25 @@ OutFigure = Annotated[
 ]
 CompileCache = Annotated[
     Path | None, option("Folder for compiled programs, which shortens the next start.", "user's cache", metavar="DIR")
+]
+WordRule = Annotated[
+    Literal["paper", "fit"],
+    option("Rule of the words: the paper's; or fit: words are runs of windows that one straight line explains."),
+]
+Tolerance = Annotated[
+    tuple[float, ...],
+    option(
+        "Difference of line and signal, root mean square, that --rule fit allows: one number in the unit of the axes, "
+        "or one for each axis.",
+        "1.5 % of an axis's usual range, or what its noise asks for",
+    ),
+]
+Weighing = Annotated[
+    tuple[Literal["count", "time", "change"], ...],
+    option(
+        "What labels weigh in the families histogram and ngram: one, their time, or their change of value.",
+        "time and count in histogram, count in ngram",
+    ),
 ]
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
@@ -150,6 +170,47 @@ class EncodingCommand(Command):
         if scale == 1:
             return thresholds, source
         return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuleCommand(EncodingCommand):
+    """Options of the commands that encode by either rule."""
+
+    rule: WordRule = "paper"
+    tolerance: Tolerance = ()
+
+    def config(self, dt: float) -> AnyConfig:
+        """The configuration of the rule for samples ``dt`` seconds apart."""
+        from rcbht_jax.encoding.rules import config_of
+
+        return config_of(self.rule, self.window, dt)
+
+    def limits(self, config: AnyConfig, thresholds: Thresholds, teachers: Recordings) -> AnyLimits:
+        """The thresholds and, by the fit rule, the tolerances: those of the option, or of these recordings."""
+        from rcbht_jax.encoding.rules import limits_for
+
+        tolerance = checked_tolerance(self.rule, self.tolerance, len(teachers.axes))
+        return limits_for(config, thresholds, tolerance, teachers.wrench, teachers.length)
+
+
+def checked_tolerance(
+    rule: str, tolerance: tuple[float, ...], axes: int | None = None
+) -> float | tuple[float, ...] | None:
+    """The option --tolerance as :func:`rcbht_jax.encoding.rules.limits_for` takes it; None = from recordings.
+
+    Args:
+        rule: of the words.
+        tolerance: the option.
+        axes: how many there are; None = not known yet.
+
+    Raises:
+        InputError: a tolerance for another rule than fit, or another number of them than axes.
+    """
+    if tolerance and rule != "fit":
+        raise InputError("--tolerance is for --rule fit; add that, or leave it out.")
+    if axes is not None and len(tolerance) not in (0, 1, axes):
+        raise InputError(f"--tolerance has {len(tolerance)} numbers; expected one, or {axes}, one for each axis.")
+    return None if not tolerance else tolerance[0] if len(tolerance) == 1 else tolerance
 
 
 def _robot(recordings: Recordings, store: Path) -> str:

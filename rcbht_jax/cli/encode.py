@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rcbht_jax.cli.command import EncodingCommand, Flag, Store, progress_bar
+from rcbht_jax.cli.command import Flag, RuleCommand, Store, checked_tolerance, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
-    from rcbht_jax.encoding.thresholds import GradientThresholds
+    from rcbht_jax.encoding.rules import AnyConfig
     from rcbht_jax.types import LabelTracks, Recordings
 
 
@@ -21,7 +20,7 @@ RESTLESS = 1 / 3  # of the time at rest, beyond which the thresholds do not fit
 
 
 @dataclass(frozen=True)
-class Encode(EncodingCommand):
+class Encode(RuleCommand):
     """Encode every recording of a store as labels and add the label tracks to the store.
 
     The online mode is the streaming encoder of this library, as the paper defines it. The offline mode is the authors'
@@ -44,12 +43,9 @@ class Encode(EncodingCommand):
     """Let an impulse be the first of a pair only, never the second (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label with the accumulated one only (online)."""
-    rule: Literal["paper", "similar", "fit"] = "paper"
+    rule: Literal["paper", "similar", "fit"] = field(default="paper", kw_only=True)  # type: ignore[assignment]  # one more
     """Rule of durations and amplitudes for merging: the paper's, or that of the authors' older program; or fit: words
     are runs of windows that one straight line explains (online)."""
-    tolerance: tuple[float, ...] = ()
-    """Difference of line and signal, root mean square, that the rule fit allows: one number in the unit of the axes, or
-    one for each axis; default: 1.5 % of an axis's usual range, or what its noise asks for."""
     latency_cap: float | None = None
     """Emit a label that is held back at the latest after this many seconds (online); by the rule fit, 0.2."""
     version: Literal["master", "a642c8b", "a1ca1d1", "wip"] = "master"
@@ -69,8 +65,9 @@ class Encode(EncodingCommand):
             raise InputError(
                 "--thresholds and --scale are for the online encoder; leave them out, or use --mode online."
             )
-        if self.tolerance and (self.rule != "fit" or self.mode == "offline"):
-            raise InputError("--tolerance is for --rule fit of the online encoder; leave it out.")
+        if self.rule != "paper" and self.mode == "offline":
+            raise InputError("--rule is for the online encoder; leave it out, or use --mode online.")
+        checked_tolerance(self.rule, self.tolerance)
         if not 0 < self.scale < float("inf"):
             raise InputError(f"--scale is {self.scale}; expected a positive number.")
         if name in list_tracks(self.store):
@@ -114,44 +111,28 @@ class Encode(EncodingCommand):
 
     def _online(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         from rcbht_jax.encoding.batch import encode_batch
+        from rcbht_jax.encoding.rules import made_by
 
         thresholds, source = self.read_limits(recordings, self.store, self.scale)
-        config, limits, choices = self._rule(recordings, thresholds)
+        config = self.config(recordings.dt)
+        limits = self.limits(config, thresholds, recordings)
         total = int(recordings.length.sum())
         with progress_bar("encode", "samples", total, unit_scale=True) as bar:
             tracks = encode_batch(config, limits, recordings.wrench, recordings.length, progress=bar.update)
-        how = {"semantics": "online", "window": self.window, "config": {**asdict(config), **choices}}
-        return tracks, {**how, "thresholds": thresholds.limits.tolist(), "thresholds_from": source}
+        how = {"semantics": "online", "window": self.window, **made_by(config, limits)}
+        return tracks, {**how, "thresholds_from": source}
 
-    def _rule(
-        self, recordings: Recordings, thresholds: GradientThresholds
-    ) -> tuple[AnyConfig, AnyLimits, dict[str, Any]]:
-        """Configuration and limits of the rule, and what else decides which labels it makes."""
+    def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.encoding.fit import FitConfig
-        from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 
         pairs = (self.gate, self.adj_exempt, self.contact_first)
         if self.rule != "fit":
-            config = EncoderConfig(self.window, recordings.dt, *pairs, self.pipe, self.rule, self.latency_cap)
-            return config, thresholds, {}
+            return EncoderConfig(self.window, dt, *pairs, self.pipe, self.rule, self.latency_cap)
         if self.pipe != "two-slot":
             raise InputError("--pipe is for the paper's rule; --rule fit has no filter. Leave it out.")
         cap = FitConfig.latency_cap if self.latency_cap is None else self.latency_cap
-        if self.tolerance and len(self.tolerance) not in (1, len(recordings.axes)):
-            raise InputError(
-                f"--tolerance has {len(self.tolerance)} numbers; expected one, or {len(recordings.axes)}, one for each "
-                "axis."
-            )
-        given = np.broadcast_to(self.tolerance, (len(recordings.axes),)) if self.tolerance else None
-        tolerance = auto_tolerance(recordings.wrench, recordings.length) if given is None else given
-        limits = FitLimits(np.asarray(thresholds.limits), tolerance)
-        limits.stacked()
-        return (
-            FitConfig(self.window, recordings.dt, *pairs, cap),
-            limits,
-            {"rule": "fit", "tolerance": tolerance.tolist()},
-        )
+        return FitConfig(self.window, dt, *pairs, cap)
 
     def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
         from rcbht_jax.reference.dataset import encode_dataset

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import ONLINE_MODEL, Command, NewWindow, Store, Tracks, progress_bar
+from rcbht_jax.cli.command import ONLINE_MODEL, Command, NewWindow, Store, Tolerance, Tracks, WordRule, progress_bar
 from rcbht_jax.errors import InputError
 
 
@@ -30,13 +30,15 @@ class Export(Command):
     """Format of the files."""
     tracks: Tracks = ""
     window: NewWindow = None
+    rule: WordRule = "paper"
+    tolerance: Tolerance = ()
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.export import export, load
         from rcbht_jax.io.export.write import check_target
 
         check_target(self.out)
-        data = load(self.store, self.tracks, self.window)
+        data = load(self.store, self.tracks, self.window, self.rule, self.tolerance)
         with progress_bar("export", "trials", len(data.recordings)) as bar:
             export(data, self.out, self.format, lambda done: bar.update(done) and None)
         files = [path for path in self.out.rglob("*") if path.is_file()]
@@ -76,6 +78,8 @@ class Report(Command):
     """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
     tracks: Tracks = ""
     window: NewWindow = None
+    rule: WordRule = "paper"
+    tolerance: Tolerance = ()
     trial: tuple[str, ...] = ()
     """Trials to show; default --max-trials of them, evenly spaced."""
     max_trials: int = 100
@@ -101,7 +105,7 @@ class Report(Command):
             trials=self.trial,
             most=self.max_trials,
         )
-        data = load(self.store, self.tracks, self.window)
+        data = load(self.store, self.tracks, self.window, self.rule, self.tolerance)
         count = len(chosen(data.recordings, options))
         with progress_bar("report", "trials", count) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)

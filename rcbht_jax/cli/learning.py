@@ -24,6 +24,7 @@ from rcbht_jax.cli.command import (
     Sessions,
     Sources,
     Task,
+    Weighing,
     progress_bar,
 )
 from rcbht_jax.errors import InputError
@@ -56,6 +57,7 @@ class _Learning(Command):
     session: Sessions = ()
     features: tuple[Family, ...] = ("histogram", "parts", "spread", "together", "order")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
+    weighing: Weighing = ()
     ranks: Flag = True
     """Replace every feature by its rank in the training set, which transfers best between data sets."""
     balance: Flag = False
@@ -120,7 +122,7 @@ class Evaluate(_Learning):
 
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
-        families = FeatureSpec(families=self.features, balance=self.balance)
+        families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         recordings, folds = read_recordings(self.store), 1 if self.train_on else self.folds * self.repeats
         with progress_bar("evaluate", "folds", folds) as bar:
             result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update)
@@ -164,7 +166,7 @@ class Train(_Learning):
         from rcbht_jax.learning.model_io import save
 
         grammars, how = self.read_tracks()
-        families = FeatureSpec(families=self.features, balance=self.balance)
+        families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         recordings, grid = read_recordings(self.store), self.grid
         with progress_bar("train", "folds", grid.inner) as bar:
             model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update)

@@ -44,7 +44,12 @@ class PlotTrial(Command):
         name, labels, attrs = choose_tracks(self.store, self.tracks)
         window = attrs.get("window")
         figure = trial_figure(
-            recordings, labels, index, window=window if isinstance(window, int) else None, seconds=self.seconds
+            recordings,
+            labels,
+            index,
+            window=window if isinstance(window, int) else None,
+            rule=attrs.get("config", {}).get("rule", "paper"),
+            seconds=self.seconds,
         )
         save(figure, self.out)
         recording = {key: str(getattr(recordings, key)[index]) for key in ("trial", "arm", "source")}

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Command, Flag, Sources, Store, option, progress_bar
+from rcbht_jax.cli.command import (
+    Command,
+    Flag,
+    Sources,
+    Store,
+    Tolerance,
+    WordRule,
+    checked_tolerance,
+    option,
+    progress_bar,
+)
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,6 +48,8 @@ class Segment(Command):
     """Train on one recording at a time and test on all others."""
     offline: Flag = False
     """Read the future of a recording as well; else a label depends on no later sample."""
+    rule: WordRule = "paper"
+    tolerance: Tolerance = ()
     seed: int = 0
     """Seed of trees and copies."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="SEGMENTS.csv")] = Path("segments.csv")
@@ -45,6 +57,7 @@ class Segment(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
+        from rcbht_jax.encoding.rules import AUTO
         from rcbht_jax.introspection.segmentation import Protocol, WrenchSegmenter, segment
         from rcbht_jax.io.store import read_recordings
 
@@ -53,12 +66,14 @@ class Segment(Command):
         recordings = read_recordings(self.store)
         chosen = np.isin(recordings.source, self.source) if self.source else np.ones(len(recordings), bool)
         protocol = Protocol(self.task, self.group, self.folds, self.one_shot)
-        segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed)
+        tolerance = checked_tolerance(self.rule, self.tolerance, len(recordings.axes))
+        words = {"rule": self.rule, "tolerance": AUTO if tolerance is None else tolerance}
+        segmenter = WrenchSegmenter(offline=self.offline, random_state=self.seed, **words)
         with progress_bar("segment", "models") as bar:
             result = segment(recordings.take(np.flatnonzero(chosen)), segmenter, protocol, bar.update)
         with atomic_write(self.out) as draft:
             draft.write_text(_table(result), encoding="utf-8")
-        return {"out": str(self.out), "causal": not self.offline, **result.to_json()}
+        return {"out": str(self.out), "causal": not self.offline, "rule": self.rule, **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
         how = "causal" if result["causal"] else "offline"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import Arm, CompileCache, EncodingCommand, OnlineModel
+from rcbht_jax.cli.command import Arm, CompileCache, OnlineModel, RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Source(EncodingCommand):
+class Source(RuleCommand):
     """Options of the commands that read a stream."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
@@ -45,7 +45,8 @@ class Source(EncodingCommand):
     sampling_rate: float | None = None
     """Samples per second of the encoder, without a model; default that of the recording or of its time stamps."""
     lead: float = 10.0
-    """Seconds at the beginning from which --robot auto takes the thresholds of a stream that is not a store."""
+    """Seconds at the beginning from which --robot auto takes the thresholds, and --rule fit the tolerances, of a stream
+    that is not a store."""
     rate: float | None = None
     """Beliefs per second; 0 = one per window; default about 10."""
     certainty: float = 0.70
@@ -99,11 +100,13 @@ class Source(EncodingCommand):
             raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
         own = {
             "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
-            "--window": self.window != EncodingCommand.window, "--axes": bool(self.axes),
-            "--sampling-rate": self.sampling_rate is not None,
+            "--window": self.window != RuleCommand.window, "--axes": bool(self.axes),
+            "--sampling-rate": self.sampling_rate is not None, "--rule": self.rule != RuleCommand.rule,
+            "--tolerance": bool(self.tolerance),
         }  # fmt: skip
         if self.model is not None and (given := [name for name, used in own.items() if used]):
-            raise InputError(f"A model has axes, window, rate and thresholds of its own; leave out {given[0]}.")
+            raise InputError(f"A model has axes, window, rate, rule and thresholds of its own; leave out {given[0]}.")
+        checked_tolerance(self.rule, self.tolerance)
         if self.model is None and self.starts == "detected":
             raise InputError("Only a model detects sub-tasks; name one with --model, or leave out --starts detected.")
         if not (self.sampling_rate is None or 0 < self.sampling_rate < float("inf")):
@@ -113,7 +116,6 @@ class Source(EncodingCommand):
 
     def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[AnyIntrospector, Messages]:
         """What reports words without a model, with the thresholds of the options, and the messages for it."""
-        from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.introspection.opening import live_thresholds, read_opening
         from rcbht_jax.introspection.words import WordIntrospector
         from rcbht_jax.io.rosbags import is_bag
@@ -127,9 +129,11 @@ class Source(EncodingCommand):
         else:
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"
-            if learns:
-                say(f"taking the thresholds from the first {self.lead:g} s")
-            opening = read_opening(messages, self.lead if learns else 0.0, self.sampling_rate)
+            measured = self.rule == "fit" and not self.tolerance
+            if learns or measured:
+                what = " and ".join(["thresholds"] * learns + ["tolerances"] * measured)
+                say(f"taking the {what} from the first {self.lead:g} s")
+            opening = read_opening(messages, self.lead if learns or measured else 0.0, self.sampling_rate)
             messages, rate = opening.messages, self.sampling_rate or opening.rate()
             recordings = opening.recordings(rate, opening.axes)
         if self.axes:
@@ -143,8 +147,9 @@ class Source(EncodingCommand):
             thresholds = live_thresholds(recordings, self.window)
         else:
             thresholds, _ = replace(self, robot=robot).read_limits(recordings, path)
-        config = EncoderConfig(self.window, 1 / rate)
-        return WordIntrospector(config, thresholds, recordings.axes, recordings.units), messages
+        config = self.config(1 / rate)
+        limits = self.limits(config, thresholds, recordings)
+        return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
     def _messages(self) -> Messages:
         from rcbht_jax.io.messages import read_live

@@ -17,13 +17,14 @@ import tyro
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
     Command,
-    EncodingCommand,
     Flag,
     OutModel,
+    RuleCommand,
     Sessions,
     Sources,
     Store,
     Task,
+    Weighing,
     progress_bar,
 )
 from rcbht_jax.cli.source import Source
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TrainOnline(EncodingCommand):
+class TrainOnline(RuleCommand):
     """Train a model that computes beliefs from a stream: one classifier per task, calibrated on held-out trials.
 
     Example: rcbht train-online hiro.zarr --source REAL_HIRO_ONE_SA_SUCCESS -o states.model
@@ -55,6 +56,7 @@ class TrainOnline(EncodingCommand):
     session: Sessions = ()
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
+    weighing: Weighing = ()
     seed: int = 0
     """Seed of the folds."""
     out: OutModel = Path("online.model")
@@ -64,12 +66,12 @@ class TrainOnline(EncodingCommand):
     }  # fmt: skip
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.encoding.encoder import EncoderConfig
+        from rcbht_jax.encoding.rules import made_by
         from rcbht_jax.introspection.model import save
         from rcbht_jax.introspection.training import HeadSpec, train_model
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.confounds import confounds
-        from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, track_of
+        from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings, labelled_intervals, track_of
 
         recordings = read_recordings(self.store)
         tasks = [TaskSpec(task, sources=self.source, sessions=self.session) for task in self.task]
@@ -77,18 +79,27 @@ class TrainOnline(EncodingCommand):
         if self.detect and not phases:
             raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
         specs = tuple(
-            HeadSpec(task, relative=self.relative, phase=number >= len(tasks), false_alarms=self.false_alarms)
+            HeadSpec(
+                task,
+                relative=self.relative,
+                phase=number >= len(tasks),
+                false_alarms=self.false_alarms,
+                weighing=self.weighing,
+            )
             for number, task in enumerate([*tasks, *phases])
         )
-        config = EncoderConfig(window=self.window, dt=recordings.dt)
+        config = self.config(recordings.dt)
         thresholds, _ = self.read_limits(recordings, self.store)
+        teachers = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
+        # Without any, training says why.
+        limits = self.limits(config, thresholds, recordings.take(teachers) if len(teachers) else recordings)
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:
                 bar.total = total
                 bar.update(done)
 
-            model = train_model(recordings, specs, config, thresholds, self.seed, progress)
+            model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
         heads = {
             head.name: {
@@ -100,10 +111,12 @@ class TrainOnline(EncodingCommand):
             }
             for spec, head in zip(specs, model.heads, strict=True)
         }
-        return {"model": str(self.out), "heads": heads, "data_hash": model.data_hash}
+        encoder = made_by(config, limits)["config"]
+        return {"model": str(self.out), "encoder": encoder, "heads": heads, "data_hash": model.data_hash}
 
     def text(self, result: dict[str, Any]) -> str:
-        lines = [f"{result['model']}: {len(result['heads'])} classifier(s)"]
+        by = " of words by the fit rule" if result["encoder"]["rule"] == "fit" else ""
+        lines = [f"{result['model']}: {len(result['heads'])} classifier(s){by}"]
         for name, head in result["heads"].items():
             classes = ", ".join(head["classes"])
             svm = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"

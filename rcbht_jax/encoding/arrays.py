@@ -11,11 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.rules import AnyConfig
+from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
-from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
@@ -31,7 +28,7 @@ def encode(
     lengths: ArrayLike | None = None,
     config: AnyConfig | None = None,
     rule: Literal["paper", "fit"] = "paper",
-    tolerance: ArrayLike | None = None,
+    tolerance: ArrayLike | Sequence[float] | None = None,
 ) -> LabelTracks:
     """Labels of one or many wrench signals: gradient primitives, motion compositions, low-level behaviours.
 
@@ -69,9 +66,7 @@ def encode(
         >>> fitted.words("Fz"), fitted.primitive.t1[2].tolist()[:3]
         (['FX', 'PS', 'FX'], [200, 300, 400])
     """
-    config = config or _config(rule, window, 1 / _positive(rate))
-    if tolerance is not None and not isinstance(config, FitConfig):
-        raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
+    config = config or config_of(rule, window, 1 / _positive(rate))
     several = isinstance(wrench, list | tuple)
     signals = [_signal(one, config.dt) for one in wrench] if several else [_signal(wrench, config.dt)]
     if not signals:
@@ -80,29 +75,14 @@ def encode(
     if any(names != axes for _, names in signals):
         raise InputError(f"The recordings have different axes: {', '.join(axes)} and others.")
     stacked, length = _padded([values for values, _ in signals], lengths)
-    limits = _thresholds(thresholds, axes)
-    if isinstance(config, FitConfig):
-        found = auto_tolerance(stacked, length, config.needed) if tolerance is None else tolerance
-        tracks = encode_batch(config, _fit_limits(limits, found), stacked, length)
-    else:
-        tracks = encode_batch(config, limits, stacked, length)
+    limits = limits_for(config, _thresholds(thresholds, axes), tolerance, stacked, length)
+    tracks = encode_batch(config, limits, stacked, length)
     single = not several and signals[0][0].ndim == 2
     recordings = () if single else _names(wrench, len(length))
     info = TrackInfo(1 / config.dt, axes, recordings)
     if single:
         tracks = jax.tree.map(lambda values: values[0], tracks)
     return replace(tracks, info=info)
-
-
-def _config(rule: str, window: int, dt: float) -> AnyConfig:
-    if rule not in ("paper", "fit"):
-        raise InputError(f"There is no rule {rule!r}; there are paper and fit.")
-    return FitConfig(window, dt) if rule == "fit" else EncoderConfig(window, dt)
-
-
-def _fit_limits(thresholds: GradientThresholds, tolerance: ArrayLike) -> FitLimits:
-    found, gradients = np.asarray(tolerance, np.float64), np.asarray(thresholds.limits)
-    return FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]) if found.ndim == 0 else found)
 
 
 def _positive(rate: float) -> float:

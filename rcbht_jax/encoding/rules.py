@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding import encoder, fit
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
-from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks
 
 AnyConfig = EncoderConfig | FitConfig
 AnyLimits = Thresholds | FitLimits
+
+RULES = ("paper", "fit")
+AUTO = "auto"  # a tolerance that recordings tell
 
 
 class Rule(NamedTuple):
@@ -25,12 +29,13 @@ class Rule(NamedTuple):
 
     init: Callable[..., EncoderState]  # of (config, lanes, dtype)
     step: Callable[..., Any]
+    step_partial: Callable[..., Any]
     flush: Callable[..., LabelTracks]
     scan_lanes: Callable[..., tuple[EncoderState, LabelTracks]]
     drain: Callable[..., LabelTracks]  # of (config, limits [number, lane], state)
 
 
-def _init(_config: EncoderConfig, lanes: tuple[int, ...], dtype: Any) -> EncoderState:
+def _init(_config: EncoderConfig, lanes: tuple[int, ...], dtype: Any = np.float32) -> EncoderState:
     return encoder.init(lanes, dtype)
 
 
@@ -38,13 +43,76 @@ def _drain(config: EncoderConfig, _limits: Any, state: EncoderState) -> LabelTra
     return encoder.drain(config, state)
 
 
-PAPER = Rule(_init, encoder.step, encoder.flush, encoder.scan_lanes, _drain)
-FIT = Rule(fit.init, fit.step, fit.flush, fit.scan_lanes, fit.drain)
+PAPER = Rule(_init, encoder.step, encoder.step_partial, encoder.flush, encoder.scan_lanes, _drain)
+FIT = Rule(fit.init, fit.step, fit.step_partial, fit.flush, fit.scan_lanes, fit.drain)
 
 
 def rule_of(config: AnyConfig) -> Rule:
     """The functions that a configuration belongs to."""
     return FIT if isinstance(config, FitConfig) else PAPER
+
+
+def config_of(rule: str, window: int, dt: float) -> AnyConfig:
+    """The configuration of a rule by its name, with the defaults of everything else.
+
+    Raises:
+        InputError: no such rule, or a value is out of range.
+
+    Example:
+        >>> config_of("fit", 2, 0.01).window
+        2
+    """
+    if rule not in RULES:
+        raise InputError(f"There is no rule {rule!r}; there are {' and '.join(RULES)}.")
+    return FitConfig(window, dt) if rule == "fit" else EncoderConfig(window, dt)
+
+
+def limits_for(
+    config: AnyConfig,
+    thresholds: Thresholds,
+    tolerance: ArrayLike | Sequence[float] | None,
+    wrench: NDArray[np.floating],
+    length: NDArray[np.integer],
+) -> AnyLimits:
+    """What the encoder of a rule takes: the thresholds alone, or with a tolerance for every axis.
+
+    Args:
+        config: its type chooses the rule.
+        thresholds: gradient limits ``[..., axis, 4]``.
+        tolerance: a number, or one for each axis; None or "auto" = from the recordings. The paper's rule has none.
+        wrench: recordings ``[recording, time, axis]`` that tell the tolerance, N and Nm.
+        length: their samples that count ``[recording]``.
+
+    Raises:
+        InputError: a tolerance for the paper's rule, or limits or tolerances of wrong shape or out of range.
+
+    Example:
+        >>> ramp, limits = np.linspace(0, 100, 1001)[None, :, None], np.array([[70.0, 46.0, 23.0, 1.0]])
+        >>> limits_for(FitConfig(), limits, "auto", ramp, np.array([1001])).tolerance.round(6).tolist()
+        [1.47]
+    """
+    learned = tolerance is None or (isinstance(tolerance, str) and tolerance == AUTO)
+    if not isinstance(config, FitConfig):
+        if not learned:
+            raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
+        return thresholds
+    gradients = np.asarray(limits_of(thresholds), np.float64)
+    found = auto_tolerance(wrench, length, config.needed) if learned else _numbers(tolerance)
+    try:
+        limits = FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]))
+    except ValueError:
+        raise InputError(
+            f"Tolerances have shape {found.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
+        ) from None
+    limits.stacked()
+    return limits
+
+
+def _numbers(tolerance: Any) -> NDArray[np.float64]:
+    try:
+        return np.asarray(tolerance, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"The tolerance is {tolerance!r}; expected numbers, or {AUTO!r}.") from None
 
 
 def checked_limits(config: AnyConfig, limits: AnyLimits) -> NDArray[np.floating]:
@@ -67,3 +135,61 @@ def checked_limits(config: AnyConfig, limits: AnyLimits) -> NDArray[np.floating]
     values = np.asarray(limits_of(limits))
     validate(values)
     return values
+
+
+# --- as files have them -----------------------------------------------------------------------------------------------
+
+
+def config_fields(config: AnyConfig) -> dict[str, Any]:
+    """A configuration as JSON values; the rule "fit" names that of :class:`FitConfig`.
+
+    >>> config_fields(FitConfig())["rule"], config_fields(EncoderConfig())["rule"]
+    ('fit', 'paper')
+    """
+    return asdict(config) | ({"rule": "fit"} if isinstance(config, FitConfig) else {})
+
+
+def config_from(values: Mapping[str, Any]) -> AnyConfig:
+    """Undo :func:`config_fields`; files older than the fit rule hold the paper's.
+
+    Raises:
+        InputError: a value is out of range.
+        TypeError: there is no field of that name.
+    """
+    if values.get("rule") == "fit":
+        return FitConfig(**{name: value for name, value in values.items() if name != "rule"})
+    return EncoderConfig(**values)
+
+
+def limit_arrays(limits: AnyLimits) -> dict[str, NDArray[np.float64]]:
+    """Limits as named arrays: "limits" of the paper's rule, "limits.gradients" and others of the fit."""
+    if not isinstance(limits, FitLimits):
+        return {"limits": np.asarray(limits_of(limits), np.float64)}
+    values = {field.name: getattr(limits, field.name) for field in fields(limits)}
+    return {f"limits.{name}": np.asarray(value, np.float64) for name, value in values.items() if value is not None}
+
+
+def limits_from(config: AnyConfig, arrays: Mapping[str, NDArray[Any]]) -> AnyLimits:
+    """Undo :func:`limit_arrays`.
+
+    Raises:
+        KeyError: an array is missing.
+    """
+    if not isinstance(config, FitConfig):
+        return np.asarray(arrays["limits"])
+    names = [field.name for field in fields(FitLimits) if f"limits.{field.name}" in arrays]
+    if not names:
+        raise KeyError("limits of the fit rule")
+    return FitLimits(**{name: np.asarray(arrays[f"limits.{name}"]) for name in names})
+
+
+def made_by(config: AnyConfig, limits: AnyLimits) -> dict[str, Any]:
+    """How labels were made, as label tracks note it: JSON values "config" and "thresholds".
+
+    >>> noted = made_by(FitConfig(), FitLimits(np.array([[70.0, 46.0, 23.0, 1.0]]), np.array([0.5])))
+    >>> noted["config"]["tolerance"], noted["thresholds"]
+    ([0.5], [[70.0, 46.0, 23.0, 1.0]])
+    """
+    arrays = {name.removeprefix("limits."): value.tolist() for name, value in limit_arrays(limits).items()}
+    thresholds = arrays.pop("gradients" if isinstance(limits, FitLimits) else "limits")
+    return {"config": config_fields(config) | arrays, "thresholds": thresholds}

@@ -7,7 +7,8 @@ Families of features, each usable alone:
   slots divide the interval itself, a gap has no label, and ties go to the smallest code
   (``rcbht_jax.reference.published_features`` has the authors' variant);
 * ``histogram``: share of time and share of count per label;
-* ``ngram``: share of each run of n successive labels;
+* ``ngram``: share of each run of n successive labels; in both families labels may be weighed otherwise
+  (``FeatureSpec.weighing``): by count, by time or by change of value;
 * ``attributes``: mean amplitude, slope and level relative to the interval's mean level, per label group;
 * ``duration``: seconds of the interval and of its labels;
 * ``elapsed``: seconds since the start of the interval, one column;

@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding.encoder import FLUSH_SLOTS
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     FAMILIES,
@@ -28,7 +27,9 @@ from rcbht_jax.features import (
     Intervals,
     interval_features,
     online_signal,
+    online_weights,
 )
+from rcbht_jax.features.online_weights import WeighedSums, two_sum
 from rcbht_jax.features.signal_families import FAMILIES as LINES
 from rcbht_jax.features.word_families import compressed
 from rcbht_jax.labels import AXES, LAYER_SIZES, LAYERS, PRIMITIVE_GROUP, Group
@@ -64,6 +65,7 @@ class RunningStats:
     longest: Array  # int32 [layer, axis, code], samples
     last: Array  # int32 [layer, axis, n - 1], codes of the latest labels, oldest first; 0 = none
     runs: Array  # int32 [layer, axis, code^n], runs of n labels; [layer, axis, 0] where no family needs them
+    weighed: dict[str, WeighedSums]  # by weighing; those that ``online_weights.needed`` names
     values: Values | None  # None where no family needs them
     readings: online_signal.DecimatedSignal | None  # of the primitives; None where no signal family needs it
 
@@ -95,9 +97,14 @@ def empty(spec: FeatureSpec, begin: Array, axes: int = len(AXES)) -> RunningStat
         longest=ints,
         last=last,
         runs=jnp.zeros((*lanes, runs), jnp.int32),
+        weighed={kind: online_weights.empty(lanes, CODES, runs, spec.ngram) for kind in _weighed(spec)},
         values=_no_values(lanes) if _VALUED & set(spec.families) else None,
         readings=online_signal.empty(axes) if set(LINES) & set(spec.families) else None,
     )
+
+
+def _weighed(spec: FeatureSpec) -> tuple[str, ...]:
+    return online_weights.needed(spec.weighing, "ngram" in spec.families)
 
 
 def _no_values(lanes: tuple[int, int]) -> Values:
@@ -112,7 +119,7 @@ def restart(spec: FeatureSpec, stats: RunningStats, begin: Array) -> RunningStat
     return jax.tree.map(lambda new, old: jnp.where(begin == stats.begin, old, new), fresh, stats)
 
 
-def stack_words(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
+def _stacked(spec: FeatureSpec, tracks: LabelTracks) -> LabelTrack:
     """Layers of ``[axis, slot]`` as arrays ``[layer, axis, slot]``, with empty slots at the end where one has fewer."""
     layers = [getattr(tracks, name) for name in spec.layers]
     slots = max(layer.label.shape[-1] for layer in layers)
@@ -130,20 +137,23 @@ def grow(dt: float, stats: RunningStats, now: Array, window: int) -> RunningStat
     return replace(stats, readings=online_signal.grow(stats.readings, dt, stats.begin, now, window))
 
 
-def add(spec: FeatureSpec, dt: float, stats: RunningStats, words: LabelTrack) -> RunningStats:
-    """Add labels ``[layer, axis, slot]``; what lies before the beginning of the interval is cut off."""
+def add(spec: FeatureSpec, dt: float, stats: RunningStats, tracks: LabelTracks) -> RunningStats:
+    """Add labels ``[axis, slot]`` of each layer; what lies before the beginning of the interval is cut off."""
+    words = _stacked(spec, tracks)
     label = words.label.astype(jnp.int32)
     span = jnp.maximum(words.t1 - jnp.maximum(words.t0, stats.begin), 0)
     used = (label > 0) & (span > 0)
     code = jnp.where(used, label, 0)
     hot = _hot(code - 1, CODES)
     spans = jnp.where(hot, span[..., None], 0)
-    last, runs = _add_runs(spec, stats, code)
+    last, runs, run_hot = _add_runs(spec, stats, code)
+    weighed = {
+        kind: online_weights.add(sums, jnp.where(used, online_weights.weights(kind, words, span), 0), hot, run_hot)
+        for kind, sums in stats.weighed.items()
+    }
     readings = stats.readings
     if readings is not None:
-        layer = spec.layers.index("primitive")
-        primitives = jax.tree.map(lambda leaf: leaf[layer, :, : FLUSH_SLOTS[0]], words)  # the rest is padding
-        readings = online_signal.extend(readings, dt, stats.begin, primitives)
+        readings = online_signal.extend(readings, dt, stats.begin, tracks.primitive)
     return RunningStats(
         begin=stats.begin,
         count=stats.count + jnp.sum(hot, axis=2, dtype=jnp.int32),
@@ -151,6 +161,7 @@ def add(spec: FeatureSpec, dt: float, stats: RunningStats, words: LabelTrack) ->
         longest=jnp.maximum(stats.longest, jnp.max(spans, axis=2)),
         last=last,
         runs=runs,
+        weighed=weighed,
         values=None if stats.values is None else _add_values(spec, stats, words, used, code, span),
         readings=readings,
     )
@@ -164,7 +175,7 @@ def _add_values(
     weighted = _values(words) * jnp.where(used, span, 0).astype(jnp.float32)[..., None]
     group_hot = _hot(_group(spec, code) - 1, CODES)
     sums = jnp.sum(jnp.where(group_hot[..., None], weighted[..., None, :], 0), axis=2)
-    total, lost = _two_sum(values.total, values.lost, sums)
+    total, lost = two_sum(values.total, values.lost, sums)
     lowest = float(np.finfo(np.float32).min)
     first, final = _edge_values(values, jnp.any(stats.count > 0, axis=-1), words, used)
     return Values(
@@ -216,18 +227,14 @@ def _groups(spec: FeatureSpec) -> NDArray[np.int32]:
     return np.stack([PRIMITIVE_GROUP + 1 if name == "primitive" else plain for name in spec.layers])
 
 
-def _two_sum(total: Array, lost: Array, value: Array) -> tuple[Array, Array]:
-    """Sum and its rounding error (Knuth); exact as long as nothing is reassociated, which XLA does not do."""
-    new = total + value
-    part = new - total
-    return new, lost + ((total - (new - part)) + (value - part))
+def _add_runs(spec: FeatureSpec, stats: RunningStats, code: Array) -> tuple[Array, Array, Array]:
+    """The latest codes, the counts of runs, and which run each label ends ``[layer, axis, slot, run]``.
 
-
-def _add_runs(spec: FeatureSpec, stats: RunningStats, code: Array) -> tuple[Array, Array]:
-    """The latest codes, and the counts of runs, after labels ``[layer, axis, slot]`` some of which are empty."""
+    ``code`` ``[layer, axis, slot]`` may have empty slots.
+    """
     last = stats.last
     if stats.runs.shape[-1] == 0:
-        return last, stats.runs
+        return last, stats.runs, jnp.zeros((*code.shape, 0), bool)
     place = jnp.asarray(CODES ** np.arange(spec.ngram - 1, -1, -1), jnp.int32)
     index = []
     for slot in range(code.shape[-1]):
@@ -237,14 +244,14 @@ def _add_runs(spec: FeatureSpec, stats: RunningStats, code: Array) -> tuple[Arra
         index.append(jnp.where(whole, jnp.sum((window - 1) * place[None, None], axis=-1), -1))
         last = jnp.where(here > 0, window[..., 1:], last)
     hot = _hot(jnp.stack(index, axis=-1), stats.runs.shape[-1])
-    return last, stats.runs + jnp.sum(hot, axis=2, dtype=jnp.int32)
+    return last, stats.runs + jnp.sum(hot, axis=2, dtype=jnp.int32), hot
 
 
 def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Array) -> Array:
     """Features float32 ``[feature]`` of the interval up to sample ``now``, in the order of :func:`names`."""
     blocks: dict[str, Callable[[], list[Array]]] = {
-        "histogram": lambda: [_share(stats.time), _share(stats.count)],
-        "ngram": lambda: [_share(stats.runs)],
+        "histogram": lambda: [_word_shares(stats, kind) for kind in spec.word_weighing],
+        "ngram": lambda: [_run_shares(stats, kind) for kind in spec.run_weighing],
         "duration": lambda: [_ratio(stats.time, stats.count) * dt, stats.longest.astype(jnp.float32) * dt],
     }
     if (values := stats.values) is not None:
@@ -260,6 +267,16 @@ def describe_interval(spec: FeatureSpec, dt: float, stats: RunningStats, now: Ar
         flat.append(online_signal.describe(spec.families, stats.readings, now - stats.begin))
     flat += [((now - stats.begin).astype(jnp.float32) * dt)[None]] * len(_SECONDS & set(spec.families))
     return jnp.concatenate(flat)[jnp.asarray(_columns(spec, stats.count.shape[1]))]
+
+
+def _word_shares(stats: RunningStats, kind: str) -> Array:
+    if kind == "change":
+        return online_weights.share(stats.weighed[kind].words)
+    return _share(stats.time if kind == "time" else stats.count)
+
+
+def _run_shares(stats: RunningStats, kind: str) -> Array:
+    return _share(stats.runs) if kind == "count" else online_weights.share(stats.weighed[kind].runs)
 
 
 def _ratio(a: Array, b: Array) -> Array:
@@ -336,11 +353,11 @@ def _widths(spec: FeatureSpec, family: str, layer: int) -> Iterator[tuple[int, l
     groups = (CODES, list(range(len(Group) if name == "primitive" else size)))
     if family == "ngram":
         place = CODES ** np.arange(spec.ngram - 1, -1, -1)
-        runs = itertools.product(range(size), repeat=spec.ngram)
-        yield CODES**spec.ngram, [int(np.dot(run, place)) for run in runs]
+        runs = [int(np.dot(run, place)) for run in itertools.product(range(size), repeat=spec.ngram)]
+        yield from [(CODES**spec.ngram, runs)] * len(spec.run_weighing)
     else:
         yield from {
-            "histogram": [labels, labels],
+            "histogram": [labels] * len(spec.word_weighing),
             "duration": [labels, labels],
             "attributes": [groups, groups, groups, (1, [0])],
             "offset": [groups, (1, [0])],

@@ -40,7 +40,8 @@ class ClippedSpans:
     code: Int[np.ndarray, "interval axis word"]
     start: Int[np.ndarray, "interval axis word"]  # samples from the start of the interval
     end: Int[np.ndarray, "interval axis word"]
-    value: dict[str, Float[np.ndarray, "interval axis word"]]  # attributes, N or Nm (per second); middle, samples
+    # Attributes, N or Nm (per second); middle, and whole length of the label before the cut, samples.
+    value: dict[str, Float[np.ndarray, "interval axis word"]]
     length: Int[np.ndarray, " interval"]  # samples
     size: int  # labels in the alphabet
     layer: str
@@ -73,6 +74,7 @@ def clip(track: LabelTrack, intervals: Intervals, layer: str) -> ClippedSpans:
     value = {k: gather(np.asarray(getattr(track, k), np.float64)[rows]) for k in ("vmax", "vmin", "avg", "grad")}
     # A line belongs to the whole span, so its middle stays where it was before the cut.
     value["middle"] = gather((np.asarray(track.t0)[rows].astype(np.float64) + np.asarray(track.t1)[rows]) / 2 - start)
+    value["whole"] = gather((np.asarray(track.t1)[rows] - np.asarray(track.t0)[rows]).astype(np.float64))
     size = LAYER_SIZES[LAYERS.index(layer)]
     return ClippedSpans(gather(code), gather(first), gather(last), value, (end - start)[:, 0, 0], size, layer)
 

@@ -43,6 +43,9 @@ class FeatureSpec:
     slots: tuple[int, int, int] = (64, 32, 16)  # resampled labels per interval: primitive, mc, llb
     one_hot: bool = False  # resampled labels as one column per slot and label instead of one code per slot
     ngram: int = 2  # labels in a run, 1 to 3
+    # How labels weigh in histogram and ngram: count, time, change (of value), each with columns of its own; none = time
+    # and count in histogram, count in ngram. Long words of the fit rule say more by time and change.
+    weighing: tuple[str, ...] = ()
     balance: bool = False  # absolute families, elapsed time and all other families together weigh the same
 
     def __post_init__(self) -> None:
@@ -58,6 +61,23 @@ class FeatureSpec:
             )
         if min(self.slots) < 1 or not 1 <= self.ngram <= 3:
             raise InputError(f"slots {self.slots} must be positive and ngram {self.ngram} must be 1, 2 or 3.")
+        if not set(self.weighing) <= set(families.WEIGHINGS) or len(set(self.weighing)) < len(self.weighing):
+            raise InputError(
+                f"labels cannot be weighed by {', '.join(self.weighing)}; choose from {', '.join(families.WEIGHINGS)}, "
+                "each once."
+            )
+        if self.weighing and not {"histogram", "ngram"} & set(self.families):
+            raise InputError("labels are weighed in the families histogram and ngram; add one, or leave out weighing.")
+
+    @property
+    def word_weighing(self) -> tuple[str, ...]:
+        """Weighings of the family histogram, in the order of its columns."""
+        return self.weighing or ("time", "count")
+
+    @property
+    def run_weighing(self) -> tuple[str, ...]:
+        """Weighings of the family ngram, in the order of its columns."""
+        return self.weighing or ("count",)
 
     @staticmethod
     def from_dict(fields: dict[str, Any]) -> FeatureSpec:
@@ -192,8 +212,8 @@ def _chunks(intervals: Intervals) -> list[Intervals]:
 def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec) -> list[Features]:
     makers = {
         "sentence": families.resampled(spec.slots[LAYERS.index(layer)], spec.one_hot),
-        "histogram": families.histogram,
-        "ngram": families.ngram(spec.ngram),
+        "histogram": families.histogram(spec.word_weighing),
+        "ngram": families.ngram(spec.ngram, spec.run_weighing),
         "duration": families.duration(intervals.dt),
         "attributes": families.attributes,
         "offset": families.offset,

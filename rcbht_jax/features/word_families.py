@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -68,30 +69,66 @@ def resampled(slots: int, one_hot: bool) -> Callable[[ClippedSpans], Block]:
     return make
 
 
-def histogram(words: ClippedSpans) -> Block:
-    """Share of time and share of count per label."""
-    time = share(weighted_counts(words.code, words.duration, words.size))
-    count = share(weighted_counts(words.code, words.code > 0, words.size))
-    labels = _names(words.layer)
-    columns = [(f"time.{x}", f"share of the labelled time spent in {x}") for x in labels]
-    columns += [(f"count.{x}", f"share of the labels that are {x}") for x in labels]
-    return np.concatenate([time, count], -1), columns
+WEIGHINGS = ("count", "time", "change")
+_WORD_SHARE = {
+    "time": "share of the labelled time spent in {}",
+    "count": "share of the labels that are {}",
+    "change": "share of the change of value, summed over the labels, that is of {}",
+}
+_RUN_SHARE = {
+    "time": "share of the time of all runs of {} labels that is of {}",
+    "count": "share of runs of {} labels that are {}",
+    "change": "share of the change of value of all runs of {} labels that is of {}",
+}
 
 
-def ngram(n: int) -> Callable[[ClippedSpans], Block]:
-    """Share of each run of ``n`` successive labels."""
+def word_weights(words: ClippedSpans, kind: str) -> Float[np.ndarray, "interval axis word"]:
+    """What each label weighs: one, its samples, or the change of value of that part of it which the interval holds.
+
+    A label changes by its highest minus its lowest value, evenly over its length. Empty slots weigh nothing.
+    """
+    if kind == "count":
+        return (words.code > 0).astype(np.float64)
+    if kind == "time":
+        return words.duration.astype(np.float64)
+    return ratio((words.value["vmax"] - words.value["vmin"]) * words.duration, words.value["whole"])
+
+
+def histogram(weighing: Sequence[str] = ("time", "count")) -> Callable[[ClippedSpans], Block]:
+    """Share of each label in the sum of all, by each weighing in turn."""
 
     def make(words: ClippedSpans) -> Block:
+        shares = [share(weighted_counts(words.code, word_weights(words, kind), words.size)) for kind in weighing]
+        labels = _names(words.layer)
+        columns = [(f"{kind}.{x}", _WORD_SHARE[kind].format(x)) for kind in weighing for x in labels]
+        return np.concatenate(shares, -1), columns
+
+    return make
+
+
+def ngram(n: int, weighing: Sequence[str] = ("count",)) -> Callable[[ClippedSpans], Block]:
+    """Share of each run of ``n`` successive labels, by each weighing in turn; a run weighs what its labels weigh."""
+
+    def make(words: ClippedSpans) -> Block:
+        named = list(itertools.product(_names(words.layer), repeat=n))
         columns = [
-            ("-".join(run), f"share of runs of {n} labels that are {' '.join(run)}")
-            for run in itertools.product(_names(words.layer), repeat=n)
+            ("-".join(run) if kind == "count" else f"{kind}.{'-'.join(run)}", _RUN_SHARE[kind].format(n, " ".join(run)))
+            for kind in weighing
+            for run in named
         ]
         if words.code.shape[-1] < n:
-            return np.zeros((*words.code.shape[:2], words.size**n)), columns
-        runs = np.lib.stride_tricks.sliding_window_view(words.code, n, axis=-1)
+            return np.zeros((*words.code.shape[:2], len(columns))), columns
+        windows = partial(np.lib.stride_tricks.sliding_window_view, window_shape=n, axis=-1)
+        runs = windows(words.code)
         place = words.size ** np.arange(n - 1, -1, -1)
         code = np.where((runs > 0).all(-1), ((runs - 1) * place).sum(-1) + 1, 0)
-        return share(weighted_counts(code, code > 0, words.size**n)), columns
+
+        def weight(kind: str) -> Float[np.ndarray, "interval axis run"]:
+            return np.where(code > 0, 1.0 if kind == "count" else windows(word_weights(words, kind)).sum(-1), 0.0)
+
+        return np.concatenate(
+            [share(weighted_counts(code, weight(kind), words.size**n)) for kind in weighing], -1
+        ), columns
 
     return make
 

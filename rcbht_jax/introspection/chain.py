@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, PackedLabels, drain, init, step_partial, unpack
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import (
@@ -29,7 +29,6 @@ from rcbht_jax.features.online import (
     grow,
     names,
     restart,
-    stack_words,
 )
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
@@ -56,15 +55,15 @@ class FeatureView:
     provisional: bool = True  # with the labels that are not published yet, see ``encoder.flush``
 
 
-def begin_stream(views: tuple[FeatureView, ...], axes: int = len(AXES)) -> StreamState:
+def begin_stream(config: AnyConfig, views: tuple[FeatureView, ...], axes: int = len(AXES)) -> StreamState:
     """The state before the first sample of so many axes."""
-    return StreamState(init((axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views))
+    return StreamState(rule_of(config).init(config, (axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views))
 
 
 def step(
-    config: EncoderConfig,
+    config: AnyConfig,
     views: tuple[FeatureView, ...],
-    limits: Float[Array, "axis 4"],
+    limits: Float[Array, "axis limit"],
     state: StreamState,
     window: Float[Array, "window axis"],
     count: Int[Array, ""],
@@ -73,9 +72,9 @@ def step(
     """Take one snapshot; pure, with the static arguments first.
 
     Args:
-        config: of the encoder.
+        config: of the encoder; its type chooses the rule.
         views: features to make, each of its own interval.
-        limits: of the gradient thresholds.
+        limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
         state: at the end of the last complete window.
         window: samples since then, N and Nm; those from ``count`` on mean nothing.
         count: samples in ``window``.
@@ -86,17 +85,18 @@ def step(
         window published (none unless it is complete).
     """
     counts = jnp.broadcast_to(count, state.encoder.time.shape)
-    after, out = step_partial(config, limits, state.encoder, window, counts)
-    published, pending = unpack(out), drain(config, after)
+    rule = rule_of(config)
+    after, out = rule.step_partial(config, limits, state.encoder, window, counts)
+    published, pending = unpack(out), rule.drain(config, jnp.moveaxis(limits, -1, 0), after)
     complete = count == config.window
     now = state.encoder.time[0] + count
     slot = jax.tree.map(lambda leaf: leaf[:, None], published)
     next_stats, features = [], []
     for view, old, begin in zip(views, state.stats, begins, strict=True):
         stats = grow(config.dt, restart(view.spec, old, begin), now, config.window)
-        new = add(view.spec, config.dt, stats, stack_words(view.spec, slot))
+        new = add(view.spec, config.dt, stats, slot)
         following = jax.tree.map(lambda a, b: jnp.where(complete, a, b), new, stats)
-        seen = add(view.spec, config.dt, new, stack_words(view.spec, pending)) if view.provisional else following
+        seen = add(view.spec, config.dt, new, pending) if view.provisional else following
         features.append(describe_interval(view.spec, config.dt, seen, now))
         next_stats.append(following)
     encoder = jax.tree.map(lambda a, b: jnp.where(complete, a, b), after, state.encoder)
@@ -106,7 +106,7 @@ def step(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _scan(
-    config: EncoderConfig, view: FeatureView, limits: Array, state: StreamState, rows: tuple[Array, ...]
+    config: AnyConfig, view: FeatureView, limits: Array, state: StreamState, rows: tuple[Array, ...]
 ) -> tuple[StreamState, Array]:
     def body(state: StreamState, row: tuple[Array, ...]) -> tuple[StreamState, Array]:
         state, features, _ = step(config, (view,), limits, state, *row)
@@ -116,8 +116,8 @@ def _scan(
 
 
 def online_features(
-    config: EncoderConfig,
-    thresholds: GradientThresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     view: FeatureView,
     wrench: Float[np.ndarray, "time axis"],
     begin: Ints,
@@ -126,16 +126,17 @@ def online_features(
     """Features of intervals of one recording, as a stream would have had them at some samples.
 
     Args:
-        config: of the encoder.
-        thresholds: limits ``[axis, 4]``.
+        config: of the encoder; its type chooses the rule.
+        thresholds: limits ``[axis, 4]``; of the fit rule FitLimits.
         view: which features.
         wrench: N and Nm.
         begin: first sample of each snapshot's interval, increasing.
         now: samples received when the snapshot is taken, increasing, > begin.
 
     Raises:
-        InputError: the snapshots are not in order or not in the recording.
+        InputError: the snapshots are not in order or not in the recording, or limits that do not fit.
 
+    >>> from rcbht_jax.encoding.encoder import EncoderConfig
     >>> from rcbht_jax.encoding.thresholds import preset
     >>> view = FeatureView(FeatureSpec(("elapsed",)))
     >>> wrench = np.zeros((100, 6), np.float32)
@@ -146,8 +147,8 @@ def online_features(
     check_online(view.spec)
     _check(wrench, begin, now)
     rows, wanted = _schedule(config.window, wrench, begin, now)
-    limits = jnp.asarray(np.asarray(thresholds.limits), jnp.float32)
-    state = begin_stream((view,), wrench.shape[1])
+    limits = jnp.asarray(checked_limits(config, thresholds), jnp.float32)
+    state = begin_stream(config, (view,), wrench.shape[1])
     out = np.empty((len(now), len(names(view.spec, wrench.shape[-1]))), np.float32)
     for start in range(0, len(rows[1]), _STEPS):
         state, features = _scan(config, view, limits, state, tuple(row[start : start + _STEPS] for row in rows))
@@ -187,8 +188,8 @@ def _schedule(
 
 
 def online_features_batch(
-    config: EncoderConfig,
-    thresholds: GradientThresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     view: FeatureView,
     wrench: Float[np.ndarray, "recording time axis"],
     recording: Ints,

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig, PackedLabels
+from rcbht_jax.encoding.encoder import PackedLabels
+from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted, Word
@@ -41,7 +42,7 @@ class HeadShape:
 class Chain:
     """The static part of window -> labels -> features -> probabilities; hashable, one compilation each."""
 
-    config: EncoderConfig
+    config: AnyConfig
     scopes: tuple[str, ...]  # [view]
     views: tuple[FeatureView, ...]  # [view]
     heads: tuple[HeadShape, ...]
@@ -65,7 +66,7 @@ class Chain:
 
 def infer(
     chain: Chain,
-    limits: Float[Array, "axis 4"],
+    limits: Float[Array, "axis limit"],
     machines: tuple[SvmArrays, ...],
     state: StreamState,
     window: Float[Array, "window axis"],
@@ -76,7 +77,7 @@ def infer(
 
     Args:
         chain: static.
-        limits: of the gradient thresholds.
+        limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
         machines: one per classifier.
         state: at the end of the last complete window.
         window: samples since then, N and Nm; those from ``count`` on mean nothing.
@@ -95,7 +96,7 @@ def infer(
 
 
 _infer = jax.jit(infer, static_argnums=0)
-_begin = jax.jit(begin_stream, static_argnums=(0, 1))  # one small program in place of one per field
+_begin = jax.jit(begin_stream, static_argnums=(0, 1, 2))  # one small program in place of one per field
 
 
 class Introspector:
@@ -144,7 +145,7 @@ class Introspector:
         self._chain = Chain.of(model)
         self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
-        self._limits = jax.device_put(np.asarray(model.limits, np.float32))
+        self._limits = jax.device_put(model.stacked_limits.astype(np.float32))
         self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
@@ -154,11 +155,11 @@ class Introspector:
         self._failure: tuple[str, str] | None = None  # label and level of the latest event
         self.latest: dict[str, Belief] = {}
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
-        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(model.limits)), np.int32)
+        self.labels: NDArray[np.int32] = np.zeros((3, 3, len(model.axes)), np.int32)
         self._restart()
 
     def _restart(self) -> None:
-        self._state: StreamState = _begin(self._chain.views, self.labels.shape[2])
+        self._state: StreamState = _begin(self._config, self._chain.views, self.labels.shape[2])
         self._buffer = WindowBuffer(self._config.window, self.labels.shape[2], np.float32)
         self._complete = 0  # samples in complete windows
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
@@ -181,7 +182,7 @@ class Introspector:
         return self.model.units
 
     @property
-    def config(self) -> EncoderConfig:
+    def config(self) -> AnyConfig:
         """Options of the encoder."""
         return self._config
 
@@ -327,7 +328,7 @@ def _detector(model: IntrospectionModel) -> Head:
     )
 
 
-def _samples_between(rate: float | Literal["auto"] | None, config: EncoderConfig) -> int | None:
+def _samples_between(rate: float | Literal["auto"] | None, config: AnyConfig) -> int | None:
     """Samples from one belief to the next; None = one per window."""
     if rate is None:
         return None

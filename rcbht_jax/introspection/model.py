@@ -8,12 +8,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import LIMITS, GradientThresholds, validate
+from rcbht_jax.encoding.rules import (
+    AnyConfig,
+    AnyLimits,
+    checked_limits,
+    config_fields,
+    config_from,
+    limit_arrays,
+    limits_from,
+)
+from rcbht_jax.encoding.thresholds import GradientThresholds, limits_of
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
@@ -75,21 +83,23 @@ class IntrospectionModel:
         InputError: thresholds of another shape or order, or classifiers without a name of their own.
     """
 
-    encoder: EncoderConfig
-    limits: Float[np.ndarray, "axis limit"]  # [axis, 4] gradient thresholds, see GradientThresholds
+    encoder: AnyConfig  # its type chooses the rule
+    limits: AnyLimits  # [axis, 4] gradient thresholds; of the fit rule FitLimits
     heads: tuple[Head, ...]
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
 
     def __post_init__(self) -> None:
-        validate(self.limits)
-        if self.limits.ndim != 2 or self.limits.shape[1] != len(LIMITS):
-            raise InputError(f"thresholds have shape {self.limits.shape}; a stream expects [axis, 4].")
+        limits = self.stacked_limits
+        if limits.ndim != 2:
+            raise InputError(f"thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
+        if len(self.axes) != len(limits):
+            raise InputError(f"a model has {len(self.axes)} names of axes and limits of {len(limits)}.")
         if not self.heads or len({head.name for head in self.heads}) < len(self.heads):
             raise InputError("a model for introspection needs at least one head, each of its own name.")
         for head in self.heads:
-            count, trained = len(names(head.view.spec, len(self.limits))), head.machine.svm.center.size
+            count, trained = len(names(head.view.spec, len(limits))), head.machine.svm.center.size
             if trained != count:
                 raise InputError(
                     f"head {head.name} was trained on {trained} features; its specification makes {count}."
@@ -98,7 +108,7 @@ class IntrospectionModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes."""
-        return tuple(self.extra.get("axes", axis_names(len(self.limits))))
+        return tuple(self.extra.get("axes") or axis_names(len(self.stacked_limits)))
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -106,9 +116,14 @@ class IntrospectionModel:
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
     @property
-    def thresholds(self) -> GradientThresholds:
-        """The thresholds as the encoder takes them."""
-        return GradientThresholds(self.limits)
+    def thresholds(self) -> GradientThresholds | FitLimits:
+        """The limits as the encoder takes them."""
+        return self.limits if isinstance(self.limits, FitLimits) else GradientThresholds(limits_of(self.limits))
+
+    @property
+    def stacked_limits(self) -> NDArray[np.floating]:
+        """The limits ``[axis, number]`` as the functions of the rule take them."""
+        return checked_limits(self.encoder, self.limits)
 
 
 def save(path: Path, model: IntrospectionModel) -> None:
@@ -117,7 +132,7 @@ def save(path: Path, model: IntrospectionModel) -> None:
     Raises:
         InputError: the folder does not exist, or a description is not JSON.
     """
-    arrays: dict[str, NDArray[Any]] = {"limits": model.limits}
+    arrays: dict[str, NDArray[Any]] = dict(limit_arrays(model.limits))
     heads = []
     for number, head in enumerate(model.heads):
         prefix = f"{number}."
@@ -126,7 +141,7 @@ def save(path: Path, model: IntrospectionModel) -> None:
         plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
         heads.append({**plain, "sight": asdict(head.view), **described})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
-    write_archive(path, {"format": FORMAT, "encoder": asdict(model.encoder), "heads": heads, **rest}, arrays)
+    write_archive(path, {"format": FORMAT, "encoder": config_fields(model.encoder), "heads": heads, **rest}, arrays)
 
 
 def load(path: Path) -> IntrospectionModel:
@@ -136,14 +151,19 @@ def load(path: Path) -> IntrospectionModel:
         InputError: the file is missing, damaged, or not a model of this format.
     """
     with reading(path, FORMAT) as (meta, archive):
-        heads = tuple(_read_head(path, head, archive, f"{n}.") for n, head in enumerate(meta["heads"]))
+        config = config_from(meta["encoder"])
+        limits = limits_from(config, archive)
+        axes = len(checked_limits(config, limits))
+        heads = tuple(_read_head(path, head, archive, f"{n}.", axes) for n, head in enumerate(meta["heads"]))
         rest = {k: meta[k] for k in ("data_hash", "version", "extra")}
-        return IntrospectionModel(EncoderConfig(**meta["encoder"]), archive["limits"], heads, **rest)
+        return IntrospectionModel(config, limits, heads, **rest)
 
 
-def _read_head(path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str) -> Head:
+def _read_head(
+    path: Path, meta: Mapping[str, Any], archive: Mapping[str, NDArray[Any]], prefix: str, axes: int
+) -> Head:
     spec = FeatureSpec.from_dict(meta["sight"]["spec"])
-    svm = read_svm(path, meta, archive, len(names(spec, len(archive["limits"]))), prefix)
+    svm = read_svm(path, meta, archive, len(names(spec, axes)), prefix)
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import config_of, limits_for
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.trailing import latest_words, running_totals, trailing_statistics, with_norms
 from rcbht_jax.labels import LAYERS
@@ -54,10 +55,14 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         trees: in each ensemble.
         window: samples per straight-line fit of the words.
         random_state: seed of trees, folds and copies.
+        rule: of the words, ``"paper"`` or ``"fit"`` (docs/fit_rule.md).
+        tolerance: of the fit rule, in the units of the axes: a number, or one for each axis; ``"auto"`` = from the
+            recordings of ``fit``.
 
     Attributes:
         classes_: sorted class indices.
         thresholds_: gradient thresholds of the words.
+        tolerance_: tolerances ``[axis]`` of the words; None by the paper's rule.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -75,6 +80,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
     trees: Any = 100
     window: Any = 5
     random_state: Any = 0
+    rule: Any = "paper"
+    tolerance: Any = "auto"
 
     def fit(self, recordings: Recordings, y: Sequence[NDArray[Any]]) -> WrenchSegmenter:
         """Learn from annotated recordings.
@@ -84,7 +91,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             y: class of each sample of each recording; UNKNOWN = not annotated.
 
         Raises:
-            InputError: fewer than two classes, or labels of other lengths than the recordings.
+            InputError: fewer than two classes, labels of other lengths than the recordings, an unknown rule, or a
+                tolerance that does not fit the axes or the rule.
         """
         if [len(part) for part in y] != recordings.length.tolist():
             raise InputError("The labels are of other lengths than the recordings.")
@@ -92,6 +100,9 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         if len(self.classes_) < 2:
             raise InputError(f"There are {len(self.classes_)} classes in {len(y)} recordings; two are needed.")
         self.thresholds_ = auto_thresholds(recordings, self.window)
+        config = config_of(self.rule, self.window, recordings.dt)
+        self._limits = limits_for(config, self.thresholds_, self.tolerance, recordings.wrench, recordings.length)
+        self.tolerance_ = np.asarray(self._limits.tolerance) if isinstance(self._limits, FitLimits) else None
         rng = np.random.default_rng(self.random_state)
         completed, labels, group = _completed(recordings, y, rng)
         tables = self._tables(completed)
@@ -153,8 +164,8 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         return tables
 
     def _words(self, recordings: Recordings, every: int) -> Tables:
-        config = EncoderConfig(window=self.window, dt=recordings.dt)
-        tracks = encode_batch(config, self.thresholds_, recordings.wrench, recordings.length)
+        config = config_of(self.rule, self.window, recordings.dt)
+        tracks = encode_batch(config, self._limits, recordings.wrench, recordings.length)
         out = []
         for row, length in enumerate(recordings.length.tolist()):
             times = np.arange(1, length + 1)[::every]

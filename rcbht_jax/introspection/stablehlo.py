@@ -16,7 +16,6 @@ import io
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from jax import export
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.optional import require
+from rcbht_jax.encoding.rules import config_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
@@ -43,9 +43,9 @@ STABLEHLO, STATE, META = "chain.stablehlo", "state.npz", "chain.json"
 def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> bytes:
     """The serialised chain of a model; see the module."""
     chain = Chain.of(model)
-    start = begin_stream(chain.views, len(model.limits))
+    start = begin_stream(chain.config, chain.views, len(model.axes))
     leaves, tree = jax.tree.flatten(start)
-    limits = jnp.asarray(model.limits, jnp.float32)
+    limits = jnp.asarray(model.stacked_limits, jnp.float32)
     machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
 
     def run(state: list[Array], window: Array, count: Array, begins: Array) -> tuple[list[Array], list[Array], Array]:
@@ -54,7 +54,7 @@ def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS
         )
         return jax.tree.leaves(after), list(probabilities), published.ints
 
-    window = jax.ShapeDtypeStruct((model.encoder.window, len(model.limits)), jnp.float32)
+    window = jax.ShapeDtypeStruct((model.encoder.window, len(model.axes)), jnp.float32)
     count = jax.ShapeDtypeStruct((), jnp.int32)
     begins = jax.ShapeDtypeStruct((len(chain.views),), jnp.int32)
     shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
@@ -82,12 +82,12 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
         "platforms": list(platforms),
         "dt": model.encoder.dt,
         "window": model.encoder.window,
-        "encoder": asdict(model.encoder),
+        "encoder": config_fields(model.encoder),
         "sentences": list(chain.scopes),
         "heads": [{"name": head.name, "classes": list(head.classes), "alarm": head.alarm} for head in model.heads],
     }
     state = io.BytesIO()
-    leaves = jax.tree.leaves(begin_stream(chain.views, len(model.limits)))
+    leaves = jax.tree.leaves(begin_stream(chain.config, chain.views, len(model.axes)))
     np.savez(state, allow_pickle=False, **{f"{k:03d}": np.asarray(leaf) for k, leaf in enumerate(leaves)})
     try:
         code = export_chain(model, platforms)

@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
+from rcbht_jax.encoding.thresholds import limits_of, preset
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
 from rcbht_jax.features.recipes import SUBTASK, SUBTASK_RELATIVE, TRIAL, TRIAL_RELATIVE
@@ -86,8 +88,8 @@ def snapshot_features(
     recordings: Recordings,
     snapshots: Snapshots,
     view: FeatureView,
-    config: EncoderConfig,
-    thresholds: GradientThresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     progress: Callable[[int], object] | None = None,
 ) -> Float[np.ndarray, "snapshot feature"]:
     """Features as a stream would have had them; see :func:`rcbht_jax.introspection.chain.online_features_batch`."""
@@ -117,6 +119,7 @@ class HeadSpec:
     phase: bool = False  # states from the features of the whole trial, to find out when a sub-task begins
     false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
+    weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
     subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
 
     @property
@@ -131,7 +134,7 @@ class HeadSpec:
         subtask = self.scope == "subtask"
         every, relative = (SUBTASK, SUBTASK_RELATIVE) if subtask else (TRIAL, TRIAL_RELATIVE)
         families = self.families or (relative if self.relative else every)
-        return FeatureView(FeatureSpec(families=families, balance=subtask))
+        return FeatureView(FeatureSpec(families=families, weighing=self.weighing, balance=subtask))
 
     @property
     def learning(self) -> tuple[Grid, int]:
@@ -181,8 +184,8 @@ def learn(
 def train_head(
     recordings: Recordings,
     spec: HeadSpec,
-    config: EncoderConfig,
-    thresholds: GradientThresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> Head:
@@ -210,7 +213,7 @@ def train_head(
     return Head(spec.name, spec.scope, view, machine, alarm, level)
 
 
-def _every(spec: HeadSpec, config: EncoderConfig) -> int:
+def _every(spec: HeadSpec, config: AnyConfig) -> int:
     """Samples between snapshots."""
     return max(1, round(1 / (spec.rate * config.dt)))
 
@@ -218,8 +221,8 @@ def _every(spec: HeadSpec, config: EncoderConfig) -> int:
 def _alarm_level(
     recordings: Recordings,
     spec: HeadSpec,
-    config: EncoderConfig,
-    thresholds: GradientThresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     items: LabelledIntervals,
     machine: ProbabilisticSvm,
     training: tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]],
@@ -238,19 +241,21 @@ def _alarm_level(
 def train_model(
     recordings: Recordings,
     specs: tuple[HeadSpec, ...],
-    config: EncoderConfig | None = None,
-    thresholds: GradientThresholds | None = None,
+    config: AnyConfig | None = None,
+    thresholds: AnyLimits | None = None,
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> IntrospectionModel:
     """Train a model with one classifier per specification; see :func:`train_head`.
 
-    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings.
+    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings; the fit
+    rule takes FitConfig with FitLimits, whose tolerance is best of the recordings that teach
+    (:func:`rcbht_jax.encoding.rules.limits_for`).
     """
-    config, thresholds = config or EncoderConfig(dt=recordings.dt), thresholds or preset(axes=recordings.axes)
-    heads = tuple(train_head(recordings, spec, config, thresholds, seed, progress) for spec in specs)
+    config = config or EncoderConfig(dt=recordings.dt)
+    limits = preset(axes=recordings.axes) if thresholds is None else thresholds
+    heads = tuple(train_head(recordings, spec, config, limits, seed, progress) for spec in specs)
     extra = {"tasks": [asdict(spec.task) for spec in specs], "seed": seed}
     extra |= {"axes": list(recordings.axes), "units": list(recordings.units)}
-    return IntrospectionModel(
-        config, np.asarray(thresholds.limits, np.float64), heads, data_hash(recordings), extra=extra
-    )
+    kept = limits if isinstance(limits, FitLimits) else np.asarray(limits_of(limits), np.float64)
+    return IntrospectionModel(config, kept, heads, data_hash(recordings), extra=extra)

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, SubtaskStarted, Word
 from rcbht_jax.introspection.model import Head
@@ -58,8 +57,8 @@ class WordIntrospector:
     """Words of one stream of wrenches with any axes; the counterpart of ``Introspector`` where there is no model.
 
     Args:
-        config: of the encoder.
-        thresholds: limits ``[axis, 4]``.
+        config: of the encoder; its type chooses the rule.
+        thresholds: limits ``[axis, 4]``; of the fit rule FitLimits.
         axes: names; default those of a wrench.
         units: of each axis; default N and Nm for the axes of a wrench, else none.
 
@@ -68,7 +67,7 @@ class WordIntrospector:
 
     Example:
         >>> import rcbht_jax as rj
-        >>> stream = WordIntrospector(EncoderConfig(dt=0.01), rj.preset("hiro", ["grip"]), ["grip"], ["N"])
+        >>> stream = WordIntrospector(rj.EncoderConfig(dt=0.01), rj.preset("hiro", ["grip"]), ["grip"], ["N"])
         >>> events = stream.push(np.repeat([0.0, 5.0], [102, 98])[:, None]) + stream.finish()
         >>> [(word.label, word.begin, word.end) for word in events if word.layer == "llb"]
         [('CT', 0, 105), ('FX', 105, 200)]
@@ -79,20 +78,21 @@ class WordIntrospector:
 
     def __init__(
         self,
-        config: EncoderConfig,
-        thresholds: Thresholds,
+        config: AnyConfig,
+        thresholds: AnyLimits,
         axes: Sequence[str] = AXES,
         units: Sequence[str] | None = None,
     ) -> None:
         self.config, self.axes = config, tuple(axes)
         self.units = tuple(UNIT_OF.get(axis, "") for axis in axes) if units is None else tuple(units)
-        limits = np.asarray(limits_of(thresholds))
-        if limits.shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
+        shape = (*checked_limits(config, thresholds).shape[:-1], 4)
+        if shape != (len(self.axes), 4) or len(self.units) != len(self.axes):
             raise InputError(
-                f"Thresholds have shape {limits.shape} and there are {len(self.units)} units; expected "
+                f"Thresholds have shape {shape} and there are {len(self.units)} units; expected "
                 f"[{len(self.axes)}, 4] and {len(self.axes)}."
             )
-        self._encoder = Encoder(config, limits)
+        self._limits = thresholds
+        self._encoder = Encoder(config, thresholds)
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
         self.labels: NDArray[np.int32] = np.zeros((3, 3, len(self.axes)), np.int32)
         self._time: float | None = None
@@ -104,8 +104,7 @@ class WordIntrospector:
 
     def warm_up(self) -> None:
         """Compile the encoder now, which takes a second or two, not in the first :meth:`push`."""
-        limits = np.ones((len(self.axes), 4), np.float32)
-        Encoder(self.config, limits).push(np.zeros((self.config.window, len(self.axes))))
+        Encoder(self.config, self._limits).push(np.zeros((self.config.window, len(self.axes))))
         self.provisional()
 
     def begin(self) -> list[Event]:

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
+from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
+from rcbht_jax.encoding.thresholds import preset, validate
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
@@ -45,13 +46,16 @@ class Description:
     thresholds: Any = "hiro"
     features: Any = None
     config: Any = None
+    rule: Any = "paper"
+    tolerance: Any = "auto"
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ignore[misc]
     """Label features of whole recordings.
 
-    Each recording is encoded into labels and described by one row of features. Nothing is learnt from the values.
+    Each recording is encoded into labels and described by one row of features. Of the values nothing is learnt but the
+    tolerance of the fit rule, where it is "auto".
 
     Args:
         rate: samples per second.
@@ -60,13 +64,18 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
             limits ``[4]`` of every axis, N/s or Nm/s. Unless there are six axes, a robot's name stands for its limits
             of forces.
         features: which features; None = ``FeatureSpec()``.
-        config: other options of the encoder, whose ``window`` and ``dt`` are replaced; None = ``EncoderConfig()``.
+        config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig by
+            the fit rule; None = its defaults.
+        rule: ``"paper"``, or ``"fit"``: words are runs of windows that one straight line explains (docs/fit_rule.md).
+        tolerance: of the fit rule, N and Nm: a number, or one for each axis; ``"auto"`` = from the recordings of
+            ``fit``.
         layout: ``"time-axis"`` for arrays ``[n, time, axis]`` or lists of ``[time, axis]``; ``"axis-time"`` for aeon's
             ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length.
 
     Attributes:
         n_features_in_: axes of a recording.
         thresholds_: limits ``[axis, 4]`` that are used.
+        tolerance_: tolerances ``[axis]`` that are used; None by the paper's rule.
         feature_weight_: weights of the columns where ``features.balance`` is set, else None; StateClassifier uses them.
 
     Example:
@@ -82,14 +91,17 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
     layout: Any = "time-axis"
 
     def fit(self, X: Any, y: Any = None) -> WrenchFeatures:
-        """Learn the number of axes and check the parameters.
+        """Learn the number of axes and, by the fit rule, the tolerance; check the parameters.
 
         Raises:
-            InputError: wrong shapes, an unknown layout or robot, or thresholds that do not fit the axes.
+            InputError: wrong shapes, an unknown layout, robot or rule, thresholds or tolerances that do not fit the
+                axes, or a tolerance or configuration of the other rule.
         """
-        axes = _padded(X, self.layout)[0].shape[2]
-        self._encoder_config()
+        wrench, length = _padded(X, self.layout)
+        axes = wrench.shape[2]
         self.thresholds_ = _limits(self.thresholds, axes)
+        self._encoding = limits_for(self._encoder_config(), self.thresholds_, self.tolerance, wrench, length)
+        self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
         described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features)
         self.n_features_in_ = axes
         self._names = np.array(described.names, object)
@@ -107,7 +119,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         if wrench.shape[2] != self.n_features_in_:
             raise InputError(f"recordings have {wrench.shape[2]} axes; fit had {self.n_features_in_}.")
         config = self._encoder_config()
-        tracks = encode_batch(config, GradientThresholds(self.thresholds_), wrench, length)
+        tracks = encode_batch(config, self._encoding, wrench, length)
         return _describe(tracks, length, config.dt, self.features).values
 
     def get_feature_names_out(self, input_features: Any = None) -> NDArray[Any]:
@@ -115,10 +127,17 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         check_is_fitted(self)
         return self._names
 
-    def _encoder_config(self) -> EncoderConfig:
+    def _encoder_config(self) -> AnyConfig:
         if not self.rate > 0:
             raise InputError(f"The rate is {self.rate} Hz; expected a positive number.")
-        return replace(self.config or EncoderConfig(), window=self.window, dt=1 / self.rate)
+        plain = config_of(self.rule, self.window, 1 / self.rate)
+        if self.config is None:
+            return plain
+        if type(self.config) is not type(plain):
+            raise InputError(
+                f"The rule is {self.rule!r} and takes {type(plain).__name__}; config is a {type(self.config).__name__}."
+            )
+        return replace(self.config, window=self.window, dt=1 / self.rate)
 
     def __sklearn_is_fitted__(self) -> bool:
         return hasattr(self, "thresholds_")
@@ -283,11 +302,13 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     """Classifier of recordings: wrench -> labels -> features -> support vector machine.
 
     Args:
-        rate: see :class:`WrenchFeatures`, as are the next five.
+        rate: see :class:`WrenchFeatures`, as are the next seven.
         window: samples per straight-line fit.
         thresholds: gradient thresholds.
         features: which features.
         config: other options of the encoder.
+        rule: ``"paper"`` or ``"fit"``.
+        tolerance: of the fit rule.
         layout: order of the dimensions.
         classifier: of feature matrices; None = ``SvmClassifier()``.
 

@@ -88,8 +88,16 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
                 what = _difference(wanted[key], made[name].get(key)) or key
                 raise InputError(
                     f"the model was trained on labels {name or 'of its own'} made otherwise ({what}); "
-                    'make such labels with "rcbht encode" first.'
+                    f'make such labels with "rcbht encode{_options(wanted)}" first.'
                 )
+
+
+def _options(made: Mapping[str, Any]) -> str:
+    """Options of ``rcbht encode`` that no store has by itself: those of the fit rule."""
+    config = made.get("config", {})
+    if config.get("rule") != "fit":
+        return ""
+    return f" --rule fit --window {config['window']} --tolerance {' '.join(map(repr, config['tolerance']))}"
 
 
 def _difference(wanted: Any, items: Any) -> str:

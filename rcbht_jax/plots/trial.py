@@ -57,6 +57,7 @@ def trial_figure(
     index: int,
     *,
     window: int | None = None,
+    rule: str = "paper",
     seconds: tuple[float, float] | None = None,
 ) -> Figure:
     """Wrench, fitted lines, labels and state boundaries of one recording.
@@ -68,6 +69,7 @@ def trial_figure(
         tracks: its labels ``[recording, axis, slot]``.
         index: row of the recording.
         window: samples per straight-line fit, for the title.
+        rule: of the words, for the title, which names any but the paper's.
         seconds: start and end of the part to show; default the whole recording.
 
     Raises:
@@ -90,7 +92,7 @@ def trial_figure(
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], marks, view)
     panels[-1][1].set_xlabel("time, s", fontsize=11)
-    figure.suptitle(_title(recordings, index, window), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
+    figure.suptitle(_title(recordings, index, window, rule), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
     _legends(figure, used)
     _key(figure, panels[0][0], marks)
     return figure
@@ -237,7 +239,7 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
         )
 
 
-def _title(recordings: Recordings, index: int, window: int | None) -> str:
+def _title(recordings: Recordings, index: int, window: int | None, rule: str) -> str:
     name = str(recordings.arm[index])
     arm = {"R": "right arm", "L": "left arm"}.get(name, f"arm {name}" if name else "")
     kinds = (str(values[index]) for values in recordings.columns.values() if values.dtype.kind == "U")
@@ -246,6 +248,8 @@ def _title(recordings: Recordings, index: int, window: int | None) -> str:
     facts = [f"session {recordings.session[index]}", f"{recordings.outcome[index]}{failure}", arm]
     if window is not None:
         facts.append(f"window {window} samples ({window * recordings.dt * 1000:g} ms)")
+    if rule != "paper":
+        facts.append(f"rule {rule}")
     return f"{recordings.trial[index]}   ·   {recordings.source[index]}\n{', '.join(filter(None, facts))}"
 
 

@@ -85,6 +85,26 @@ def test_train_writes_a_model_that_loads(store: Path, tmp_path: Path, capsys: py
     assert model.encoder["config"]["window"] == 5
 
 
+def test_a_model_of_fitted_words_refuses_labels_of_another_tolerance(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, options in (("fine", ("--tolerance", 0.3)), ("coarse", ()), ("broad", ("--window", 8))):
+        run(capsys, "encode", store, "--rule", "fit", "--name", name, *options)
+    out, quick = tmp_path / "fitted.model", ("--kernels", "linear", "--costs", 1, "--weighing", "time", "change")
+    run(capsys, "train", store, "--tracks", "fine", *quick, "--out", out)
+    model = load(out)
+    assert (model.encoder["config"]["rule"], model.encoder["config"]["tolerance"]) == ("fit", [0.3] * 6)
+    assert model.feature_spec.weighing == ("time", "change")
+    classify = ("classify", str(store), "--model", str(out), "-o", str(tmp_path / "c.csv"), "--tracks")
+    assert main([*classify, "fine"]) == 0
+    capsys.readouterr()
+    for tracks, part in (("coarse", "tolerance [0.3"), ("broad", "window 5, here 8"), ("online-W5", "made otherwise")):
+        assert main([*classify, tracks]) == 2
+        error = capsys.readouterr().err
+        assert part in error
+        assert "--rule fit --window 5 --tolerance 0.3 0.3 0.3 0.3 0.3 0.3" in error
+
+
 def test_grammars_stand_side_by_side_or_are_chosen_from(
     store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,6 +137,11 @@ def test_grammars_stand_side_by_side_or_are_chosen_from(
         ("encode", "STORE", "--rule", "fit", "--tolerance", "1", "2"),
         ("encode", "STORE", "--rule", "fit", "--tolerance", "0"),
         ("encode", "STORE", "--rule", "fit", "--pipe", "one-slot"),
+        ("encode", "STORE", "--rule", "fit", "--mode", "offline", "--name", "none"),
+        ("train-online", "STORE", "--tolerance", "1"), ("segment", "STORE", "--tolerance", "1"),
+        ("train-online", "STORE", "--rule", "fit", "--tolerance", "1", "2"),
+        ("report", "STORE", "-o", "x.html", "--rule", "fit"), ("export", "STORE", "-o", "x", "--tolerance", "1"),
+        ("train", "STORE", "--features", "levels", "--weighing", "time"),
         ("evaluate", "STORE", "--session", "Z"), ("evaluate", "STORE", "--tracks", "none"),
         ("evaluate", "STORE", "--train-on", "A"), ("evaluate", "STORE", "--folds", "1"),
         ("evaluate", "STORE", "--task", "failure-type"), ("evaluate", "STORE", "--costs", "-1"),

@@ -15,7 +15,9 @@ import pytest
 import rcbht_jax as rj
 from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import write_thresholds
+from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings
@@ -145,10 +147,48 @@ def test_words_of_a_store_are_those_that_encode_writes(tmp_path, capsys, monkeyp
         assert sum(e["layer"] == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
 
 
+def test_words_by_the_fit_rule(tmp_path, capsys, monkeypatch):
+    """Of a store, those that encode writes; of a live stream, with tolerances of its beginning or stated ones."""
+    store = tmp_path / "s.zarr"
+    rj.write_recordings(store, rj.Recordings.from_arrays([trial(1, 3, 300), trial(2, 4, 250)], rate=200), {})
+    assert main(["encode", str(store), "--name", "w", "--rule", "fit"]) == 0
+    capsys.readouterr()
+    tracks, _ = read_tracks(store, "w")
+    events = said_by(["stream", str(store), "--rule", "fit"], capsys)
+    for layer in LAYERS:
+        assert sum(e["layer"] == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
+    counts = []
+    for options in ([], ["--tolerance", "1e-3"], ["--tolerance", "9", "--robot", "hiro"]):
+        monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 4, 250))))
+        words = said_by(["stream", "-", "--rule", "fit", "--lead", "0.6", *options], capsys)
+        counts.append(sum(word["layer"] == "primitive" for word in words))
+    assert counts[1] > counts[0] > counts[2] == 6
+
+
+def test_a_model_remembers_the_rule(tmp_path, capsys):
+    store, out = tmp_path / "s.zarr", tmp_path / "m"
+    rj.write_recordings(store, rj.Recordings.example(), {})
+    learn = ["train-online", str(store), "--task", "outcome", "-o", str(out), "--rule", "fit", "--window", "4"]
+    assert main([*learn, "--weighing", "time", "change"]) == 0
+    assert "words by the fit rule" in capsys.readouterr().out
+    model, recordings = model_files.load(out), read_recordings(store)
+    assert model.encoder == FitConfig(4, 0.005)
+    np.testing.assert_array_equal(model.limits.tolerance, auto_tolerance(recordings.wrench, recordings.length))
+    name = str(recordings.trial[0])
+    words = [e for e in said_by(["stream", str(store), "--trial", name, "-m", str(out), "--words"], capsys)
+             if e["event"] == "Word"]  # fmt: skip
+    plain = said_by(["stream", str(store), "--trial", name, "--rule", "fit", "--window", "4"], capsys)
+    assert words == [e for e in plain if e["event"] == "Word"]
+
+
 def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
     for words, part in (
         (["-m", str(model_path), "--robot", "hiro"], "leave out --robot"),
         (["-m", str(model_path), "--window", "7"], "leave out --window"),
+        (["-m", str(model_path), "--rule", "fit"], "leave out --rule"),
+        (["-m", str(model_path), "--tolerance", "1"], "leave out --tolerance"),
+        (["--tolerance", "1"], "--tolerance is for --rule fit"),
+        (["--rule", "fit", "--tolerance", "1", "2", "--robot", "hiro"], "expected one, or 6"),
         (["--starts", "detected"], "Only a model detects"),
         (["--sampling-rate", "0"], "--sampling-rate is 0"),
         (["--lead", "-1"], "--lead is -1"),

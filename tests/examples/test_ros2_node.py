@@ -43,14 +43,15 @@ def stamped(row: list[float], seconds: float) -> Any:
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp), wrench=SimpleNamespace(force=force, torque=torque))
 
 
-def test_words_of_a_topic_are_those_of_the_recording() -> None:
+@pytest.mark.parametrize("options", [{}, {"rule": "fit", "tolerance": 0.25}])
+def test_words_of_a_topic_are_those_of_the_recording(options: dict[str, Any]) -> None:
     heard = Heard()
-    bridge = Bridge({"robot": "hiro"}, heard)
+    bridge = Bridge({"robot": "hiro", **options}, heard)
     wrench = trial(2, 7, 300)
     for k, row in enumerate(wrench.tolist()):
         bridge.wrench(stamped(row, 1000 + 0.005 * k), 2000.0)
     bridge.finish()
-    tracks = rj.encode(wrench, rate=200)
+    tracks = rj.encode(wrench, rate=200, **options)
     counts = Counter(word["layer"] for word in heard.events["words"])
     assert counts == {layer: int(np.count_nonzero(getattr(tracks, layer).label)) for layer in LAYERS}
     assert {word["axis"] for word in heard.events["words"]} == set(rj.labels.AXES)

@@ -58,7 +58,8 @@ def spans(track: LabelTrack, lane: tuple[int, int], start: int, end: int) -> lis
         if track.label[at] > 0 and t1 > t0:
             values = {k: float(getattr(track, k)[at]) for k in ("vmax", "vmin", "avg", "grad")}
             middle = (int(track.t0[at]) + int(track.t1[at])) / 2 - start
-            out.append({"label": int(track.label[at]), "t0": t0 - start, "t1": t1 - start, "middle": middle, **values})
+            values |= {"middle": middle, "whole": int(track.t1[at]) - int(track.t0[at])}
+            out.append({"label": int(track.label[at]), "t0": t0 - start, "t1": t1 - start, **values})
     return out
 
 
@@ -148,6 +149,53 @@ def test_durations_attributes_and_offsets_equal_plain_sums(seed, row):
     assert column(made, "duration.primitive.My.mean.bpos")[0] == pytest.approx(np.mean(bpos) if bpos else 0)
     assert column(made, "duration.primitive.My.max.bpos")[0] == pytest.approx(max(bpos, default=0))
     assert column(made, "duration.total")[0] == pytest.approx((row[2] - row[1]) * 0.5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), sentences)
+def test_weighed_words_and_runs_equal_plain_sums(seed, row):
+    made_up = make_tracks(seed).mc
+    track = replace(made_up, vmax=made_up.vmin + abs(made_up.vmax))
+    weighing = ("change", "count", "time")
+    spec = FeatureSpec(families=("histogram", "ngram"), layers=("mc",), weighing=weighing)
+    made = interval_features(LabelTracks(track, track, track), intervals(row), spec)
+    words, size = spans(track, (row[0], 1), row[1], row[2]), LAYER_SIZES[1]
+    last = 0
+    for kind in weighing:
+        weight = {
+            "count": lambda w: 1.0,
+            "time": lambda w: w["t1"] - w["t0"],
+            "change": lambda w: (w["vmax"] - w["vmin"]) * (w["t1"] - w["t0"]) / w["whole"],
+        }[kind]
+        shares, runs = np.zeros(size), np.zeros((size, size))
+        for w in words:
+            shares[w["label"] - 1] += weight(w)
+        for a, b in itertools.pairwise(words):
+            runs[a["label"] - 1, b["label"] - 1] += 1 if kind == "count" else weight(a) + weight(b)
+        said = family_of(made, f"histogram.mc.Fy.{kind}.")[0]
+        np.testing.assert_allclose(said, shares / max(shares.sum(), 1e-300), atol=1e-6)
+        first = next(i for i, name in enumerate(made.names) if name.startswith("ngram.mc.Fy.")) + last
+        assert ("." + kind in made.names[first]) == (kind != "count")
+        np.testing.assert_allclose(
+            made.values[0, first : first + size**2], runs.ravel() / max(runs.sum(), 1e-300), atol=1e-6
+        )
+        last += size**2
+
+
+def test_weighings_of_the_default_and_those_that_make_no_sense():
+    tracks, rows = make_tracks(4), intervals((0, 3, 31), (1, 0, 40))
+    plain = interval_features(tracks, rows, FeatureSpec(families=("histogram", "ngram")))
+    of_runs = interval_features(tracks, rows, FeatureSpec(families=("ngram",), weighing=("count",)))
+    of_words = interval_features(tracks, rows, FeatureSpec(families=("histogram",), weighing=("time", "count")))
+    assert plain.select(("ngram",)).names == of_runs.names
+    np.testing.assert_array_equal(plain.select(("ngram",)).values, of_runs.values)
+    assert plain.select(("histogram",)).names == of_words.names
+    np.testing.assert_array_equal(plain.select(("histogram",)).values, of_words.values)
+    assert FeatureSpec.from_dict(json.loads(json.dumps(asdict(FeatureSpec(weighing=("time",)))))).weighing == ("time",)
+    for options in ({"weighing": ("length",)}, {"weighing": ("time", "time")},
+                    {"weighing": ("time",), "families": ("attributes",)}):  # fmt: skip
+        with pytest.raises(InputError, match="weigh"):
+            FeatureSpec(**options)
 
 
 def one_lane(*words: tuple[int, int, int]) -> LabelTracks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from unittest.mock import patch
 
@@ -15,17 +16,21 @@ from hypothesis import strategies as st
 from rcbht_jax.cli.bench import signal
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, limits_for
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FAMILIES, WHOLE, FeatureSpec, Intervals, interval_features
 from rcbht_jax.features import signal_families as drawn
-from rcbht_jax.features.online import _two_sum, check_online, names
+from rcbht_jax.features.online import check_online, names
 from rcbht_jax.features.online_signal import READINGS, moments, stride_of
+from rcbht_jax.features.online_weights import two_sum
 from rcbht_jax.features.spans import ClippedSpans
 from rcbht_jax.introspection.chain import FeatureView, online_features, online_features_batch
 from rcbht_jax.types import LabelTrack, LabelTracks
 
-CONFIG = EncoderConfig()
+CONFIG, PAPER = EncoderConfig(), preset()
+FIT = FitConfig()
 ONLINE = tuple(f for f in FAMILIES if f not in WHOLE)
 EVERYTHING = FeatureSpec(families=ONLINE)
 BEGIN = np.array([0] * 5 + [413] * 6 + [1077] * 3)
@@ -46,10 +51,17 @@ def nearest_readings(words: ClippedSpans, dt: float) -> drawn.ResampledSignal:
     return drawn.read_at(words, np.array(moments, float), dt)
 
 
-def cut_off(wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec) -> np.ndarray:
+def cut_off(
+    wrench: np.ndarray,
+    begin: np.ndarray,
+    now: np.ndarray,
+    spec: FeatureSpec,
+    config: AnyConfig = CONFIG,
+    limits: AnyLimits = PAPER,
+) -> np.ndarray:
     """The oracle: label each recording as if it had ended at ``now``, then describe."""
     copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_batch(CONFIG, preset(), copies, now.astype(np.int32))
+    tracks = encode_batch(config, limits, copies, now.astype(np.int32))
     return described(tracks, Intervals(np.arange(len(now)), begin, now, CONFIG.dt), spec)
 
 
@@ -58,10 +70,17 @@ def described(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> n
         return interval_features(tracks, intervals, spec).values
 
 
-def blanked(wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec) -> np.ndarray:
+def blanked(
+    wrench: np.ndarray,
+    begin: np.ndarray,
+    now: np.ndarray,
+    spec: FeatureSpec,
+    config: AnyConfig = CONFIG,
+    limits: AnyLimits = PAPER,
+) -> np.ndarray:
     """The oracle without provisional labels: those of the whole recording that were published by ``now``."""
     copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_batch(CONFIG, preset(), copies, np.full(len(now), len(wrench), np.int32))
+    tracks = encode_batch(config, limits, copies, np.full(len(now), len(wrench), np.int32))
 
     def published(track: LabelTrack) -> LabelTrack:
         late = track.emit > now[:, None, None]
@@ -82,6 +101,21 @@ def test_without_provisional_labels_only_published_ones_count():
     wrench = signal(1, 1400, 2)[0]
     said = online_features(CONFIG, preset(), FeatureView(EVERYTHING, provisional=False), wrench, BEGIN, NOW)
     np.testing.assert_allclose(said, blanked(wrench, BEGIN, NOW, EVERYTHING), **CLOSE)
+
+
+@pytest.mark.parametrize("provisional", [True, False])
+def test_words_of_the_fit_rule(provisional: bool) -> None:
+    """With every weighing, which the published words have in other tests."""
+    wrench, length = signal(1, 1400, 8), np.array([1400])
+    limits = limits_for(FIT, PAPER, None, wrench, length)
+    spec = replace(EVERYTHING, weighing=("time", "change"))
+    said = online_features(FIT, limits, FeatureView(spec, provisional), wrench[0], BEGIN, NOW)
+    oracle = cut_off if provisional else blanked
+    expected = oracle(wrench[0], BEGIN, NOW, spec, FIT, limits)
+    np.testing.assert_allclose(said, expected, **CLOSE)
+    assert not np.array_equal(expected, oracle(wrench[0], BEGIN, NOW, spec))
+    with pytest.raises(InputError, match="tolerance"):
+        online_features(FIT, PAPER, FeatureView(spec), wrench[0], BEGIN, NOW)
 
 
 def test_recorded_trials(hiro_recordings):
@@ -172,6 +206,8 @@ def test_many_recordings_in_any_order():
         FeatureSpec(families=("course", "histogram"), layers=("primitive", "llb")),
         FeatureSpec(families=("ngram",), layers=("mc", "primitive"), ngram=1),
         FeatureSpec(families=("elapsed", "order", "edges"), layers=("llb", "primitive")),
+        FeatureSpec(families=("ngram", "histogram"), layers=("mc", "llb"), weighing=("change", "count", "time")),
+        FeatureSpec(families=("ngram",), layers=("llb",), ngram=3, weighing=("time",)),
     ],
 )
 def test_parts_of_the_specification(spec):
@@ -189,7 +225,7 @@ def test_sums_stay_exact_over_ten_million_words():
         total, lost = total + np.float32(values.sum() * 500), lost
     start = float(total)
     for value in values:
-        total, lost = _two_sum(total, lost, value)
+        total, lost = two_sum(total, lost, value)
     assert float(total) + float(lost) == pytest.approx(start + float(values.astype(np.float64).sum()), rel=1e-9)
     assert jnp.float32(start) + jnp.float32(1e-3) == jnp.float32(start)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.annotations import Annotations
+from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
 from rcbht_jax.types import Recordings
@@ -40,6 +41,20 @@ def test_phases_are_found_causally():
     rows = result.rows()
     assert [row[3] for row in rows if row[0] == 0] == ["rest", "push", "hold"]
     assert rows[0][4] == 0
+
+
+def test_words_of_the_fit_rule_whose_tolerance_the_teachers_tell():
+    data = made()
+    y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
+    train, test = data.take(np.arange(5)), data.take(np.array([5]))
+    fitted = WrenchSegmenter(rule="fit", **TREES).fit(train, y[:5])
+    np.testing.assert_array_equal(fitted.tolerance_, auto_tolerance(train.wrench, train.length))
+    assert (fitted.predict(test)[0] == y[5]).mean() > 0.9
+    coarse = WrenchSegmenter(rule="fit", tolerance=(3.0, 3.0), **TREES).fit(train, y[:5])
+    assert coarse.tolerance_.tolist() == [3.0, 3.0]
+    assert not np.array_equal(coarse.predict_proba(test)[0], fitted.predict_proba(test)[0])
+    with pytest.raises(InputError, match="belongs to the fit rule"):
+        WrenchSegmenter(tolerance=1.0).fit(train, y[:5])
 
 
 def test_nonsense_is_not_learnt():

@@ -340,6 +340,14 @@ def test_labels_can_be_made_on_the_way(store: Path, data: DataSet, tmp_path: Pat
     made = load(plain, window=5)
     for layer in LAYERS:
         np.testing.assert_array_equal(getattr(made.tracks, layer).label, getattr(data.tracks, layer).label)
+    fitted = load(plain, window=5, rule="fit", tolerance=(0.5,))
+    assert fitted.tracks_name == "online-W5-fit"
+    assert (fitted.tracks_attrs["config"]["rule"], fitted.tracks_attrs["config"]["tolerance"]) == ("fit", [0.5] * 6)
+    assert not np.array_equal(fitted.tracks.primitive.label, made.tracks.primitive.label)
+    for options in ({"rule": "fit"}, {"tolerance": (1.0,)}, {"window": 5, "tolerance": (1.0,)},
+                    {"window": 5, "rule": "fit", "tolerance": (1.0, 2.0)}):  # fmt: skip
+        with pytest.raises(InputError):
+            load(plain, **options)
     assert data.tracks is not None
     write_tracks(plain, "a", data.tracks, {})
     write_tracks(plain, "b", data.tracks, {})

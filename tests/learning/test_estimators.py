@@ -13,7 +13,9 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec, Intervals, interval_features
 from rcbht_jax.learning import estimators
@@ -73,6 +75,33 @@ def test_options_of_the_encoder_are_used():
     np.testing.assert_allclose([s[:, 0] for s in seconds], [[4] * 3, [1] * 3])
 
 
+@pytest.mark.parametrize("tolerance", ["auto", 0.3, np.linspace(0.1, 0.6, 6)])
+def test_features_of_the_fit_rule_equal_those_of_the_encoder(tolerance):
+    """The tolerance is of the recordings of ``fit``, whatever is transformed later."""
+    taught, wrench = wrenches().astype(np.float32)[:18], 3 * wrenches(1).astype(np.float32)[:5]
+    maker = WrenchFeatures(rule="fit", tolerance=tolerance, features=SPEC).fit(taught)
+    found = auto_tolerance(taught, np.full(18, 300)) if isinstance(tolerance, str) else np.broadcast_to(tolerance, 6)
+    np.testing.assert_array_equal(maker.tolerance_, found)
+    length, rows = np.full(5, 300, np.int32), np.arange(5)
+    tracks = encode_batch(FitConfig(), FitLimits(preset().limits, found), wrench, length)
+    expected = interval_features(tracks, Intervals(rows, 0 * rows, length, 0.005), SPEC)
+    np.testing.assert_array_equal(maker.transform(wrench), expected.values)
+    assert not np.array_equal(WrenchFeatures(features=SPEC).fit(taught).transform(wrench), expected.values)
+    assert WrenchFeatures().fit(taught).tolerance_ is None
+
+
+def test_the_tolerance_is_found_by_a_grid_search_and_learned_from_the_training_folds():
+    huge, spec = 1e6, FeatureSpec(("histogram",), layers=("primitive",))  # huge: a level explains everything
+    chain = StateClassifier(rule="fit", features=spec, classifier=SvmClassifier(kernel="linear"))
+    search = GridSearchCV(chain, {"tolerance": [huge, "auto"]}, cv=GroupKFold(3)).fit(wrenches(), STATE, groups=TRIAL)
+    assert search.best_params_ == {"tolerance": "auto"}
+    assert search.cv_results_["mean_test_score"][0] < 0.8 < search.best_score_
+    half = clone(chain).fit(wrenches()[::2], STATE[::2])
+    expected = auto_tolerance(wrenches()[::2].astype(np.float32), np.full(12, 300))
+    np.testing.assert_array_equal(half.features_.tolerance_, expected)
+    assert clone(search.best_estimator_).get_params()["rule"] == "fit"
+
+
 @pytest.mark.parametrize("form", ["name", "object", "array", "one axis"])
 def test_thresholds_of_any_form(form):
     limits = np.tile([70.0, 46, 23, 1], (6, 1))
@@ -96,6 +125,13 @@ def test_thresholds_of_any_form(form):
         ({"thresholds": (1, 2, 3, 4)}, np.zeros((1, 9, 6)), "ordered"),
         ({"rate": 0}, np.zeros((1, 9, 6)), "rate"),
         ({"window": 1}, np.zeros((1, 9, 6)), "window"),
+        ({"rule": "best"}, np.zeros((1, 9, 6)), "no rule 'best'"),
+        ({"tolerance": 1.0}, np.zeros((1, 9, 6)), "belongs to the fit rule"),
+        ({"rule": "fit", "tolerance": 0.0}, np.zeros((1, 9, 6)), "positive"),
+        ({"rule": "fit", "tolerance": "much"}, np.zeros((1, 9, 6)), "expected numbers"),
+        ({"rule": "fit", "tolerance": np.ones(3)}, np.zeros((1, 9, 6)), "Tolerances have shape"),
+        ({"rule": "fit", "config": EncoderConfig()}, np.zeros((1, 9, 6)), "takes FitConfig"),
+        ({"config": FitConfig()}, np.zeros((1, 9, 6)), "takes EncoderConfig"),
     ],
 )
 def test_what_does_not_fit_is_refused(parameters, wrench, why):

@@ -7,7 +7,10 @@ from functools import cache
 import numpy as np
 
 from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
 from rcbht_jax.introspection.chain import FeatureView, online_features
@@ -15,7 +18,8 @@ from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 
-CONFIG = EncoderConfig()
+CONFIG, LIMITS = EncoderConfig(), preset()
+FIT, FIT_LIMITS = FitConfig(window=4), FitLimits(LIMITS.limits, np.linspace(0.05, 0.1, 6))
 VIEW = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
@@ -28,10 +32,18 @@ def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
     return (rng.normal(size=(samples, 6)) * 0.02 + slope + shake).astype(np.float32)
 
 
-def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "") -> Head:
+def head(
+    name: str,
+    scope: str,
+    classes: tuple[str, ...],
+    kernel: str,
+    alarm: str = "",
+    config: AnyConfig = CONFIG,
+    limits: AnyLimits = LIMITS,
+) -> Head:
     now = np.arange(20, 401, 40)
     kinds = np.repeat(np.arange(len(classes)), 6)
-    x = [online_features(CONFIG, preset(), VIEW, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
+    x = [online_features(config, limits, VIEW, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
     y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
     spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
     machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(VIEW.spec))
@@ -46,3 +58,10 @@ def model() -> IntrospectionModel:
         head("failure-type", "trial", ("none", "pushed", "shaken"), "poly"),
     )
     return IntrospectionModel(CONFIG, np.asarray(preset().limits), heads, "abc", extra={"made": "up"})
+
+
+@cache
+def fit_model() -> IntrospectionModel:
+    """One classifier of words by the fit rule."""
+    states = head("states", "subtask", ("calm", "push", "shake"), "linear", config=FIT, limits=FIT_LIMITS)
+    return IntrospectionModel(FIT, FIT_LIMITS, (states,), "abc")

@@ -112,6 +112,8 @@ def _labels(data: DataSet) -> str:
         return "None are included."
     attrs = data.tracks_attrs
     window = f", windows of {attrs['window']} samples" if "window" in attrs else ""
+    if attrs.get("config", {}).get("rule") == "fit":
+        window += ", words by the fit rule"
     return (
         f"`{data.tracks_name}` ({attrs.get('semantics', 'unknown')} taxonomy{window}): three layers, primitives, "
         "motion compositions (mc) and low-level behaviours (llb), for each axis. A label describes the samples from "

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from jaxtyping import Int8, Int16
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import config_of, limits_for, made_by
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import choose_tracks, list_tracks
@@ -32,7 +33,9 @@ class DataSet:
     simulation: dict[str, NDArray[Any]]  # [recording, ...]; empty = not simulated
 
 
-def load(store: Path, tracks: str = "", window: int | None = None) -> DataSet:
+def load(
+    store: Path, tracks: str = "", window: int | None = None, rule: str = "paper", tolerance: Sequence[float] = ()
+) -> DataSet:
     """Read a store for export.
 
     Args:
@@ -40,32 +43,36 @@ def load(store: Path, tracks: str = "", window: int | None = None) -> DataSet:
         tracks: name of the label tracks; "" = the only ones in the store, or none if it has none.
         window: encode now with the streaming encoder, this many samples per window and HIRO's thresholds, instead
             of reading stored labels.
+        rule: of the labels that are made now, "paper" or "fit".
+        tolerance: of the fit rule, one number or one for each axis; empty = from the recordings.
 
     Raises:
-        InputError: no such store or tracks, several tracks and none chosen, or both ``tracks`` and ``window``.
+        InputError: no such store or tracks, several tracks and none chosen, both ``tracks`` and ``window``, a rule or
+            tolerance without ``window``, or a tolerance for the other rule.
     """
+    if window is None and (rule != "paper" or tolerance):
+        raise InputError("--rule and --tolerance are for labels that are made now; add --window, or leave them out.")
     if window is not None and tracks:
         raise InputError("Labels are either read from the store or made now; give --tracks or --window, not both.")
     recordings = read_recordings(store)
     name, labels, attrs = "", None, dict[str, Any]()
     if window is not None:
-        name, (labels, attrs) = f"online-W{window}", _encode(recordings, window)
+        name = f"online-W{window}" + ("-fit" if rule == "fit" else "")
+        labels, attrs = _encode(recordings, window, rule, tolerance)
     elif tracks or list_tracks(store):
         name, labels, attrs = choose_tracks(store, tracks)
     simulation = read_simulation(store) if SIMULATION in open_store(store) else {}
     return DataSet(recordings, labels, name, attrs, read_attrs(store), simulation)
 
 
-def _encode(recordings: Recordings, window: int) -> tuple[LabelTracks, dict[str, Any]]:
-    config, thresholds = EncoderConfig(window, recordings.dt), preset("hiro", recordings.axes)
-    tracks = encode_batch(config, thresholds, recordings.wrench, recordings.length)
-    attrs = {
-        "semantics": "online",
-        "window": window,
-        "config": asdict(config),
-        "thresholds": np.asarray(thresholds.limits).tolist(),
-    }
-    return tracks, attrs
+def _encode(
+    recordings: Recordings, window: int, rule: str, tolerance: Sequence[float]
+) -> tuple[LabelTracks, dict[str, Any]]:
+    config = config_of(rule, window, recordings.dt)
+    given = tolerance[0] if len(tolerance) == 1 else tolerance or None
+    limits = limits_for(config, preset("hiro", recordings.axes), given, recordings.wrench, recordings.length)
+    tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
+    return tracks, {"semantics": "online", "window": window, **made_by(config, limits)}
 
 
 def words(track: LabelTrack, row: int, axis: int) -> dict[str, NDArray[Any]]:
