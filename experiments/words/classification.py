@@ -1,0 +1,148 @@
+"""Do better lines make better sentences? The fit rule and the paper's rule on the same folds, families and grids.
+
+Plain words (histogram, n-grams, attributes) and richer words tell sub-tasks apart, within sets and from one session of
+the robot to another. Labels of the fit rule weigh as those of the paper's (by time and count), or by time and change of
+value. Gradient limits are the preset's; in the rows with a choice, the inner folds choose between these limits, a
+quarter and a sixteenth of them. Tolerances are learned without labels: of the robot from session A, of each simulation
+from its own trials.
+
+Run: python -m experiments.words.classification --repeats 2 --seed 0
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import tyro
+
+from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, SIM2, items_of, of_sources, recorded
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments.classification.grammar import DEVIATION, RANKS, counted
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import PLAIN, RICHER
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
+from rcbht_jax.types import LabelTracks, Recordings
+
+WINDOW = 5
+SCALES = (1.0, 1 / 4, 1 / 16)
+CHOSEN = tuple(name for name, benchmark in BENCHMARKS.items() if benchmark.task.task == "states")
+WEIGHED = ("time", "change")
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """What one row makes of the labels."""
+
+    rule: str
+    families: tuple[str, ...]
+    ranks: bool = True
+    weighing: tuple[str, ...] = ()
+    scales: tuple[float, ...] = (1.0,)
+
+    @property
+    def spec(self) -> FeatureSpec:
+        return FeatureSpec(families=self.families, balance=True, weighing=self.weighing)
+
+
+def _rows(kind: str, families: tuple[str, ...], ranks: bool = True) -> dict[str, Sentence]:
+    paper = Sentence("paper", families, ranks)
+    fit = replace(paper, rule="fit")
+    weighed = replace(fit, weighing=WEIGHED)
+    return {
+        f"{kind}, paper": paper,
+        f"{kind}, paper, choice of limits": replace(paper, scales=SCALES),
+        f"{kind}, fit": fit,
+        f"{kind}, fit, weighed": weighed,
+        f"{kind}, fit, weighed, choice of limits": replace(weighed, scales=SCALES),
+    }
+
+
+SENTENCES = {
+    **_rows("plain words, mean and deviation", PLAIN, ranks=False),
+    **_rows("plain words", PLAIN),
+    **_rows("richer words", RICHER),
+}
+
+
+class Experiment:
+    """The recordings, labelled once by each rule."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed = repeats, seed
+        self.recordings = of_sources(recorded(), (REAL, SIM1, SIM2))
+        self.tolerance = self._tolerances(self.recordings)
+
+    @staticmethod
+    def _tolerances(recordings: Recordings) -> dict[str, list[float]]:
+        """Of every source, without labels."""
+        taught = {REAL: (recordings.source == REAL) & (recordings.session == "A")}
+        taught |= {source: recordings.source == source for source in (SIM1, SIM2)}
+        return {
+            source: auto_tolerance(recordings.wrench[rows], recordings.length[rows]).tolist()
+            for source, rows in taught.items()
+        }
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def tracks(self, rule: str, scale: float) -> LabelTracks:
+        data = self.recordings
+        limits = np.asarray(preset().limits) * scale
+        if rule == "paper":
+            return encode_batch(EncoderConfig(WINDOW, data.dt), GradientThresholds(limits), data.wrench, data.length)
+        tolerance = np.array([self.tolerance[source] for source in data.source.tolist()])
+        wide = np.broadcast_to(limits, (len(data), *limits.shape))
+        return encode_batch(FitConfig(WINDOW, data.dt), FitLimits(wide, tolerance), data.wrench, data.length)
+
+    @cache  # noqa: B019
+    def items(self, benchmark: str) -> LabelledIntervals:
+        return items_of(self.recordings, BENCHMARKS[benchmark])
+
+    def row(self, benchmark: str, name: str) -> Callable[[], Any]:
+        def make() -> Any:
+            sentence, items, chosen = SENTENCES[name], self.items(benchmark), Counter[str]()
+            features = {
+                f"limits x {scale:g}": extract_features({"W5": self.tracks(sentence.rule, scale)}, items, sentence.spec)
+                for scale in sentence.scales
+            }
+            weights = {key: x.weights(sentence.spec) for key, x in features.items()}
+            matrices = {key: x.values for key, x in features.items()}
+            grid = RANKS if sentence.ranks else DEVIATION
+            learner = counted(validation.nested_svm(matrices, items.y, items.trial, grid, weights), chosen)
+            score = BENCHMARKS[benchmark].score(learner, items, self.repeats, self.seed)
+            return {**score, "repeats": self.repeats, "chosen": dict(chosen.most_common())}
+
+        return make
+
+    def about(self) -> dict[str, Any]:
+        return {
+            "what": "accuracy of words of two rules, nested and grouped by trial",
+            "tolerance": self.tolerance,
+            "scales": SCALES,
+            "weighed": WEIGHED,
+            "repeats": self.repeats,
+            "choices": "families, weighing, scales and tolerances were fixed before the first score of a fit row",
+            "benchmarks": {name: BENCHMARKS[name].about(self.items(name)) for name in CHOSEN},
+        }
+
+
+def main(repeats: int = 2, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(repeats, seed)
+    command = f"python -m experiments.words.classification --repeats {repeats} --seed {seed}"
+    wanted = {f"{benchmark} | {name}": experiment.row(benchmark, name) for benchmark in CHOSEN for name in SENTENCES}
+    rows = Rows("fit_classification", command, experiment.about(), seed)
+    rows.fill(wanted, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)
