@@ -27,7 +27,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@touch $@
 
 test: $(INSTALLED) ## run all tests
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 aeon: $(AEON)/.installed ## run aeon's own checks of our estimators, in an environment of their own
 	$(AEON)/bin/python -m pytest --noconftest --override-ini filterwarnings= tests/learning/test_aeon_estimators.py

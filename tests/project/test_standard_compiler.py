@@ -9,17 +9,13 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# What fusion, fused multiply-add or another order of a sum would break: golden labels, stream against batch, host
-# against device, a trial alone against the same in a batch; and memory that fusion saves.
+# What fusion, fused multiply-add or another order of a sum would break: golden labels, stream against batch, a trial
+# alone against the same in a batch; and memory that fusion saves.
 EXACT = (
     "encoding/test_encoder_golden.py::test_double_precision_equals_the_golden_labels[5]",
-    "encoding/test_encoder_golden.py::test_single_precision_differs_only_where_it_cannot_decide[5]",
     "encoding/test_encoder.py::test_any_chunking_equals_the_batch_bit_for_bit",
     "encoding/test_encoder.py::test_working_memory_is_at_most_six_times_the_wrench",
     "encoding/test_fit.py::test_any_chunking_equals_the_batch_bit_for_bit[float32]",
-    "encoding/test_on_device.py::test_labels_are_those_of_the_schedule",
-    "features/test_online.py::test_readings_depend_on_the_samples_alone",
-    "introspection/test_introspector.py::test_chunks_do_not_matter",
     "sim/synthesis/test_pipeline.py::test_physics_of_a_trial_does_not_depend_on_its_batch",
 )
 

@@ -16,6 +16,7 @@ from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec
 
 CONFIG = EncoderConfig()
+NOW = np.arange(20, 401, 40)
 VIEW = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
@@ -28,11 +29,16 @@ def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
     return (rng.normal(size=(samples, 6)) * 0.02 + slope + shake).astype(np.float32)
 
 
+@cache
+def features(kind: int, seed: int) -> np.ndarray:
+    """Of a trial, from its beginning to each moment of NOW; the heads share the trials."""
+    return online_features(CONFIG, preset(), VIEW, trial(kind, seed), np.zeros_like(NOW), NOW)
+
+
 def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "") -> Head:
-    now = np.arange(20, 401, 40)
     kinds = np.repeat(np.arange(len(classes)), 6)
-    x = [online_features(CONFIG, preset(), VIEW, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
-    y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
+    x = [features(int(kind), seed) for seed, kind in enumerate(kinds)]
+    y, group = np.repeat(kinds, len(NOW)), np.repeat(np.arange(len(kinds)), len(NOW))
     spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
     machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(VIEW.spec))
     return Head(name, scope, VIEW, machine, alarm)
