@@ -9,6 +9,7 @@ WORK ?= reproduce-work
 
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+PIP := --quiet --disable-pip-version-check --no-compile # a module is compiled when it is first imported
 
 .DEFAULT_GOAL := help
 .PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints clean
@@ -22,18 +23,18 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo 'rcbht-jax needs Python 3.11 or later as "$(PYTHON)"; name another one: make PYTHON=python3.12 venv' >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install $(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
 test: $(INSTALLED) ## run all tests
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 aeon: $(AEON)/.installed ## run aeon's own checks of our estimators, in an environment of their own
 	$(AEON)/bin/python -m pytest --noconftest --override-ini filterwarnings= tests/learning/test_aeon_estimators.py
 
 $(AEON)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(AEON)
-	$(AEON)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[aeon]' pytest
+	$(AEON)/bin/python -m pip install $(PIP) --editable '.[aeon]' pytest
 	@touch $@
 
 lint: $(INSTALLED) ## check style, types and which room imports which
@@ -71,7 +72,7 @@ peers: $(PEERS)/.installed ## measure other methods on the same folds, in an env
 
 $(PEERS)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[peers]'
+	$(PEERS)/bin/python -m pip install $(PIP) --editable '.[peers]'
 	@touch $@
 
 constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt

@@ -217,7 +217,7 @@ def test_serve_without_a_model_says_what_it_waits_for(monkeypatch, capsys):
 
 
 def test_a_folder_of_hiro_has_its_preset(hiro_dir, capsys):
-    folder = str(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / "20121127-HIROSA-S-13")
+    folder = str(hiro_dir / "SIM_HIRO_ONE_SA_SUCCESS" / "20120426-1732-SideApproach-S")  # the shortest
     events = said_by(["stream", folder], capsys)
     assert events == said_by(["stream", folder, "--robot", "hiro"], capsys)
     assert events != said_by(["stream", folder, "--robot", "auto"], capsys)

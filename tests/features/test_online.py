@@ -181,7 +181,7 @@ def test_looks_do_not_disturb_each_other():
     wrench = signal(1, 1400, 4)[0]
     view = FeatureView(EVERYTHING)
     together = online_features(CONFIG, preset(), view, wrench, BEGIN, NOW)
-    for k in range(len(NOW)):
+    for k in (0, 2, 4, 5, 7, 10, 11, 13):  # of each beginning the first and the last look, and one between
         alone = online_features(CONFIG, preset(), view, wrench, BEGIN[k : k + 1], NOW[k : k + 1])
         np.testing.assert_array_equal(alone[0], together[k])
 

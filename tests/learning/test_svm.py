@@ -169,7 +169,7 @@ def test_the_learner_never_looks_at_the_test_side():
 def test_shuffled_classes_score_at_chance():
     x, y = blobs(3, 2, items=80, spread=0.5)
     y = np.random.default_rng(1).permutation(y)
-    splits = repeated_folds(y, np.arange(80), 5, 4, 0)
+    splits = repeated_folds(y, np.arange(80), 5, 2, 0)
     score = cross_validate(nested_svm({"": x}, y, np.arange(80), Grid()), y, splits).accuracy.mean()
     assert abs(score - 0.5) < 0.15
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
@@ -20,6 +19,7 @@ from rcbht_jax.learning.svm import SvmSpec
 
 CONFIG, LIMITS = EncoderConfig(), preset()
 FIT, FIT_LIMITS = FitConfig(window=4), FitLimits(LIMITS.limits, np.linspace(0.05, 0.1, 6))
+NOW = np.arange(20, 401, 40)
 VIEW = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
 
@@ -32,19 +32,17 @@ def trial(kind: int, seed: int, samples: int = 400) -> np.ndarray:
     return (rng.normal(size=(samples, 6)) * 0.02 + slope + shake).astype(np.float32)
 
 
-def head(
-    name: str,
-    scope: str,
-    classes: tuple[str, ...],
-    kernel: str,
-    alarm: str = "",
-    config: AnyConfig = CONFIG,
-    limits: AnyLimits = LIMITS,
-) -> Head:
-    now = np.arange(20, 401, 40)
+@cache
+def features(kind: int, seed: int, fits: bool) -> np.ndarray:
+    """Of a trial, from its beginning to each moment of NOW; the heads share the trials."""
+    config, limits = (FIT, FIT_LIMITS) if fits else (CONFIG, LIMITS)
+    return online_features(config, limits, VIEW, trial(kind, seed), np.zeros_like(NOW), NOW)
+
+
+def head(name: str, scope: str, classes: tuple[str, ...], kernel: str, alarm: str = "", fits: bool = False) -> Head:
     kinds = np.repeat(np.arange(len(classes)), 6)
-    x = [online_features(config, limits, VIEW, trial(k, s), np.zeros_like(now), now) for s, k in enumerate(kinds)]
-    y, group = np.repeat(kinds, len(now)), np.repeat(np.arange(len(kinds)), len(now))
+    x = [features(int(kind), seed, fits) for seed, kind in enumerate(kinds)]
+    y, group = np.repeat(kinds, len(NOW)), np.repeat(np.arange(len(kinds)), len(NOW))
     spec = SvmSpec(kernel, 1.0, True, floor=0.1, ranks=True)
     machine = fit_probabilistic(np.concatenate(x), y, group, classes, spec, weight=weights(VIEW.spec))
     return Head(name, scope, VIEW, machine, alarm)
@@ -63,5 +61,5 @@ def model() -> IntrospectionModel:
 @cache
 def fit_model() -> IntrospectionModel:
     """One classifier of words by the fit rule."""
-    states = head("states", "subtask", ("calm", "push", "shake"), "linear", config=FIT, limits=FIT_LIMITS)
+    states = head("states", "subtask", ("calm", "push", "shake"), "linear", fits=True)
     return IntrospectionModel(FIT, FIT_LIMITS, (states,), "abc")

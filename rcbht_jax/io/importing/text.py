@@ -117,9 +117,11 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     file.seek(body)
     if width > MAX_COLUMNS:
         return None
-    while block := file.read(2**20):
+    while block := file.read(MAX_LINE):
         if block.translate(None, _PLAIN):
             return None
+        if len(block) == MAX_LINE and not (b"\n" in block or b"\r" in block):
+            return None  # a line that long would be read as a whole; row by row it is refused
     file.seek(body)
     try:
         lines = io.TextIOWrapper(file, "ascii", newline=None)

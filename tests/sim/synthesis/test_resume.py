@@ -26,6 +26,14 @@ from sim_mjx.synthesis.pipeline import SynthesisConfig, SynthesisProgress, synth
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of SMALL, uninterrupted."""
+    target = tmp_path_factory.mktemp("whole") / "trials.zarr"
+    synthesise(target, SMALL, simulate=fake_engine)
+    return tree(target)
+
+
 def test_killed_at_random_moments_gives_the_same_bytes(tmp_path: Path) -> None:
     synthesise(tmp_path / "whole.zarr", JOB, simulate=fake_engine)
     target, rng, kills = tmp_path / "trials.zarr", random.Random(3), 0
@@ -51,10 +59,9 @@ def test_killed_at_random_moments_gives_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("moment", range(1, 13))
 def test_interrupted_at_any_rename_gives_the_same_bytes(
-    moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moment: int, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Manifest, three shards, the draft of the store, its place: before each and after each."""
-    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
     target, calls = tmp_path / "trials.zarr", [0]
 
     def stopping(real: Callable[[Path, Any], Path]) -> Callable[[Path, Any], Path]:
@@ -77,9 +84,9 @@ def test_interrupted_at_any_rename_gives_the_same_bytes(
         with pytest.raises(KeyboardInterrupt):
             synthesise(target, SMALL, simulate=fake_engine)
     report = synthesise(target, SMALL, simulate=fake_engine)
-    assert tree(target) == tree(tmp_path / "whole.zarr")
+    assert tree(target) == whole
     assert report.resumed >= 5 * max(0, min(2, moment // 2 - 1))
-    assert sorted(os.listdir(tmp_path)) == ["trials.zarr", "whole.zarr"]
+    assert os.listdir(tmp_path) == ["trials.zarr"]
 
 
 def test_killed_while_tidying_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,8 +169,7 @@ def test_only_one_works_in_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
-def test_a_damaged_shard_is_made_again(damage: str, tmp_path: Path) -> None:
-    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+def test_a_damaged_shard_is_made_again(damage: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
     shard = shards.folder_of(target) / "shard-000001.npz"
@@ -171,7 +177,7 @@ def test_a_damaged_shard_is_made_again(damage: str, tmp_path: Path) -> None:
     data[len(data) // 2] ^= 0xFF
     shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}[damage])
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
-    assert tree(target) == tree(tmp_path / "whole.zarr")
+    assert tree(target) == whole
 
 
 @pytest.mark.parametrize("moment", [1, 2, 4])
@@ -208,8 +214,9 @@ def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: py
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 12
 
 
-def test_no_trial_is_drawn_twice_unless_another_run_drew_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    synthesise(tmp_path / "whole.zarr", SMALL, simulate=fake_engine)
+def test_no_trial_is_drawn_twice_unless_another_run_drew_it(
+    whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn: list[int] = []
     real = Scenario.draw_batch
     monkeypatch.setattr(
@@ -221,4 +228,4 @@ def test_no_trial_is_drawn_twice_unless_another_run_drew_it(tmp_path: Path, monk
     drawn.clear()
     synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
     assert drawn == [*range(5, 12), *range(5)]
-    assert tree(tmp_path / "t.zarr") == tree(tmp_path / "whole.zarr")
+    assert tree(tmp_path / "t.zarr") == whole

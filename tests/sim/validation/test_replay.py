@@ -42,6 +42,12 @@ def shown(simulated: Path) -> replay.Replay:
     return replay.simulated(simulated, read_recordings(simulated), 1)
 
 
+@pytest.fixture
+def at_once(shown: replay.Replay, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``rcbht view`` shows the trial as it was simulated again before, where that is not what is tested."""
+    monkeypatch.setattr(replay, "simulated", lambda *_: shown)
+
+
 def test_a_stored_trial_is_simulated_again_exactly(simulated: Path, shown: replay.Replay) -> None:
     recordings = read_recordings(simulated)
     assert shown.how == "simulated again; equal to the stored trial"
@@ -70,7 +76,7 @@ def test_a_changed_trial_is_said_to_differ(simulated: Path, tmp_path: Path) -> N
 
 
 def test_pictures_and_films_are_written_whole(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     png, gif = tmp_path / "a.png", tmp_path / "a.gif"
     assert main.main(["view", str(simulated), TRIAL, "-o", str(png), "--json"]) == 0
@@ -80,6 +86,7 @@ def test_pictures_and_films_are_written_whole(
     with Image.open(png) as picture:
         assert picture.size == (1600, 1450)
         assert len(picture.convert("RGB").resize((160, 145)).getcolors(160 * 145)) > 200  # not blank
+    request.getfixturevalue("at_once")
     assert main.main(["view", str(simulated), TRIAL, "-o", str(gif), "--speed", "20"]) == 0
     with Image.open(gif) as film:
         seconds = read_recordings(simulated).length[1] * 0.005
@@ -87,6 +94,7 @@ def test_pictures_and_films_are_written_whole(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "a.png"]
 
 
+@pytest.mark.usefixtures("at_once")
 def test_without_a_display_a_picture_is_written(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +106,7 @@ def test_without_a_display_a_picture_is_written(
     assert (tmp_path / f"{TRIAL}.png").stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("at_once")
 def test_with_a_display_the_viewer_plays_it(
     simulated: Path, shown: replay.Replay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,6 +172,7 @@ def test_both_arms_of_a_two_arm_trial_move(
     assert out.stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
