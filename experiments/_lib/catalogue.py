@@ -44,6 +44,7 @@ EXPERIMENTS = (
     Experiment("peers", "classification.peers", 14, needs=("data", "peers")),
     Experiment("grammar", "classification.grammar", 8, needs=("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
+    Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),
     Experiment("table2", "online.table2", 36, needs=("data",)),
