@@ -70,8 +70,7 @@ def encode(
         (['FX', 'PS', 'FX'], [200, 300, 400])
     """
     config = config or _config(rule, window, 1 / _positive(rate))
-    fits = isinstance(config, FitConfig)
-    if tolerance is not None and not fits:
+    if tolerance is not None and not isinstance(config, FitConfig):
         raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
     several = isinstance(wrench, list | tuple)
     signals = [_signal(one, config.dt) for one in wrench] if several else [_signal(wrench, config.dt)]
@@ -82,7 +81,11 @@ def encode(
         raise InputError(f"The recordings have different axes: {', '.join(axes)} and others.")
     stacked, length = _padded([values for values, _ in signals], lengths)
     limits = _thresholds(thresholds, axes)
-    tracks = encode_batch(config, _fit_limits(limits, tolerance, stacked, length) if fits else limits, stacked, length)
+    if isinstance(config, FitConfig):
+        found = auto_tolerance(stacked, length, config.needed) if tolerance is None else tolerance
+        tracks = encode_batch(config, _fit_limits(limits, found), stacked, length)
+    else:
+        tracks = encode_batch(config, limits, stacked, length)
     single = not several and signals[0][0].ndim == 2
     recordings = () if single else _names(wrench, len(length))
     info = TrackInfo(1 / config.dt, axes, recordings)
@@ -97,14 +100,8 @@ def _config(rule: str, window: int, dt: float) -> AnyConfig:
     return FitConfig(window, dt) if rule == "fit" else EncoderConfig(window, dt)
 
 
-def _fit_limits(
-    thresholds: GradientThresholds,
-    tolerance: ArrayLike | None,
-    wrench: NDArray[np.floating],
-    length: NDArray[np.int32],
-) -> FitLimits:
-    found = auto_tolerance(wrench, length) if tolerance is None else np.asarray(tolerance, np.float64)
-    gradients = np.asarray(thresholds.limits)
+def _fit_limits(thresholds: GradientThresholds, tolerance: ArrayLike) -> FitLimits:
+    found, gradients = np.asarray(tolerance, np.float64), np.asarray(thresholds.limits)
     return FitLimits(gradients, np.broadcast_to(found, gradients.shape[:-1]) if found.ndim == 0 else found)
 
 

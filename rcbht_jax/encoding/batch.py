@@ -99,7 +99,7 @@ def encode_batch(
     schedule = plan(length, _PIECE_WINDOWS * config.window)
     slots = schedule.recording.shape[1]
     dtype = jnp.float64 if wrench.dtype == np.float64 else jnp.float32
-    state = rule.init((slots * axes,), dtype)
+    state = rule.init(config, (slots * axes,), dtype)
     rows = _Rows(axes)
     for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
         piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)

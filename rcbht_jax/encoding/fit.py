@@ -8,7 +8,8 @@ bit for bit. The state has a fixed size, whatever the length of the stream.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -24,15 +25,16 @@ from rcbht_jax.encoding.encoder import (
     unpack,
     unpack_segments,
 )
-from rcbht_jax.encoding.fit_line import Line, fenced, join, window_line
+from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC, Primitive
 from rcbht_jax.types import Array, LabelTracks, Segment
 
 _ABOVE = 4  # segments held above the run: composer and accumulator of compositions, the same of behaviours
-_RUN_INTS, _RUN_REALS = 2, 2  # t0, t1; mean, slope
+_RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
 _INTS, _REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
+_SHORTEST = 2  # samples of a word
 DRAIN_STEPS = 5  # the run, then each of the held segments in turn
 
 
@@ -49,6 +51,8 @@ class FitConfig:
         latency_cap: seconds that a composition or behaviour waits for its successor, or None: without limit.
         impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
         noise_below: single compositions shorter than this many seconds become noise.
+        evidence: seconds for which a line must be wrong by one tolerance, or half as long by 1.4 of them, to break.
+        lookback: seconds before now within which a break may still be found, at least two windows.
 
     Raises:
         InputError: a value is out of range.
@@ -66,6 +70,8 @@ class FitConfig:
     latency_cap: float | None = 0.2
     impulse_below: float = 0.2
     noise_below: float = 0.1
+    evidence: float = 0.025
+    lookback: float = 0.05
 
     def __post_init__(self) -> None:
         if self.window < 2:
@@ -76,6 +82,18 @@ class FitConfig:
             raise InputError(f"The latency cap is {self.latency_cap} s; expected a positive number or none.")
         if not (0 < self.impulse_below < float("inf") and 0 <= self.noise_below < float("inf")):
             raise InputError("The longest impulse and the shortest composition must be finite, positive times.")
+        if not (0 < self.evidence < float("inf") and 0 < self.lookback < float("inf")):
+            raise InputError("Evidence and look-back of a break must be finite, positive times.")
+
+    @property
+    def needed(self) -> int:
+        """Squared tolerances that two lines in place of one must save."""
+        return max(_SHORTEST, round(self.evidence / self.dt))
+
+    @property
+    def kept(self) -> int:
+        """Samples before the present window among which a break may still be found; whole windows."""
+        return self.window * (max(2, math.ceil(self.lookback / self.dt / self.window - 1e-6)) - 1)
 
     @property
     def short(self) -> int:
@@ -88,11 +106,10 @@ class FitConfig:
         return None if self.latency_cap is None else round(self.latency_cap / self.dt)
 
 
-def init(lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
+def init(config: FitConfig, lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
-    return EncoderState(
-        jnp.zeros(lanes, jnp.int32), jnp.zeros((_INTS, *lanes), jnp.int32), jnp.zeros((_REALS, *lanes), dtype)
-    )
+    reals = jnp.zeros((_REALS + config.kept, *lanes), dtype)
+    return EncoderState(jnp.zeros(lanes, jnp.int32), jnp.zeros((_INTS, *lanes), jnp.int32), reals)
 
 
 def step(
@@ -118,7 +135,7 @@ def step(
 
     Example:
         >>> limits = jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
-        >>> state, packed = step(FitConfig(), limits, init((1,)), jnp.zeros((5, 1)))
+        >>> state, packed = step(FitConfig(), limits, init(FitConfig(), (1,)), jnp.zeros((5, 1)))
         >>> state, packed = step(FitConfig(), limits, state, jnp.arange(5.0)[:, None])  # the constant run ends
         >>> unpack(packed).primitive.label.tolist(), unpack(packed).primitive.t1.tolist()
         ([7], [5])
@@ -136,7 +153,9 @@ def step_partial(
     """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
-    return _advance(config, _by_lane(limits, window), state, *window_line(window, count))
+    samples = jnp.concatenate([state.reals[_REALS:], window])
+    after = residuals_after(samples, config.kept + count)
+    return _advance(config, _by_lane(limits, window), state, samples, after, count)
 
 
 def flush(
@@ -184,23 +203,29 @@ def scan_lanes(
     Returns:
         the new state, and labels ``[lane, slot]`` with one slot per window.
     """
-    window, lanes = config.window, samples.shape[1]
+    window, kept, lanes = config.window, config.kept, samples.shape[1]
     windows = -(-samples.shape[0] // window)
     samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
     start = jnp.arange(windows, dtype=jnp.int32)[:, None] * window
-    full = jnp.swapaxes(samples.reshape(windows, window, lanes), 0, 1)
-    lines = window_line(full, jnp.clip(count[None] - start, 0, window))
+    counts = jnp.clip(count[None] - start, 0, window)
+    # Windows with the samples before them [sample, window, lane]: what follows a break does not depend on the state.
+    parts = jnp.concatenate([state.reals[_REALS:], samples]).reshape(windows + kept // window, window, lanes)
+    seen = jnp.concatenate([jnp.swapaxes(parts[at : at + windows], 0, 1) for at in range(kept // window + 1)])
+    after = residuals_after(seen, kept + counts)
 
-    def body(state: EncoderState, row: tuple[Line, Array]) -> tuple[EncoderState, PackedLabels]:
+    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, PackedLabels]:
         return _advance(config, limits, state, *row)
 
-    state, out = jax.lax.scan(body, state, lines)
+    rows = (jnp.swapaxes(seen, 0, 1), jnp.swapaxes(after, 0, 1), counts)
+    state, out = jax.lax.scan(body, state, rows)
     return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
 
 
 def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderState) -> LabelTracks:
     """The run, then all held words, each layer drained into the next: labels ``[*lanes, 5]``."""
     t0, t1, line, held = _opened(state)
+    end = jnp.full_like(t0, config.kept)
+    line = join(line, span_line(state.reals[_REALS:], end - (t1 - t0 - line.count), end))
     arrival = pipe.keep(t1 > t0, _primitive(config, limits, t0, t1, line))
     rounds = []
     for number in range(DRAIN_STEPS):
@@ -219,35 +244,52 @@ def _by_lane(limits: Array, like: Array) -> Array:
 
 
 def _opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
-    """First sample, end and line of the run, and the four segments above it."""
-    t0, t1 = state.ints[:_RUN_INTS]
-    mean, slope = state.reals[:_RUN_REALS]
-    return t0, t1, Line(t1 - t0, mean, slope), unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:])
+    """First sample and end of the run, the line of its samples that are not kept any more, the segments above it."""
+    t0, t1, count = state.ints[:_RUN_INTS]
+    line = Line(count, *state.reals[:_RUN_REALS])
+    return t0, t1, line, unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:_REALS])
 
 
 def _advance(
-    config: FitConfig, limits: Array, state: EncoderState, x: Line, residual: Array
+    config: FitConfig, limits: Array, state: EncoderState, samples: Array, after: Array, count: Array
 ) -> tuple[EncoderState, PackedLabels]:
-    """The line of a window, of no samples where it ended before, joins the run or ends it."""
-    t0, t1, run, held = _opened(state)
-    x = replace(x, count=jnp.where(state.time < 0, 0, x.count))  # never negative, but no compiler knows: no constant
-    now, there = state.time + x.count, x.count > 0
-    joint, growth = join(run, x)
-    allowed = 12 * limits[4] * limits[4] * x.count.astype(growth.dtype)
-    fits = (run.count > 0) & (growth + fenced(12 * residual) <= allowed)
-    word = pipe.once(pipe.packed(there & fits, there & ~fits), now)  # joins; begins a run
-    joins, begins = word & 1 > 0, word >> 1 > 0
-    ended = pipe.keep(begins & (run.count > 0), _primitive(config, limits, t0, t1, run))
+    """A window of ``count`` new samples: the run goes on, or ends at the break that saves most.
+
+    Args:
+        config: static configuration.
+        limits: gradient limits and tolerance ``[5, *lanes]``.
+        state: of the same lanes.
+        samples: those that are kept, then the window ``[kept + window, *lanes]``.
+        after: their residuals, see :func:`residuals_after`.
+        count: new samples; fewer than a window only at the end, none after it.
+    """
+    kept, window = config.kept, config.window
+    t0, t1, line, held = _opened(state)
+    count = jnp.where(state.time < 0, 0, count)  # never negative, but no compiler knows: no constant
+    now, there = state.time + count, count > 0
+    start, stop = kept - (t1 - t0 - line.count), kept + count  # the run's own samples among these
+    found, saved = best_break(line, samples, after, start, stop, _SHORTEST)
+    breaks = there & (saved > limits[4] * limits[4] * config.needed)
+    word = pipe.once(pipe.packed(there, breaks) + 4 * found, now)
+    there, breaks, found = word & 1 > 0, word >> 1 & 1 > 0, word >> 2
+    leaves = jnp.where(there, jnp.where(count == window, window, stop), 0)  # samples that are not kept any longer
+    joint = join(line, span_line(samples, start, jnp.where(breaks, found, leaves)))
+    one = jnp.where(now < 0, 2, 1).astype(joint.mean.dtype)  # see pipe.once: what is divided is computed once
+    joint = Line(joint.count, joint.mean / one, joint.slope / one)
+    fresh = span_line(samples, found, leaves)
+    ended = pipe.keep(breaks, _primitive(config, limits, t0, t0 + joint.count, joint))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
+    first = jnp.where(breaks, t0 + joint.count, t0)
+    run = [jnp.where(breaks, new, old) for new, old in ((fresh.count, joint.count), *_values(fresh, joint))]
     ints, reals = pack_segments(held)
-    line = jnp.stack([jnp.where(joins, b, jnp.where(begins, c, a)) for a, b, c in _values(run, joint, x)])
-    span = jnp.stack([jnp.where(begins, state.time, t0), jnp.where(there, now, t1)])
-    state = EncoderState(now, jnp.concatenate([span, ints]), jnp.concatenate([line, reals]))
+    ints = jnp.concatenate([jnp.stack([first, now, run[0]]), ints])
+    recent = jnp.where(there, samples[window:], state.reals[_REALS:])
+    state = EncoderState(now, ints, jnp.concatenate([jnp.stack(run[1:]), reals, recent]))
     return state, PackedLabels(*pack_segments(out), now)
 
 
-def _values(*lines: Line) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    return tuple(line.mean for line in lines), tuple(line.slope for line in lines)
+def _values(fresh: Line, joint: Line) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    return (fresh.mean, joint.mean), (fresh.slope, joint.slope)
 
 
 def _primitive(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:

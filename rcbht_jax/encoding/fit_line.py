@@ -1,9 +1,9 @@
-"""Straight lines through runs of samples: through a window, and through two neighbours as if through all their samples.
+"""Straight lines through runs of samples: through a span, through two neighbours, and how badly they take new samples.
 
 Results do not depend on how a compiler fuses this code: no rounded product meets a sum or another constant unfenced,
 and nothing is divided by what could be a constant, lest it become a product with the reciprocal. Times are counted in
 samples from the middle of a run and values from its mean, so that single precision loses nothing over long runs; the
-growth of the squared residual is a sum of squares, never a difference of large numbers.
+growth of a squared residual is a sum of squares over the last few samples, never a difference of large numbers.
 """
 
 from __future__ import annotations
@@ -35,71 +35,152 @@ def fenced(product: Array) -> Array:
     return jnp.maximum(product, float(np.finfo(product.dtype).min))
 
 
-def window_line(samples: Float[Array, " window *lanes"], count: Int[Array, "*lanes"]) -> tuple[Line, Array]:
-    """The line through the first ``count`` samples of each lane, and its squared residual.
+def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes"], stop: Int[Array, "*lanes"]) -> Line:
+    """The line through the samples of each lane from ``start`` up to, but not with, ``stop``.
 
     Args:
-        samples: N or Nm, window >= 2.
-        count: samples that count, <= window; fewer than 2 give no line.
-
-    Returns:
-        the line and the sum of the squared residuals ``[*lanes]``, N^2 or (Nm)^2.
+        samples: N or Nm, window >= 2; the last but one is the origin of sums, so it must be finite.
+        start: first sample that counts.
+        stop: its end, at most the window; an empty span gives no line, a single sample a level.
 
     Example:
-        >>> line, residual = window_line(jnp.array([[1.0], [2.0], [3.0]]), jnp.array([3]))
-        >>> line.mean.tolist(), line.slope.tolist(), residual.tolist()
-        ([2.0], [1.0], [0.0])
+        >>> line = span_line(jnp.array([[9.0], [1.0], [2.0], [3.0]]), jnp.array([1]), jnp.array([4]))
+        >>> line.count.tolist(), line.mean.tolist(), line.slope.tolist()
+        ([3], [2.0], [1.0])
     """
-    local = samples - samples[:1]
-    size = jnp.maximum(count, 2)
-    middle = (size.astype(samples.dtype) - 1) / 2
-    total, moment = sums(local, count, middle)
-    per_sample, per_spread = (jnp.asarray(table, samples.dtype)[size] for table in _reciprocals(samples.shape[0]))
-    mean, slope = fenced(total * per_sample), fenced(moment * per_spread)
+    length = samples.shape[0]
+    origin = samples[length // 2]
+    count = jnp.maximum(stop - start, 0)
+    middle = (start + stop - 1).astype(samples.dtype) / 2
+    spread = jnp.asarray(_spreads(length), samples.dtype)[count]
 
-    def add(residual: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
+    def add(sums: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
         index, y = row
-        error = y - (mean + fenced((index.astype(y.dtype) - middle) * slope))
-        return residual + jnp.where(index < count, fenced(error * error), 0), None
+        y = jnp.where((index >= start) & (index < stop), y - origin, 0)
+        return (sums[0] + y, sums[1] + fenced((index.astype(y.dtype) - middle) * y)), None
+
+    zero = jnp.zeros_like(origin)
+    index = jnp.arange(length, dtype=jnp.int32)
+    (total, moment), _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unrolled(length))
+    # Quotients, because a compiler that fuses a step into one loop per output repeats products, but no division.
+    return Line(count, origin + total / jnp.maximum(count, 1).astype(samples.dtype), moment / spread)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Growing:
+    """A line that samples join one by one: its count and slope, its value at the last sample, the squared residual."""
+
+    count: Array
+    end: Array
+    slope: Array
+    residual: Array
+
+    def add(self, y: Array, joins: Array) -> _Growing:
+        """The next sample, where it joins (recursive least squares of a line)."""
+        n, ahead = self.count, self.end + self.slope
+        error = jnp.where(joins, y - ahead, 0)
+        share = error / ((n + 1) * (n + 2))
+        end = jnp.where(joins, ahead + fenced((4 * n + 2) * share), self.end)
+        slope = self.slope + jnp.where(n > 0, fenced(6 * share), 0)
+        residual = self.residual + fenced(n * (n - 1) * share * error)
+        return _Growing(n + joins.astype(n.dtype), end, slope, residual)
+
+
+def residuals_after(
+    samples: Float[Array, " window *lanes"], stop: Int[Array, "*lanes"]
+) -> Float[Array, " window *lanes"]:
+    """Squared residual of the line through the samples from each one up to, but not with, ``stop``.
+
+    Example:
+        >>> y = jnp.array([[0.0], [6.0], [2.0], [1.0], [9.0]])
+        >>> residuals_after(y, jnp.array([4]))[:, 0].round(3).tolist()
+        [20.7, 1.5, 0.0, 0.0, 0.0]
+    """
+
+    def add(line: _Growing, row: tuple[Array, Array]) -> tuple[_Growing, Array]:
+        index, y = row
+        line = line.add(y, index < stop)
+        return line, line.residual
+
+    zero = jnp.zeros_like(samples[0])
+    rows = (jnp.arange(samples.shape[0], dtype=jnp.int32), samples)
+    start = _Growing(zero, zero, zero, zero)
+    return jax.lax.scan(add, start, rows, reverse=True, unroll=1)[1]
+
+
+def best_break(
+    line: Line,
+    samples: Float[Array, " window *lanes"],
+    after: Float[Array, " window *lanes"],
+    start: Int[Array, "*lanes"],
+    stop: Int[Array, "*lanes"],
+    shortest: int,
+) -> tuple[Int[Array, "*lanes"], Float[Array, "*lanes"]]:
+    """Where two lines in place of one save most squared residual, and how much.
+
+    Args:
+        line: whose next sample is the one at ``start``; maybe empty.
+        samples: N or Nm.
+        after: of :func:`residuals_after`.
+        start: first sample that joins the line.
+        stop: end of the samples that join.
+        shortest: samples that either line must have.
+
+    Returns:
+        the first sample of the second line, the earliest of equals, and what it saves, N^2 or (Nm)^2; nothing where no
+        place is allowed.
+
+    Example:
+        >>> y = jnp.array([[0.0], [0.0], [0.0], [5.0], [5.0]])
+        >>> none, zero, five = Line(*(jnp.zeros(1, t) for t in (int, float, float))), jnp.array([0]), jnp.array([5])
+        >>> index, saved = best_break(none, y, residuals_after(y, five), zero, five, 2)
+        >>> index.tolist(), saved.round(3).tolist()
+        ([3], [5.0])
+    """
+    n = line.count.astype(samples.dtype)
+    zero = jnp.zeros_like(line.mean)
+    most = jnp.full_like(zero, np.inf)
+    growing = _Growing(n, line.mean + fenced(line.slope * (n - 1) * 0.5), line.slope, zero)
+
+    def add(carry: tuple[_Growing, Array, Array], row: tuple[Array, ...]) -> tuple[tuple[_Growing, Array, Array], None]:
+        line, least, found = carry
+        index, y, rest = row
+        apart = line.residual + rest
+        allowed = (line.count >= shortest) & (index >= start) & (index <= stop - shortest) & (apart < least)
+        least, found = jnp.where(allowed, apart, least), jnp.where(allowed, index, found)
+        return (line.add(y, (index >= start) & (index < stop)), least, found), None
 
     index = jnp.arange(samples.shape[0], dtype=jnp.int32)
-    residual, _ = jax.lax.scan(add, jnp.zeros_like(total), (index, local), unroll=unrolled(samples.shape[0]))
-    used = jnp.where(count >= 2, count, 0)
-    return Line(used, samples[0] + mean, slope), residual
+    carry = (growing, most, jnp.zeros_like(start))
+    (line_of_all, least, found), _ = jax.lax.scan(
+        add, carry, (index, samples, after), unroll=unrolled(samples.shape[0])
+    )
+    return found, jnp.maximum(line_of_all.residual - least, 0)
 
 
-def join(a: Line, b: Line) -> tuple[Line, Array]:
-    """The line through the samples of two neighbours, a first, and by how much the squared residual grows.
+def join(a: Line, b: Line) -> Line:
+    """The line through the samples of two neighbours, a first.
 
     The counts must not be constants of a compiled program, see above.
 
     Three slopes speak for the joint one: those of the two lines and that of the line between their middles. Each has
-    the weight of the squared times that it explains; the residual grows by their weighted squared deviations.
-
-    Returns:
-        the line, and 12 times the growth ``[*lanes]``: the residual of the joint line less those of the two.
+    the weight of the squared times that it explains.
     """
     na, nb = a.count.astype(a.mean.dtype), b.count.astype(a.mean.dtype)
     n = na + nb
-    between = jnp.maximum(n, 1)
-    step = (b.mean - a.mean) / between
+    step = (b.mean - a.mean) / jnp.maximum(n, 1)
     whole = jnp.maximum(_spread(n), 1)
     third = 3 * na * nb * n  # _spread(na) + _spread(nb) + third == _spread(n)
     slope = a.slope + fenced(_spread(nb) / whole * (b.slope - a.slope))
     slope = slope + fenced(third / whole * (2 * step - a.slope))
-    parts = ((_spread(na), a.slope - slope), (_spread(nb), b.slope - slope), (third, 2 * step - slope))
-    growth = jnp.zeros_like(slope)
-    for weight, deviation in parts:
-        growth = growth + fenced(weight * deviation * deviation)
-    return Line(a.count + b.count, a.mean + fenced(nb * step), slope), growth
+    return Line(a.count + b.count, a.mean + fenced(nb * step), slope)
 
 
-def _reciprocals(window: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of n = 0 ... window samples, and of the sum of their squared offsets from the middle; 0 for fewer than two."""
+def _spreads(window: int) -> NDArray[np.float64]:
+    """Sum of squared offsets from the middle of n = 0 ... window samples; 1 for fewer than two."""
     n = np.arange(window + 1, dtype=np.float64)
-    each = np.stack([n, n * (n * n - 1) / 12])
-    first, second = np.divide(1, each, out=np.zeros_like(each), where=n >= 2)
-    return first, second
+    return np.where(n < 2, 1, n * (n * n - 1) / 12)
 
 
 def _spread(n: Array) -> Array:

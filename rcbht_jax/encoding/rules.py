@@ -23,18 +23,22 @@ AnyLimits = Thresholds | FitLimits
 class Rule(NamedTuple):
     """Pure functions of one rule; see :mod:`rcbht_jax.encoding.encoder` for what they take and give."""
 
-    init: Callable[..., EncoderState]
+    init: Callable[..., EncoderState]  # of (config, lanes, dtype)
     step: Callable[..., Any]
     flush: Callable[..., LabelTracks]
     scan_lanes: Callable[..., tuple[EncoderState, LabelTracks]]
     drain: Callable[..., LabelTracks]  # of (config, limits [number, lane], state)
 
 
+def _init(_config: EncoderConfig, lanes: tuple[int, ...], dtype: Any) -> EncoderState:
+    return encoder.init(lanes, dtype)
+
+
 def _drain(config: EncoderConfig, _limits: Any, state: EncoderState) -> LabelTracks:
     return encoder.drain(config, state)
 
 
-PAPER = Rule(encoder.init, encoder.step, encoder.flush, encoder.scan_lanes, _drain)
+PAPER = Rule(_init, encoder.step, encoder.flush, encoder.scan_lanes, _drain)
 FIT = Rule(fit.init, fit.step, fit.flush, fit.scan_lanes, fit.drain)
 
 

@@ -101,7 +101,7 @@ class Encoder:
         self._config = config
         self._limits = jnp.asarray(limits, dtype)
         self._axes = limits.shape[0]
-        self._state: EncoderState = rule_of(config).init((self._axes,), dtype)
+        self._state: EncoderState = rule_of(config).init(config, (self._axes,), dtype)
         self._buffer = WindowBuffer(config.window, self._axes, dtype)
 
     @property
@@ -136,5 +136,5 @@ class Encoder:
 
     def restart(self) -> None:
         """Start a new stream; what is still held is forgotten."""
-        self._state = rule_of(self._config).init((self._axes,), self._buffer.samples.dtype)
+        self._state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
         self._buffer.count = 0

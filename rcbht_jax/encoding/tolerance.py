@@ -15,7 +15,7 @@ from rcbht_jax.types import Array
 
 SHARE = 0.015  # of an axis's usual range
 USUAL = (1.0, 99.0)  # percentiles that bound the usual range
-NOISE = 2.5  # standard deviations of noise that a tolerance must exceed, lest noise break lines
+NOISE = 20.0  # noise variances that a break must save, lest noise break lines
 _NORMAL_MAD = 0.6745  # median of |x| of a standard normal variable
 _SECOND_DIFFERENCE = 6**0.5  # deviation of x[i] - 2 x[i+1] + x[i+2] of white noise of deviation 1
 
@@ -57,9 +57,9 @@ class FitLimits:
 
 
 def auto_tolerance(
-    wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"]
+    wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int = 5
 ) -> Float[np.ndarray, " axis"]:
-    """A tolerance for every axis: 1.5 % of its usual range, or 2.5 deviations of its noise where that is more.
+    """A tolerance for every axis: 1.5 % of its usual range, or more where noise alone would break lines.
 
     The usual range lies between the 1st and 99th percentile of all samples. The deviation of the noise comes from the
     median of second differences, which straight lines and rare jumps do not change (white noise is assumed).
@@ -67,6 +67,7 @@ def auto_tolerance(
     Args:
         wrench: N and Nm, finite within the lengths.
         length: samples that count.
+        needed: squared tolerances that a break must save, :attr:`FitConfig.needed`.
 
     Returns:
         float64, units of the axes; 1 for an axis that never changes, where any tolerance gives the same.
@@ -83,7 +84,7 @@ def auto_tolerance(
     low, high = np.percentile(values, USUAL, axis=0)
     bends = np.concatenate([np.abs(np.diff(part, n=2, axis=0)) for part in parts])
     noise = np.median(bends, axis=0) / (_NORMAL_MAD * _SECOND_DIFFERENCE) if len(bends) else 0.0
-    tolerance = np.maximum(SHARE * (high - low), NOISE * noise)
+    tolerance = np.maximum(SHARE * (high - low), (NOISE / needed) ** 0.5 * noise)
     spare = SHARE * (values.max(axis=0) - values.min(axis=0))  # an axis that changes more rarely than usual
     tolerance = np.where(tolerance > 0, tolerance, spare)
     return np.where(tolerance > 0, tolerance, 1.0)

@@ -14,9 +14,9 @@ from tests.support.oracle import ComposeLLB, ComposeMC, It, Watch, merge
 
 
 def least_squares(y: np.ndarray) -> tuple[float, float, float]:
-    """Mean, slope per sample and squared residual."""
+    """Mean, slope per sample and squared residual; a single sample is level."""
     t = np.arange(len(y)) - (len(y) - 1) / 2
-    slope = float((t * (y - y.mean())).sum() / (t * t).sum())
+    slope = float((t * (y - y.mean())).sum() / max((t * t).sum(), 0.25))
     return float(y.mean()), slope, float(((y - y.mean() - slope * t) ** 2).sum())
 
 
@@ -47,6 +47,8 @@ class FitOracle:
     dt: float = 0.005
     cap: int | None = 40
     impulse: int = 40
+    needed: int = 5
+    kept: int = 5
     gate: bool = True
     adj_exempt: bool = True
     contact_first: bool = False
@@ -63,25 +65,33 @@ class FitOracle:
         return self.watch.ge(a, b, max(abs(a), abs(b), 1e-6))
 
     def encode(self, y: np.ndarray) -> FitOracle:
-        start, end = 0, 0  # of the run
+        start, end = 0, len(y)  # of the run
         for first in range(0, len(y), self.window):
             now = min(first + self.window, len(y))
-            if now - first < 2:
-                break
+            found = self.broken(y, start, first - self.kept, now)
             arrivals = []
-            if end == 0:
-                start, end = first, now
-            else:
-                grown = least_squares(y[start:now])[2] - least_squares(y[start:first])[2]
-                if not self.ge(self.tolerance**2 * (now - first), grown):
-                    arrivals, start = [self.primitive(y, start, end)], first
-                end = now
+            if found is not None:
+                arrivals, start = [self.primitive(y, start, found)], found
             self.advance(arrivals, now)
         if end:
             self.push([self.primitive(y, start, end)], end, 0)
             for number, stage in enumerate(self.stages):
                 self.publish(stage, stage.drain(), end, number)
         return self
+
+    def broken(self, y: np.ndarray, start: int, oldest: int, now: int) -> int | None:
+        """Where the run ``start`` to ``now`` breaks, if it does: at ``oldest`` or later, two samples on either side."""
+        places = range(max(start + 2, oldest), now - 1)
+        if not places:
+            return None
+        apart = [least_squares(y[start:p])[2] + least_squares(y[p:now])[2] for p in places]
+        saved = least_squares(y[start:now])[2] - min(apart)
+        if self.ge(self.tolerance**2 * self.needed, saved):
+            return None
+        best = int(np.argmin(apart))
+        for other in apart[:best] + apart[best + 1 :]:
+            self.ge(other, apart[best])
+        return places[best]
 
     def primitive(self, y: np.ndarray, start: int, end: int) -> It:
         n = end - start
