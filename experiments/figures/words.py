@@ -35,6 +35,7 @@ RULES = {
     "bottom-up, as many as fit": ("black", ":", "x"),
 }
 ASKED = 0.9
+TICKS = (0.05, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # words per second
 
 
 def rate_distortion(result: dict[str, Any]) -> Figure:
@@ -49,14 +50,18 @@ def rate_distortion(result: dict[str, Any]) -> Figure:
                         markersize=3.5, label=method)  # fmt: skip
         ax.set_xscale("log")
         ax.set_yscale("log")
+        low, high = ax.get_xlim()
+        ticks = [tick for tick in TICKS if low <= tick <= high]
+        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        ax.minorticks_off()
         ax.set_title(f"{name}, {result['sets'][name]['rate']:.0f} Hz", fontsize=10)
         ax.grid(alpha=0.3)
         plain(ax)
-    figure.supxlabel("words per second and axis", fontsize=9, y=0.065)
+    figure.supxlabel("words per second and axis", fontsize=9, y=0.085)
     figure.supylabel("residual, 1 - R² (mean over axes)", fontsize=9)
     handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncols=6, frameon=False, fontsize=8)
-    figure.tight_layout(rect=(0, 0.07, 1, 1))
+    figure.legend(handles, names, loc="lower center", ncols=4, frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0.01, 0.1, 1, 1))
     return figure
 
 

@@ -14,6 +14,7 @@ import rcbht_jax
 from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded
 from experiments._lib.catalogue import EXTERNAL
 from rcbht_jax.calibration.rest import auto_thresholds
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.io.importing.importer import read_source
@@ -52,7 +53,8 @@ class Part:
     @property
     def tolerance(self) -> NDArray[np.float64]:
         """The default of the fit rule ``[axis]``."""
-        return auto_tolerance(self.recordings.wrench, self.recordings.length)
+        needed = FitConfig(self.windows[0], self.recordings.dt).needed
+        return auto_tolerance(self.recordings.wrench, self.recordings.length, needed)
 
     @property
     def windows(self) -> tuple[int, int]:
