@@ -29,7 +29,7 @@ from experiments.words.fit_quality import explained
 from experiments.words.sets import COUNTS, Part, part
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # on the default tolerance
-PENALTIES = (2.5, 15.0, 90.0, 540.0)  # squared tolerances per piece
+PENALTIES = (2.5, 15.0, 90.0, 540.0, 3240.0)  # squared tolerances per piece
 WIDTHS = (3, 5, 10, 20, 40, 80)  # of SAX and of equal windows, samples
 ALPHA = 0.1  # of fABBA
 TARGETS = (0.05, 0.01, 0.002)  # residuals at which curves are compared
