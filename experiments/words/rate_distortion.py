@@ -123,7 +123,9 @@ def by_tolerance(data: Part, make: Callable[[Floats, float], Approximation], kno
     ]
 
 
-def by_width(data: Part, make: Callable[[Floats, int, float, float], Approximation]) -> Curve:
+def by_width(
+    data: Part, make: Callable[[Floats, int, float, float], Approximation], widths: Sequence[int] = WIDTHS
+) -> Curve:
     """A method whose knob is the samples of a window; it knows mean and deviation of every axis."""
     every = [np.concatenate(parts) for parts in zip(*data.signals, strict=True)]
     scale = [(float(y.mean()), float(y.std()) or 1.0) for y in every]
@@ -133,7 +135,7 @@ def by_width(data: Part, make: Callable[[Floats, int, float, float], Approximati
             f"window {width}",
             [[make(y, width, *known) for y, known in zip(row, scale, strict=True)] for row in data.signals],
         )
-        for width in WIDTHS
+        for width in widths
         if 2 * width <= data.recordings.length.max()
     ]
 
@@ -166,7 +168,9 @@ METHODS: dict[str, Method] = {
         data, lambda y, t: symbolic.fabba(y, t, ALPHA), FACTORS, "tolerance"
     ),
     "SAX": lambda data: by_width(data, symbolic.sax),
-    "1d-SAX": lambda data: by_width(data, partial(symbolic.sax, slopes=True)),
+    "1d-SAX": lambda data: by_width(  # the library takes most of a millisecond for a window
+        data, partial(symbolic.sax, slopes=True), WIDTHS[2:] if data.windows[0] == 5 else WIDTHS
+    ),
 }  # fmt: skip
 
 
