@@ -41,9 +41,13 @@ GPU = "needs a GPU"
 EXPERIMENTS = (
     Experiment("table1_published", "classification.table1_published", 2, needs=("golden",)),
     Experiment("table1_ours", "classification.table1_ours", 14, (SETS,), ("data",)),
-    Experiment("peers", "classification.peers", 14, needs=("data", "peers")),
+    Experiment(
+        "peers", "classification.peers", 14, needs=("data", "peers"), shorter_minutes=8,
+        shorter=("--only", "alone", "majority", "words", "SAX", "statistics", "MiniRocket"),  # not MultiRocketHydra
+    ),
     Experiment("grammar", "classification.grammar", 8, needs=("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
+    Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),
     Experiment("table2", "online.table2", 36, needs=("data",)),

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments._lib.report_rows import peer_rows
 from experiments._lib.results_io import committed
-from experiments.figures import calibration_curves, dots, faults, online, sim_to_real
+from experiments.figures import calibration_curves, dots, faults, online, sim_to_real, words
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
@@ -183,6 +183,8 @@ FIGURES = {
     "failure-types": failure_types,
     "sim-to-real": lambda: sim_to_real.draw(rows_of("sim_to_real"), sim_to_real.STORY),
     "sim-to-real-all": lambda: sim_to_real.draw(rows_of("sim_to_real")),
+    "rate-distortion": lambda: words.rate_distortion(committed("rate_distortion")),
+    "word-stability": lambda: words.stability(committed("rate_distortion")),
     "calibration-curves": lambda: calibration_curves.draw(rows_of("calibration_curves")),
 }
 # Pictures of trials and of experiments that draw while they measure, and the command that writes each.

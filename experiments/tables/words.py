@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import markdown, table
+from experiments.tables.cells import NONE, markdown, table
 
+TARGET = "0.01"  # residual at which methods are compared
 LAYERS = {"primitive": "primitives", "mc": "compositions", "llb": "behaviours"}
 
 
@@ -43,3 +44,59 @@ def latency(result: dict[str, Any]) -> str:
         if rule in ("paper", "fit x1", "fit x1, W=2")
     ]
     return markdown(("", "rule", *LAYERS.values()), rows)
+
+
+@table("words-rate", "rate_distortion")
+def rate(result: dict[str, Any]) -> str:
+    """Words per second and axis at a residual of 1 %, of every method and set."""
+    rows = []
+    for method, (when, _) in result["kinds"].items():
+        found = [result["rows"].get(f"rate | {name} | {method}") for name in result["sets"]]
+        at = [row["words per second at residual"][TARGET] if row else None for row in found]
+        rows.append((method, when, *(NONE if value is None else f"{value:.2f}" for value in at)))
+    return markdown(("", "decides from", *result["sets"]), rows)
+
+
+@table("words-defaults", "rate_distortion")
+def defaults(result: dict[str, Any]) -> str:
+    """The default tolerance: words per second, residual, and that of the bottom-up lines of the same number."""
+    rows = []
+    for name in result["sets"]:
+        for suffix in ("", ", small window"):
+            curves = (f"rate | {name} | {method}{suffix}" for method in ("fit", "bottom-up, as many as fit"))
+            ours, best = (_default(result["rows"][curve]["points"]) for curve in curves)
+            window = result["sets"][name]["windows of fit"][bool(suffix)]
+            values = (f"{ours['words per second']:.2f}", f"{ours['residual']:.4f}", f"{best['residual']:.4f}")
+            rows.append((name, str(window), *values))
+    return markdown(("", "window", "words per second", "residual of fit", "of bottom-up, as many"), rows)
+
+
+def _default(points: list[dict[str, Any]]) -> dict[str, Any]:
+    return next(point for point in points if point["at"].endswith(" x1"))
+
+
+@table("words-noise", "rate_distortion")
+def noise(result: dict[str, Any]) -> str:
+    """Share of long primitives that stay, edit distance and equal time under noise."""
+    return _stability(result, "noise", "noise, tolerances")
+
+
+@table("words-resampled", "rate_distortion")
+def resampled(result: dict[str, Any]) -> str:
+    """The same between a recording and its copy at another rate."""
+    return _stability(result, "resampled", "Hz")
+
+
+def _stability(result: dict[str, Any], kind: str, what: str) -> str:
+    rows = {name: row for name, row in result["rows"].items() if name.startswith(f"{kind} | ")}
+    levels = list(next(iter(rows.values())))
+    lines = []
+    for name, row in rows.items():
+        _, of, rule = name.split(" | ")
+        found = [row[level]["primitive"] for level in levels]
+        lines.append((of, rule, *(_three(one) for one in found)))
+    return markdown(("stays / edit distance / equal time", what, *levels), lines)
+
+
+def _three(found: dict[str, Any]) -> str:
+    return " / ".join(NONE if found[key] is None else f"{found[key]:.2f}" for key in ("kept", "edit", "time"))

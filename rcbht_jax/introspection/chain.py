@@ -57,7 +57,9 @@ class FeatureView:
 
 def begin_stream(config: AnyConfig, views: tuple[FeatureView, ...], axes: int = len(AXES)) -> StreamState:
     """The state before the first sample of so many axes."""
-    return StreamState(rule_of(config).init(config, (axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views))
+    return StreamState(
+        rule_of(config).init(config, (axes,)), tuple(empty(view.spec, jnp.int32(0), axes) for view in views)
+    )
 
 
 def step(

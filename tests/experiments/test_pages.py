@@ -26,7 +26,8 @@ SCORE = re.compile(r"(?<![\d.])[01]?\.\d{2,}")
 # Pages whose scores are all generated.
 BY_HAND = (
     "README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md", "docs/engines.md",
-    "docs/howto/features.md", "docs/concepts.md", "docs/tutorial.md", "docs/calibration.md", "docs/online.md",
+    "docs/howto/features.md", "docs/concepts.md", "docs/measurements/words.md", "docs/tutorial.md",
+    "docs/calibration.md", "docs/online.md",
 )  # fmt: skip
 # One cell of each table, and where its number is: table, first cells of the row, column, format and place.
 CELLS = [
@@ -34,6 +35,13 @@ CELLS = [
     ("fit-words", "SIM1 | paper", "Mx", ".0f fit_quality > sets > SIM1 > rows > paper > words > 3"),
     ("fit-latency", "two-arm | fit x1", "behaviours",
      ".2f fit_quality > sets > two-arm > rows > fit x1 > latency > llb > median"),
+    ("words-rate", "optimum", "SIM1",
+     ".2f rate_distortion > rows > rate | SIM1 | optimum > words per second at residual > 0.01"),
+    ("words-defaults", "SIM1 | 5", "residual of fit",
+     ".4f rate_distortion > rows > rate | SIM1 | fit > points > 2 > residual"),
+    ("words-noise", "SIM1 | fit", "0.5", ".2f rate_distortion > rows > noise | SIM1 | fit > 0.5 > primitive > kept"),
+    ("words-resampled", "two-arm | published rules", "100",
+     ".2f rate_distortion > rows > resampled | two-arm | published rules > 100 > primitive > kept"),
     ("results", "states, real trials, streamed, at their end", "here, 95 % interval",
      ".3f table2 > rows > REAL at 10 Hz > all > full-sequence accuracy > mean"),
     ("peers-folds", "MiniRocket + ridge", "SIM1 states",

@@ -1,0 +1,133 @@
+"""Do words stay when the same signal is recorded with other noise, or at another rate?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample_poly
+
+from experiments._lib.piecewise import Floats, Ints, Sums, bottom_up, left_over
+from rcbht_jax.labels import Primitive
+from rcbht_jax.learning.segment_metrics import edit_distance
+from rcbht_jax.types import LabelTrack, Recordings, padded
+
+LONG = 0.1  # s: shorter words are not asked to stay
+
+
+@dataclass(frozen=True)
+class Words:
+    """Words of one axis in order."""
+
+    label: Ints
+    start: Floats  # s
+    end: Floats  # s
+
+
+def words_of(track: LabelTrack, dt: float) -> list[Words]:
+    """The words of every recording and axis, those of a recording together."""
+    found = []
+    for row, axis in np.ndindex(track.label.shape[:2]):
+        used = np.asarray(track.label[row, axis]) > 0
+        label, t0, t1 = (np.asarray(values[row, axis])[used] for values in (track.label, track.t0, track.t1))
+        found.append(Words(label.astype(np.int64), t0 * dt, t1 * dt))
+    return found
+
+
+def agreement(pairs: Iterable[tuple[Words, Words]], within: float) -> dict[str, Any]:
+    """How well the words of two copies agree, all pairs together.
+
+    Args:
+        pairs: words of the first and of the second copy.
+        within: seconds that a break may move.
+
+    Returns:
+        ``edit``: edit distance of the labels over the longer sequence, mean over pairs, 0 = equal; ``kept``: share of
+        the words longer than 0.1 s, of both copies, that the other one has with the same label and both breaks;
+        ``breaks``: the share that the other one has with both breaks, whatever its label; ``words``: how many words
+        were that long, without which both shares are None; ``time``: share of time in which both copies say the same.
+    """
+    edits, kept, breaks, count = [], 0, 0, 0
+    same_time = all_time = 0.0
+    for pair in pairs:
+        same, of = _same_time(*pair)
+        same_time, all_time = same_time + same, all_time + of
+        longest = max(len(words.label) for words in pair)
+        edits.append(edit_distance(pair[0].label, pair[1].label) / longest if longest else 0.0)
+        for ours, other in (pair, pair[::-1]):
+            long = ours.end - ours.start > LONG + 1e-9
+            near = _near(ours.start, other.start, within) & _near(ours.end, other.end, within)
+            kept += int((near & (ours.label[:, None] == other.label)).any(1)[long].sum())
+            breaks += int(near.any(1)[long].sum())
+            count += int(long.sum())
+    return {
+        "edit": float(np.mean(edits)),
+        "kept": kept / count if count else None,
+        "breaks": breaks / count if count else None,
+        "words": count,
+        "time": same_time / all_time if all_time else None,
+    }
+
+
+def _same_time(first: Words, second: Words) -> tuple[float, float]:
+    """Seconds in which both say the same, and in which both say anything."""
+    if not (len(first.label) and len(second.label)):
+        return 0.0, 0.0
+    edges = np.unique(np.concatenate([words.start for words in (first, second)] + [first.end, second.end]))
+    middle, length = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    said = [_said(words, middle) for words in (first, second)]
+    both = (said[0] > 0) & (said[1] > 0)
+    return float(length[both & (said[0] == said[1])].sum()), float(length[both].sum())
+
+
+def _said(words: Words, time: Floats) -> Ints:
+    """The label at each time, 0 between words."""
+    place = np.maximum(np.searchsorted(words.start, time, "right") - 1, 0)
+    inside = (words.start[place] <= time) & (time < words.end[place])
+    return np.where(inside, words.label[place], 0)
+
+
+def _near(first: Floats, second: Floats, within: float) -> NDArray[np.bool_]:
+    return np.abs(first[:, None] - second) <= within + 1e-9
+
+
+def noisy(recordings: Recordings, deviation: Floats, rng: np.random.Generator) -> Recordings:
+    """A copy with white noise of a deviation for each axis."""
+    noise = rng.normal(size=recordings.wrench.shape) * deviation
+    return replace(recordings, wrench=(recordings.wrench + noise).astype(recordings.wrench.dtype))
+
+
+def resampled(recordings: Recordings, rate: float) -> Recordings:
+    """A copy at another rate, band-limited: windowed sinc filters as scipy has them."""
+    ratio = Fraction(rate * recordings.dt).limit_denominator(1000)
+    if ratio == 1:
+        return recordings
+    parts = [
+        resample_poly(one[:samples].astype(np.float64), ratio.numerator, ratio.denominator, padtype="line")
+        for one, samples in zip(recordings.wrench, recordings.length, strict=True)
+    ]
+    wrench, length = padded([part.astype(recordings.wrench.dtype) for part in parts])
+    return replace(recordings, wrench=wrench, length=length, dt=1 / rate)
+
+
+def best_lines(y: Floats, pieces: int, dt: float, limits: Floats, tolerance: float) -> Words:
+    """Words of the bottom-up fit with so many pieces, named as the fit rule names its runs (impulses apart).
+
+    Args:
+        y: one axis ``[time]``.
+        pieces: how many.
+        dt: s.
+        limits: the four gradient limits, largest first.
+        tolerance: a piece that a level explains as well as this is constant.
+    """
+    edges = np.concatenate([[0], left_over(bottom_up(y), pieces), [len(y)]]).astype(np.int64)
+    start, stop = edges[:-1], edges[1:]
+    slope, n = Sums(y).line(start, stop)[1], stop - start
+    rank = np.maximum((np.abs(slope / dt)[:, None] < limits).sum(1), 1)  # 1 big, 2 medium, 3 small, 4 constant
+    label = np.where(slope > 0, Primitive.BPOS, Primitive.BNEG) + rank - 1
+    level = (slope * slope * (n * n - 1.0) / 12 <= tolerance * tolerance) | (rank == len(limits))
+    return Words(np.where(level, Primitive.CONS, label).astype(np.int64), start * dt, stop * dt)

@@ -1,0 +1,105 @@
+"""Rate and distortion of words, and their stability."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.figures.style import DPI, plain
+from rcbht_jax.plots.canvas import new_figure
+
+BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY = (
+    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#999999"
+)  # fmt: skip
+# Colour, line style, width, marker; in the order of the legend.
+LINES: dict[str, tuple[str, str, float, str]] = {
+    "published rules": (RED, "-", 2.0, "s"),
+    "fit": (BLUE, "-", 2.4, "o"),
+    "fit, small window": (BLUE, "--", 2.0, "o"),
+    "optimum": ("black", ":", 1.6, ""),
+    "sliding window": (GREEN, "-", 1.2, "^"),
+    "slide filter": (ORANGE, "-", 1.2, "v"),
+    "swing filter": (PINK, "-", 1.2, "v"),
+    "ABBA chain": (SKY, "-", 1.2, "D"),
+    "fABBA symbols": (SKY, ":", 1.2, "D"),
+    "1d-SAX": (GREY, "-", 1.2, "P"),
+    "SAX": (GREY, ":", 1.2, "P"),
+    "equal windows": ("0.35", "-.", 1.2, "x"),
+}
+RULES = {
+    "published rules": (RED, "-", "s"),
+    "fit": (BLUE, "-", "o"),
+    "fit, tolerance of each copy": (SKY, "--", "D"),
+    "bottom-up, as many as fit": ("black", ":", "x"),
+}
+ASKED = 0.9
+TICKS = (0.05, 0.2, 0.5, 1, 2, 5, 10, 20, 50)  # words per second
+
+
+def rate_distortion(result: dict[str, Any]) -> Figure:
+    """A panel for each set: what every method leaves, over its words per second."""
+    figure = new_figure((12.0, 7.6), DPI)
+    for number, name in enumerate(result["sets"]):
+        ax = figure.add_subplot(2, -(-len(result["sets"]) // 2), number + 1)
+        for method, (color, style, width, marker) in LINES.items():
+            if row := result["rows"].get(f"rate | {name} | {method}"):
+                points = sorted((at["words per second"], max(at["residual"], 1e-6)) for at in row["points"])
+                ax.plot(*zip(*points, strict=True), color=color, linestyle=style, linewidth=width, marker=marker,
+                        markersize=3.5, label=method)  # fmt: skip
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        low, high = ax.get_xlim()
+        ticks = [tick for tick in TICKS if low <= tick <= high]
+        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        ax.minorticks_off()
+        ax.set_title(f"{name}, {result['sets'][name]['rate']:.0f} Hz", fontsize=10)
+        ax.grid(alpha=0.3)
+        plain(ax)
+    figure.supxlabel("words per second and axis", fontsize=9, y=0.085)
+    figure.supylabel("residual, 1 - R² (mean over axes)", fontsize=9)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="lower center", ncols=4, frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0.01, 0.1, 1, 1))
+    return figure
+
+
+def stability(result: dict[str, Any]) -> Figure:
+    """Share of long primitives that stay: over noise, above; over the rate of the copy, below."""
+    rows = result["rows"]
+    names = list(dict.fromkeys(row.split(" | ")[1] for row in rows if row.startswith("noise")))
+    figure = new_figure((11.0, 6.2), DPI)
+    kinds = {
+        "noise": "deviation of the noise, in tolerances",
+        "resampled": "rate of the copy, Hz (the recording: 200)",
+    }
+    for number, (kind, what) in enumerate(kinds.items()):
+        for place, name in enumerate(names):
+            ax = figure.add_subplot(2, len(names), number * len(names) + place + 1)
+            for rule, look in RULES.items():
+                if row := rows.get(f"{kind} | {name} | {rule}"):
+                    _kept(ax, row, rule, *look)
+            ax.set_xscale("log")
+            levels = next(list(rows[row]) for row in rows if row.startswith(f"{kind} | {name}"))
+            ax.set_xticks([float(level) for level in levels], levels)
+            ax.minorticks_off()
+            ax.axhline(ASKED, color="0.4", linestyle=":", linewidth=1)
+            ax.set_ylim(0, 1.02)
+            ax.set_xlabel(what, fontsize=8)
+            ax.set_title(name, fontsize=10)
+            ax.grid(alpha=0.3)
+            plain(ax)
+    figure.supylabel("share of primitives over 0.1 s that stay (dotted: asked)", fontsize=9)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(RULES), frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0, 0.04, 1, 1))
+    return figure
+
+
+def _kept(ax: Axes, row: dict[str, Any], rule: str, color: str, style: str, marker: str) -> None:
+    """One rule; levels without any long word are left out."""
+    points = [(float(level), found["primitive"]["kept"]) for level, found in row.items()]
+    known = [(level, kept) for level, kept in points if kept is not None]
+    if known:
+        ax.plot(*zip(*known, strict=True), color=color, linestyle=style, marker=marker, markersize=4, label=rule)

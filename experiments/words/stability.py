@@ -1,0 +1,93 @@
+"""Rows on the stability of words: copies of recordings with other noise, and at other rates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from experiments._lib.benchmarks import rounded
+from experiments._lib.word_stability import Words, agreement, best_lines, noisy, resampled, words_of
+from experiments.words.sets import OURS, Part, part
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTracks, Recordings
+
+NOISE = (0.125, 0.25, 0.5, 1.0, 2.0)  # deviation, as a share of the tolerance
+RATES = (40, 100, 200, 500, 1000)  # Hz
+WINDOW = 0.025  # s, at every rate, but at least two samples
+PAPER, KEPT, OWN, BEST = "published rules", "fit", "fit, tolerance of each copy", "bottom-up, as many as fit"
+
+
+def rows(seed: int) -> dict[str, Callable[[], Any]]:
+    """How to make each row."""
+    noise = {
+        f"noise | {name} | {rule}": partial(of_noise, name, rule, seed)
+        for name in OURS
+        for rule in (PAPER, KEPT, OWN, BEST)
+    }
+    return noise | {
+        f"resampled | {name} | {rule}": partial(of_rates, name, rule) for name in OURS for rule in (PAPER, KEPT)
+    }
+
+
+def of_noise(name: str, rule: str, seed: int) -> dict[str, Any]:
+    """Agreement of two copies at every level of noise; the same copies for every rule."""
+    data, found = part(name), {}
+    window = round(WINDOW / data.recordings.dt)
+    for level in NOISE:
+        rng = np.random.default_rng([seed, round(1000 * level)])
+        copies = [noisy(data.recordings, data.tolerance * level, rng) for _ in range(2)]
+        if rule == BEST:
+            first, second = (_best(data, copy, window) for copy in copies)
+            found[f"{level:g}"] = {"primitive": rounded(agreement(zip(first, second, strict=True), WINDOW))}
+        else:
+            found[f"{level:g}"] = _agreement(*(_labels(data, rule, copy, window) for copy in copies), data, WINDOW)
+    return found
+
+
+def of_rates(name: str, rule: str) -> dict[str, Any]:
+    """Agreement with the recordings at their own rate; breaks may move by the longer one of both windows."""
+    data, found = part(name), {}
+    own = _labels(data, rule, data.recordings, round(WINDOW / data.recordings.dt))
+    for rate in RATES:
+        copy, window = resampled(data.recordings, rate), max(2, round(WINDOW * rate))
+        labels = _labels(data, rule, copy, window)
+        found[f"{rate}"] = _agreement(own, labels, data, max(WINDOW, window / rate), copy.dt)
+    return found
+
+
+def _labels(data: Part, rule: str, copy: Recordings, window: int) -> LabelTracks:
+    if rule == PAPER:
+        return data.words("paper", window, of=copy)
+    return data.words("fit", window, None if rule == OWN else data.tolerance, copy)
+
+
+def _agreement(
+    first: LabelTracks, second: LabelTracks, data: Part, within: float, dt: float | None = None
+) -> dict[str, Any]:
+    """Of every layer."""
+    return {
+        layer: rounded(
+            agreement(
+                zip(
+                    words_of(getattr(first, layer), data.recordings.dt),
+                    words_of(getattr(second, layer), dt or data.recordings.dt),
+                    strict=True,
+                ),
+                within,
+            )
+        )
+        for layer in LAYERS
+    }
+
+
+def _best(data: Part, copy: Recordings, window: int) -> list[Words]:
+    counts = np.asarray(data.words("fit", window, data.tolerance, copy).primitive.label > 0).sum(-1)
+    limits, tolerance = data.limits(window), data.tolerance.tolist()
+    return [
+        best_lines(y.astype(np.float64), count, copy.dt, limit, most)
+        for one, samples, of_row in zip(copy.wrench, copy.length, counts.tolist(), strict=True)
+        for y, count, limit, most in zip(one[:samples].T, of_row, limits, tolerance, strict=True)
+    ]
