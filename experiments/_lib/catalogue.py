@@ -47,6 +47,8 @@ EXPERIMENTS = (
     ),
     Experiment("grammar", "classification.grammar", 8, needs=("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
+    Experiment("fit_latency", "words.latency", 1, needs=("data",)),
+    Experiment("fit_classification", "words.classification", 6, needs=("data",)),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),

@@ -46,6 +46,34 @@ def latency(result: dict[str, Any]) -> str:
     return markdown(("", "rule", *LAYERS.values()), rows)
 
 
+@table("fit-running", "fit_latency")
+def running(result: dict[str, Any]) -> str:
+    """What is known of words that are not published yet: contacts seen in time, and labels that are revised."""
+    rows = [
+        (
+            rule, str(row["contacts"]), f"{row['contacts_seen_within_50_ms']:.2f}",
+            *(f"{row['newest_published_age'][layer][1]:.1f}" for layer in LAYERS),
+            *(f"{row['revised'][layer]:.2f}" for layer in LAYERS),
+        )
+        for rule, row in result["rows"].items()
+    ]  # fmt: skip
+    head = ("rule", "contacts", "seen within 50 ms")
+    ages = tuple(f"newest {name}, p95 s" for name in LAYERS.values())
+    return markdown((*head, *ages, *(f"{name} revised" for name in LAYERS.values())), rows)
+
+
+@table("fit-classes", "fit_classification")
+def classes(result: dict[str, Any]) -> str:
+    """Accuracy of sentences of both rules."""
+    sets = list(result["benchmarks"])
+    names = list(dict.fromkeys(row.split(" | ")[1] for row in result["rows"]))
+    rows = []
+    for name in names:
+        found = [result["rows"].get(f"{one} | {name}") for one in sets]
+        rows.append((name, *(NONE if row is None else f"{row['accuracy']['mean']:.3f}" for row in found)))
+    return markdown(("", *sets), rows)
+
+
 @table("words-rate", "rate_distortion")
 def rate(result: dict[str, Any]) -> str:
     """Words per second and axis at a residual of 1 %, of every method and set."""
