@@ -45,10 +45,16 @@ EXPERIMENTS = (
         "peers", "classification.peers", 14, needs=("data", "peers"), shorter_minutes=8,
         shorter=("--only", "alone", "majority", "words", "SAX", "statistics", "MiniRocket"),  # not MultiRocketHydra
     ),
-    Experiment("grammar", "classification.grammar", 8, needs=("data",)),
+    Experiment(
+        "grammar", "classification.grammar", 8, needs=("data",), shorter_minutes=3,
+        shorter=("--only", "SIM1", "A to B", "B to A"),
+    ),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
-    Experiment("fit_classification", "words.classification", 6, needs=("data",)),
+    Experiment(
+        "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
+        shorter_minutes=2,
+    ),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),
