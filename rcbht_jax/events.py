@@ -61,6 +61,19 @@ class Word(Event):
 
 
 @dataclass(frozen=True)
+class ProvisionalWord(Event):
+    """A label of one axis that still runs: told from its second window on, and again whenever it changes."""
+
+    layer: str  # primitive, mc or llb
+    axis: str
+    label: str
+    code: int
+    begin: int  # first sample
+    start: float  # s, the time stamp of the first sample
+    revision: int  # how often the label has changed since it was first told
+
+
+@dataclass(frozen=True)
 class AnomalyRaised(Event):
     """The abnormal class has been certain for the hold time."""
 

@@ -143,11 +143,15 @@ class Stream(Source):
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False
     """With a model, report words as well; without one they always are."""
+    provisional: Flag = False
+    """Report words that still run as well, from their second window on and whenever their label changes."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.words import Revisions
         from rcbht_jax.io.rosbags import McapWriter
 
-        session, messages = self.opened(self.words)
+        session, messages = self.opened(self.words or self.provisional)
+        window, revisions = session.introspector.config.window, Revisions()
         session.introspector.warm_up()
         counts: Counter[str] = Counter()
         with ExitStack() as stack:
@@ -164,7 +168,10 @@ class Stream(Source):
                     _record(mcap, session, message, events)
 
             for message in messages:
+                complete = session.introspector.received // window
                 report(session.feed(message), message)
+                if self.provisional and session.introspector.received // window != complete:
+                    report([*revisions.after_window(session.introspector.provisional())])
             report(session.finish())
         return {"source": self.source, "messages": dict(session.counts), "events": dict(counts)}
 

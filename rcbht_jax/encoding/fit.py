@@ -203,20 +203,23 @@ def scan_lanes(
     Returns:
         the new state, and labels ``[lane, slot]`` with one slot per window.
     """
-    window, kept, lanes = config.window, config.kept, samples.shape[1]
+    window, kept = config.window, config.kept
     windows = -(-samples.shape[0] // window)
     samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
     start = jnp.arange(windows, dtype=jnp.int32)[:, None] * window
     counts = jnp.clip(count[None] - start, 0, window)
-    # Windows with the samples before them [sample, window, lane]: what follows a break does not depend on the state.
-    parts = jnp.concatenate([state.reals[_REALS:], samples]).reshape(windows + kept // window, window, lanes)
-    seen = jnp.concatenate([jnp.swapaxes(parts[at : at + windows], 0, 1) for at in range(kept // window + 1)])
+    # Every window with the samples before it; what follows a break does not depend on the state.
+    line = jnp.concatenate([state.reals[_REALS:], samples])
+    seen = jnp.stack([line[at : at + windows * window : window] for at in range(kept + window)])
     after = residuals_after(seen, kept + counts)
 
-    def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, PackedLabels]:
-        return _advance(config, limits, state, *row)
+    def body(state: EncoderState, row: tuple[Array, Array]) -> tuple[EncoderState, PackedLabels]:
+        number, count = row
+        recent = jax.lax.dynamic_slice_in_dim(line, number * window, kept + window)
+        rest = jax.lax.dynamic_index_in_dim(after, number, axis=1, keepdims=False)
+        return _advance(config, limits, state, recent, rest, count)
 
-    rows = (jnp.swapaxes(seen, 0, 1), jnp.swapaxes(after, 0, 1), counts)
+    rows = (jnp.arange(windows, dtype=jnp.int32), counts)
     state, out = jax.lax.scan(body, state, rows)
     return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
 
@@ -278,6 +281,7 @@ def _advance(
     joint = Line(joint.count, joint.mean / one, joint.slope / one)
     fresh = span_line(samples, found, leaves)
     ended = pipe.keep(breaks, _primitive(config, limits, t0, t0 + joint.count, joint))
+    ended = pipe.relabel(ended, pipe.once(ended.label, now))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
     first = jnp.where(breaks, t0 + joint.count, t0)
     run = [jnp.where(breaks, new, old) for new, old in ((fresh.count, joint.count), *_values(fresh, joint))]
@@ -328,26 +332,30 @@ def _above(
             return jnp.full_like(h.label, force == number, bool)
         return jnp.zeros_like(h.label, bool) if config.cap is None else now - h.t1 > config.cap
 
-    hm, m = _overdue(late(hm, 1), composition.single_composition(hm), x,
+    hm, m = _overdue(now, late(hm, 1), composition.single_composition(hm), x,
                      *composition.push_primitive(hm, x, config.gate, config.contact_first))  # fmt: skip
-    bm, m = _accumulate(late(bm, 2), bm, m, int(MC.A) if config.adj_exempt else None)
-    hl, l = _overdue(late(hl, 3), composition.single_behaviour(hl, config.short), m,
+    bm, m = _accumulate(now, late(bm, 2), bm, m, int(MC.A) if config.adj_exempt else None)
+    hl, l = _overdue(now, late(hl, 3), composition.single_behaviour(hl, config.short), m,
                      *composition.push_composition(hl, m, config.short))  # fmt: skip
-    bl, l = _accumulate(late(bl, 4), bl, l, None)
+    bl, l = _accumulate(now, late(bl, 4), bl, l, None)
     return [hm, bm, hl, bl], [x, m, l]
 
 
-def _overdue(late: Array, alone: Segment, x: Segment, h: Segment, out: Segment) -> tuple[Segment, Segment]:
+def _overdue(now: Array, late: Array, alone: Segment, x: Segment, h: Segment, out: Segment) -> tuple[Segment, Segment]:
     """What a composer holds and says, once a late word does not wait for a partner any more."""
     leaves = late & (x.label == 0) & (alone.label > 0)
-    return pipe.keep(~leaves, h), pipe.select(leaves, alone, out)
+    word = pipe.once(pipe.packed(leaves) + 2 * jnp.where(leaves, alone.label, out.label), now)
+    leaves = word & 1 > 0
+    return pipe.keep(~leaves, h), pipe.relabel(pipe.select(leaves, alone, out), word >> 1)
 
 
-def _accumulate(late: Array, b: Segment, x: Segment, exempt: int | None) -> tuple[Segment, Segment]:
+def _accumulate(now: Array, late: Array, b: Segment, x: Segment, exempt: int | None) -> tuple[Segment, Segment]:
     """Equal neighbours merge, but for an exempt label; a word leaves when another one arrives, or late."""
     arrived = x.label > 0
     same = arrived & (x.label == b.label)
     same = same if exempt is None else same & (x.label != exempt)
     leaves = jnp.where(arrived, ~same, late) & (b.label > 0)
+    word = pipe.once(pipe.packed(arrived, same, leaves), now)
+    arrived, same, leaves = (word >> bit & 1 > 0 for bit in range(3))
     new = pipe.select(arrived, x, pipe.keep(~leaves, b))
     return pipe.select(same, pipe.merge(b, x, b.label), new), pipe.keep(leaves, b)

@@ -9,6 +9,7 @@ growth of a squared residual is a sum of squares over the last few samples, neve
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -66,25 +67,26 @@ def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes
     return Line(count, origin + total / jnp.maximum(count, 1).astype(samples.dtype), moment / spread)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Growing:
-    """A line that samples join one by one: its count and slope, its value at the last sample, the squared residual."""
+class _Growing(NamedTuple):
+    """A line that samples join one by one: its value at the last sample, its slope, the squared residual."""
 
-    count: Array
     end: Array
     slope: Array
     residual: Array
 
-    def add(self, y: Array, joins: Array) -> _Growing:
-        """The next sample, where it joins (recursive least squares of a line)."""
-        n, ahead = self.count, self.end + self.slope
+    def add(self, y: Array, joins: Array, n: Array, share: Array) -> _Growing:
+        """The next sample, where it joins a line of ``n`` samples (recursive least squares); ``share`` is _share(n)."""
+        ahead = self.end + self.slope
         error = jnp.where(joins, y - ahead, 0)
-        share = error / ((n + 1) * (n + 2))
-        end = jnp.where(joins, ahead + fenced((4 * n + 2) * share), self.end)
-        slope = self.slope + jnp.where(n > 0, fenced(6 * share), 0)
-        residual = self.residual + fenced(n * (n - 1) * share * error)
-        return _Growing(n + joins.astype(n.dtype), end, slope, residual)
+        part = share * error
+        end = jnp.where(joins, ahead + fenced((4 * n + 2) * part), self.end)
+        slope = self.slope + jnp.where(n > 0, fenced(6 * part), 0)
+        return _Growing(end, slope, self.residual + fenced(n * (n - 1) * part * error))
+
+
+def _share(n: Array) -> Array:
+    """Of an error in what a line of n samples tells of the next one: apart, because a loop with divisions is slow."""
+    return 1 / ((n + 1) * (n + 2))
 
 
 def residuals_after(
@@ -100,13 +102,14 @@ def residuals_after(
 
     def add(line: _Growing, row: tuple[Array, Array]) -> tuple[_Growing, Array]:
         index, y = row
-        line = line.add(y, index < stop)
+        n = jnp.maximum(stop - 1 - index, 0).astype(y.dtype)
+        line = line.add(y, index < stop, n, _share(n))
         return line, line.residual
 
     zero = jnp.zeros_like(samples[0])
     rows = (jnp.arange(samples.shape[0], dtype=jnp.int32), samples)
-    start = _Growing(zero, zero, zero, zero)
-    return jax.lax.scan(add, start, rows, reverse=True, unroll=1)[1]
+    start = _Growing(zero, zero, zero)
+    return jax.lax.scan(add, start, rows, reverse=True, unroll=unrolled(samples.shape[0]))[1]
 
 
 def best_break(
@@ -138,25 +141,25 @@ def best_break(
         >>> index.tolist(), round(saved.item(), 3)
         ([3], 7.5)
     """
-    n = line.count.astype(samples.dtype)
+    index = jnp.arange(samples.shape[0], dtype=jnp.int32)
+    places = jax.lax.broadcasted_iota(jnp.int32, samples.shape, 0)
+    n = (line.count[None] + jnp.maximum(places - start[None], 0)).astype(samples.dtype)
+    allowed = (n >= shortest) & (places >= start[None]) & (places <= stop[None] - shortest)
+    joins = (places >= start[None]) & (places < stop[None])
     zero = jnp.zeros_like(line.mean)
-    most = jnp.full_like(zero, np.inf)
-    growing = _Growing(n, line.mean + fenced(line.slope * (n - 1) * 0.5), line.slope, zero)
+    end = line.mean + fenced(line.slope * (line.count.astype(samples.dtype) - 1) * 0.5)
 
     def add(carry: tuple[_Growing, Array, Array], row: tuple[Array, ...]) -> tuple[tuple[_Growing, Array, Array], None]:
         line, least, found = carry
-        index, y, rest = row
+        index, y, rest, allowed, *about = row
         apart = line.residual + rest
-        allowed = (line.count >= shortest) & (index >= start) & (index <= stop - shortest) & (apart < least)
-        least, found = jnp.where(allowed, apart, least), jnp.where(allowed, index, found)
-        return (line.add(y, (index >= start) & (index < stop)), least, found), None
+        better = allowed & (apart < least)
+        return (line.add(y, *about), jnp.where(better, apart, least), jnp.where(better, index, found)), None
 
-    index = jnp.arange(samples.shape[0], dtype=jnp.int32)
-    carry = (growing, most, jnp.zeros_like(start))
-    (line_of_all, least, found), _ = jax.lax.scan(
-        add, carry, (index, samples, after), unroll=unrolled(samples.shape[0])
-    )
-    return found, jnp.maximum(line_of_all.residual - least, 0)
+    rows = (index, samples, after, allowed, joins, n, _share(n))
+    carry = (_Growing(end, line.slope, zero), jnp.full_like(zero, np.inf), jnp.zeros_like(start))
+    (whole, least, found), _ = jax.lax.scan(add, carry, rows, unroll=unrolled(samples.shape[0]))
+    return found, jnp.maximum(whole.residual - least, 0)
 
 
 def join(a: Line, b: Line) -> Line:

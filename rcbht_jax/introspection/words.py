@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, SubtaskStarted, Word
+from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word
 from rcbht_jax.introspection.model import Head
 from rcbht_jax.labels import AXES, LAYERS, UNIT_OF, name
 from rcbht_jax.types import LabelTracks
@@ -51,6 +51,42 @@ def _word(layer: str, axis: str, span: list[int], sample: int, time: float, dt: 
     code, begin, end = span
     start, stop = (round(time - (sample - 1 - k) * dt, 9) for k in (begin, end))
     return Word(sample, time, layer, axis, name(layer, code), code, begin, end, start, stop)
+
+
+class Revisions:
+    """Turns the provisional words after each window into events: new ones, and those whose label has changed.
+
+    Example:
+        >>> import dataclasses
+        >>> word = Word(10, 0.05, "llb", "Fz", "FX", 5, 0, 10, 0.0, 0.05)
+        >>> seen = Revisions()
+        >>> [len(seen.after_window([word])) for _ in range(3)]  # told at its second window, then nothing new
+        [0, 1, 0]
+        >>> [(e.label, e.revision) for e in seen.after_window([dataclasses.replace(word, label="CT", code=2)])]
+        [('CT', 1)]
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str, int], tuple[int, int, int]] = {}  # code, windows, revision of running words
+
+    def after_window(self, held: Sequence[Word]) -> list[ProvisionalWord]:
+        """Events of the words that are provisional after one more window.
+
+        Args:
+            held: of :meth:`WordIntrospector.provisional` or :meth:`Introspector.provisional`.
+        """
+        events, running = [], {}
+        for word in held:
+            key = word.layer, word.axis, word.begin
+            code, windows, revision = self._known.get(key, (word.code, 0, 0))
+            changed = windows > 1 and code != word.code
+            revision += changed
+            if changed or windows == 1:
+                what = (word.layer, word.axis, word.label, word.code, word.begin, word.start)
+                events.append(ProvisionalWord(word.sample, word.time, *what, revision))
+            running[key] = word.code, windows + 1, revision
+        self._known = running  # what is not held any more is published
+        return events
 
 
 class WordIntrospector:

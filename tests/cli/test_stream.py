@@ -135,6 +135,14 @@ def test_words_without_a_model(tmp_path, capsys, monkeypatch):
     assert counts["file"] <= counts["auto"] < counts["preset"] / 2
 
 
+def test_provisional_words_are_events_of_their_own(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(np.repeat([0.0, 5.0], [80, 120])[:, None])))
+    events = said_by(["stream", "-", "--axes", "grip", "--robot", "hiro", "--provisional"], capsys)
+    first = next(event for event in events if event["event"] == "ProvisionalWord")
+    assert (first["axis"], first["begin"], first["sample"], first["revision"]) == ("grip", 0, 10, 0)
+    assert any(event["event"] == "Word" for event in events)
+
+
 def test_words_of_a_store_are_those_that_encode_writes(tmp_path, capsys, monkeypatch):
     store = tmp_path / "s.zarr"
     recordings = rj.Recordings.from_arrays([trial(1, 3, 300), trial(2, 4, 250)], rate=200)

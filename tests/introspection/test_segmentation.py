@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.annotations import Annotations
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
@@ -48,7 +49,8 @@ def test_words_of_the_fit_rule_whose_tolerance_the_teachers_tell():
     y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
     train, test = data.take(np.arange(5)), data.take(np.array([5]))
     fitted = WrenchSegmenter(rule="fit", **TREES).fit(train, y[:5])
-    np.testing.assert_array_equal(fitted.tolerance_, auto_tolerance(train.wrench, train.length))
+    needed = FitConfig(dt=data.dt).needed
+    np.testing.assert_array_equal(fitted.tolerance_, auto_tolerance(train.wrench, train.length, needed))
     assert (fitted.predict(test)[0] == y[5]).mean() > 0.9
     coarse = WrenchSegmenter(rule="fit", tolerance=(3.0, 3.0), **TREES).fit(train, y[:5])
     assert coarse.tolerance_.tolist() == [3.0, 3.0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, SubtaskStarted, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.opening import READINGS, live_thresholds, read_opening
-from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.introspection.words import Revisions, WordIntrospector
 from rcbht_jax.io.messages import Malformed, Message, Sample
 from rcbht_jax.labels import LAYERS
 from tests.support.introspection_models import CONFIG, model, trial
@@ -126,3 +128,26 @@ def test_live_thresholds_know_rest_and_survive_a_dead_axis():
     assert np.quantile(steepest, 0.98) < quiet[3] < 5 * np.quantile(steepest, 0.98)
     assert quiet[0] > 200  # of the step, which is smeared over a window
     assert dead.tolist() == [70, 46, 23, 1]
+
+
+def test_running_words_are_told_at_their_second_window_and_when_they_change() -> None:
+    stream, seen, told, latest = WordIntrospector(CONFIG, rj.preset()), Revisions(), [], {}
+    shown: dict[tuple[str, str, int], list[int]] = {}
+    for window in WRENCH[: len(WRENCH) // CONFIG.window * CONFIG.window].reshape(-1, CONFIG.window, 6):
+        stream.push(window)
+        held = stream.provisional()
+        events = seen.after_window(held)
+        told += events
+        for word in held:
+            shown.setdefault((word.layer, word.axis, word.begin), []).append(word.code)
+        for event in events:
+            latest[event.layer, event.axis, event.begin] = event.code
+        # What has been told so far is what is held now, but for words in their first window.
+        for word in held:
+            key = word.layer, word.axis, word.begin
+            assert latest.get(key, word.code) == word.code
+            assert (key in latest) == (len(shown[key]) > 1)
+    assert any(event.revision for event in told)
+    for event in told:
+        codes = shown[event.layer, event.axis, event.begin][1:]
+        assert event.revision <= sum(a != b for a, b in pairwise(codes))
