@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import version
 from pathlib import Path
 
 from jaxtyping import install_import_hook
 
 import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
+from tests.support.compiler import UNOPTIMISED
 
 # Shapes and types are checked at run time under pytest only; must come before any import of the packages.
 install_import_hook(["rcbht_jax", "sim_mjx"], "tests.support.typechecking.check")
@@ -20,9 +20,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 # Most of a test's compilation is optimisation that its few short runs never pay back. Results must not depend on how a
 # compiler fuses; test_standard_compiler.py runs the tests of equal bits again, compiled as users compile.
 if os.environ.get("RCBHT_STANDARD_COMPILER") is None:
-    os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-    if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):  # later ones know no such flag, and stop at it
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+    for name, value in UNOPTIMISED.items():
+        os.environ.setdefault(name, value)
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402

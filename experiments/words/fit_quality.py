@@ -88,7 +88,7 @@ def of_set(recordings: Recordings) -> dict[str, Any]:
     thresholds = preset("hiro", recordings.axes)
     approach = before_contact(recordings)
     wrench, length = recordings.wrench, recordings.length
-    tolerance = auto_tolerance(wrench, length)
+    tolerance = auto_tolerance(wrench, length, FitConfig(WINDOW, recordings.dt).needed)
     paper = encode_batch(EncoderConfig(WINDOW, recordings.dt), thresholds, wrench, length)
     rows = {"paper": measured(paper, recordings, approach)}
     for name, (factor, window) in FITS.items():

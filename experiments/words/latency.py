@@ -105,7 +105,7 @@ def main(trials: int = 12) -> None:
     recordings = of_sources(recorded(), (REAL,))
     chosen = recordings.take(np.linspace(0, len(recordings) - 1, trials).round().astype(int))
     thresholds = preset("hiro", chosen.axes)
-    tolerance = auto_tolerance(recordings.wrench, recordings.length)
+    tolerance = auto_tolerance(recordings.wrench, recordings.length, FitConfig(WINDOW, recordings.dt).needed)
     rules: dict[str, tuple[AnyConfig, AnyLimits]] = {
         "paper": (EncoderConfig(WINDOW, chosen.dt), thresholds),
         "fit": (FitConfig(WINDOW, chosen.dt), FitLimits(np.asarray(thresholds.limits), tolerance)),

@@ -193,9 +193,7 @@ class RuleCommand(EncodingCommand):
         return limits_for(config, thresholds, tolerance, teachers.wrench, teachers.length)
 
 
-def checked_tolerance(
-    rule: str, tolerance: tuple[float, ...], axes: int | None = None
-) -> float | tuple[float, ...] | None:
+def checked_tolerance(rule: str, tolerance: tuple[float, ...], axes: int | None = None) -> tuple[float, ...] | None:
     """The option --tolerance as :func:`rcbht_jax.encoding.rules.limits_for` takes it; None = from recordings.
 
     Args:
@@ -210,7 +208,7 @@ def checked_tolerance(
         raise InputError("--tolerance is for --rule fit; add that, or leave it out.")
     if axes is not None and len(tolerance) not in (0, 1, axes):
         raise InputError(f"--tolerance has {len(tolerance)} numbers; expected one, or {axes}, one for each axis.")
-    return None if not tolerance else tolerance[0] if len(tolerance) == 1 else tolerance
+    return tolerance or None
 
 
 def _robot(recordings: Recordings, store: Path) -> str:

@@ -150,7 +150,7 @@ def step_partial(
     window: Float[Array, " window *lanes"],
     count: Int[Array, "*lanes"],
 ) -> tuple[EncoderState, PackedLabels]:
-    """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
+    """As :func:`step`, for a window whose first ``count`` samples are there."""
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
     samples = jnp.concatenate([state.reals[_REALS:], window])
@@ -174,7 +174,7 @@ def flush(
         limits: ``[axis, 5]`` or ``[*lanes, 5]``.
         state: of the same lanes.
         rest: the samples that did not fill a window, then anything.
-        count: how many of them there are, < window; a single one is dropped.
+        count: how many of them there are, < window.
 
     Returns:
         labels ``[*lanes, slot]`` with 1 + 5 slots: the window's, then the drained ones.
@@ -277,23 +277,18 @@ def _advance(
     there, breaks, found = word & 1 > 0, word >> 1 & 1 > 0, word >> 2
     leaves = jnp.where(there, jnp.where(count == window, window, stop), 0)  # samples that are not kept any longer
     joint = join(line, span_line(samples, start, jnp.where(breaks, found, leaves)))
-    one = jnp.where(now < 0, 2, 1).astype(joint.mean.dtype)  # see pipe.once: what is divided is computed once
-    joint = Line(joint.count, joint.mean / one, joint.slope / one)
+    joint = Line(joint.count, pipe.settled(joint.mean, now), pipe.settled(joint.slope, now))
     fresh = span_line(samples, found, leaves)
     ended = pipe.keep(breaks, _primitive(config, limits, t0, t0 + joint.count, joint))
     ended = pipe.relabel(ended, pipe.once(ended.label, now))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
     first = jnp.where(breaks, t0 + joint.count, t0)
-    run = [jnp.where(breaks, new, old) for new, old in ((fresh.count, joint.count), *_values(fresh, joint))]
+    run: Line = jax.tree.map(lambda new, old: jnp.where(breaks, new, old), fresh, joint)
     ints, reals = pack_segments(held)
-    ints = jnp.concatenate([jnp.stack([first, now, run[0]]), ints])
+    ints = jnp.concatenate([jnp.stack([first, now, run.count]), ints])
     recent = jnp.where(there, samples[window:], state.reals[_REALS:])
-    state = EncoderState(now, ints, jnp.concatenate([jnp.stack(run[1:]), reals, recent]))
+    state = EncoderState(now, ints, jnp.concatenate([jnp.stack([run.mean, run.slope]), reals, recent]))
     return state, PackedLabels(*pack_segments(out), now)
-
-
-def _values(fresh: Line, joint: Line) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    return (fresh.mean, joint.mean), (fresh.slope, joint.slope)
 
 
 def _primitive(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:

@@ -40,7 +40,7 @@ def span_line(samples: Float[Array, " window *lanes"], start: Int[Array, "*lanes
     """The line through the samples of each lane from ``start`` up to, but not with, ``stop``.
 
     Args:
-        samples: N or Nm, window >= 2; the last but one is the origin of sums, so it must be finite.
+        samples: N or Nm, window >= 2; all finite, because sums are counted from the one in the middle.
         start: first sample that counts.
         stop: its end, at most the window; an empty span gives no line, a single sample a level.
 
@@ -141,7 +141,6 @@ def best_break(
         >>> index.tolist(), round(saved.item(), 3)
         ([3], 7.5)
     """
-    index = jnp.arange(samples.shape[0], dtype=jnp.int32)
     places = jax.lax.broadcasted_iota(jnp.int32, samples.shape, 0)
     n = (line.count[None] + jnp.maximum(places - start[None], 0)).astype(samples.dtype)
     allowed = (n >= shortest) & (places >= start[None]) & (places <= stop[None] - shortest)
@@ -151,12 +150,12 @@ def best_break(
 
     def add(carry: tuple[_Growing, Array, Array], row: tuple[Array, ...]) -> tuple[tuple[_Growing, Array, Array], None]:
         line, least, found = carry
-        index, y, rest, allowed, *about = row
+        place, y, rest, allowed, *about = row
         apart = line.residual + rest
         better = allowed & (apart < least)
-        return (line.add(y, *about), jnp.where(better, apart, least), jnp.where(better, index, found)), None
+        return (line.add(y, *about), jnp.where(better, apart, least), jnp.where(better, place, found)), None
 
-    rows = (index, samples, after, allowed, joins, n, _share(n))
+    rows = (places, samples, after, allowed, joins, n, _share(n))
     carry = (_Growing(end, line.slope, zero), jnp.full_like(zero, np.inf), jnp.zeros_like(start))
     (whole, least, found), _ = jax.lax.scan(add, carry, rows, unroll=unrolled(samples.shape[0]))
     return found, jnp.maximum(whole.residual - least, 0)

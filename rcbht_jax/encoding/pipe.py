@@ -137,8 +137,12 @@ def once(word: Array, time: Array) -> Array:
     does not repeat a division. This makes a step many times faster. The divisor is 1, which the compiler cannot
     know: ``time`` is an int32 that is never negative.
     """
-    one = jnp.where(time < 0, jnp.float32(2), jnp.float32(1))
-    return (word.astype(jnp.float32) / one).astype(jnp.int32)
+    return settled(word.astype(jnp.float32), time).astype(jnp.int32)
+
+
+def settled(value: Array, time: Array) -> Array:
+    """The same real numbers, computed once; see :func:`once`."""
+    return value / jnp.where(time < 0, 2, 1).astype(value.dtype)
 
 
 def _push_one_slot(a: Segment, b: Segment, x: Segment, rules: PipeRules) -> tuple[Segment, Segment, Segment]:

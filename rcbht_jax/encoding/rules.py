@@ -165,8 +165,7 @@ def limit_arrays(limits: AnyLimits) -> dict[str, NDArray[np.float64]]:
     """Limits as named arrays: "limits" of the paper's rule, "limits.gradients" and others of the fit."""
     if not isinstance(limits, FitLimits):
         return {"limits": np.asarray(limits_of(limits), np.float64)}
-    values = {field.name: getattr(limits, field.name) for field in fields(limits)}
-    return {f"limits.{name}": np.asarray(value, np.float64) for name, value in values.items() if value is not None}
+    return {f"limits.{field.name}": np.asarray(getattr(limits, field.name), np.float64) for field in fields(limits)}
 
 
 def limits_from(config: AnyConfig, arrays: Mapping[str, NDArray[Any]]) -> AnyLimits:
@@ -177,10 +176,7 @@ def limits_from(config: AnyConfig, arrays: Mapping[str, NDArray[Any]]) -> AnyLim
     """
     if not isinstance(config, FitConfig):
         return np.asarray(arrays["limits"])
-    names = [field.name for field in fields(FitLimits) if f"limits.{field.name}" in arrays]
-    if not names:
-        raise KeyError("limits of the fit rule")
-    return FitLimits(**{name: np.asarray(arrays[f"limits.{name}"]) for name in names})
+    return FitLimits(**{field.name: np.asarray(arrays[f"limits.{field.name}"]) for field in fields(FitLimits)})
 
 
 def made_by(config: AnyConfig, limits: AnyLimits) -> dict[str, Any]:

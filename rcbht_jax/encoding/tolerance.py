@@ -57,7 +57,7 @@ class FitLimits:
 
 
 def auto_tolerance(
-    wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int = 5
+    wrench: Float[np.ndarray, "recording time axis"], length: Int[np.ndarray, " recording"], needed: int
 ) -> Float[np.ndarray, " axis"]:
     """A tolerance for every axis: 1.5 % of its usual range, or more where noise alone would break lines.
 
@@ -74,7 +74,7 @@ def auto_tolerance(
 
     Example:
         >>> ramp = np.linspace(0, 100, 1001)[None, :, None]
-        >>> auto_tolerance(ramp, np.array([1001])).round(6).tolist()
+        >>> auto_tolerance(ramp, np.array([1001]), needed=5).round(6).tolist()
         [1.47]
     """
     parts = [np.asarray(one[:samples], np.float64) for one, samples in zip(wrench, length, strict=True)]

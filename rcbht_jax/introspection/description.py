@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
@@ -229,7 +230,7 @@ def describe(
     """
     found: list[Change | Ringing] = []
     for index, axis in enumerate(axes):
-        lane = LabelTrack(*(np.asarray(getattr(track, name))[index] for name in track.__dataclass_fields__))
+        lane = jax.tree.map(lambda values, index=index: np.asarray(values)[index], track)
         found += with_ringing(changes(axis, *polyline(lane, dt), least[index]))
     return sentences(found, units)
 

@@ -108,7 +108,8 @@ class IntrospectionModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes."""
-        return tuple(self.extra.get("axes") or axis_names(len(self.stacked_limits)))
+        gradients = self.limits.gradients if isinstance(self.limits, FitLimits) else limits_of(self.limits)
+        return tuple(self.extra.get("axes") or axis_names(len(gradients)))
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -181,7 +181,7 @@ def test_a_model_remembers_the_rule(tmp_path, capsys):
     assert "words by the fit rule" in capsys.readouterr().out
     model, recordings = model_files.load(out), read_recordings(store)
     assert model.encoder == FitConfig(4, 0.005)
-    np.testing.assert_array_equal(model.limits.tolerance, auto_tolerance(recordings.wrench, recordings.length))
+    np.testing.assert_array_equal(model.limits.tolerance, auto_tolerance(recordings.wrench, recordings.length, 5))
     name = str(recordings.trial[0])
     words = [e for e in said_by(["stream", str(store), "--trial", name, "-m", str(out), "--words"], capsys)
              if e["event"] == "Word"]  # fmt: skip

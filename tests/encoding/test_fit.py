@@ -227,7 +227,7 @@ def test_the_tolerance_is_a_share_of_the_range_unless_noise_asks_for_more() -> N
     rng = np.random.default_rng(0)
     wave = np.sin(np.arange(2000) / 50)[:, None] * [10.0, 10.0, 0.0]
     noise = rng.normal(size=(2000, 3)) * [0.01, 1.0, 0.0]
-    found = auto_tolerance((wave + noise)[None], np.array([2000]))
+    found = auto_tolerance((wave + noise)[None], np.array([2000]), needed=5)
     np.testing.assert_allclose(found, [0.3, 2.0, 1.0], rtol=0.05)
 
 

@@ -31,6 +31,7 @@ from rcbht_jax.types import LabelTrack, LabelTracks
 
 CONFIG, PAPER = EncoderConfig(), preset()
 FIT = FitConfig()
+By = tuple[AnyConfig, AnyLimits]
 ONLINE = tuple(f for f in FAMILIES if f not in WHOLE)
 EVERYTHING = FeatureSpec(families=ONLINE)
 BEGIN = np.array([0] * 5 + [413] * 6 + [1077] * 3)
@@ -51,17 +52,16 @@ def nearest_readings(words: ClippedSpans, dt: float) -> drawn.ResampledSignal:
     return drawn.read_at(words, np.array(moments, float), dt)
 
 
+def labels_of_copies(wrench: np.ndarray, length: np.ndarray, by: By) -> LabelTracks:
+    """A recording, labelled once for each of these lengths."""
+    return encode_batch(*by, np.repeat(wrench[None], len(length), 0), length.astype(np.int32))
+
+
 def cut_off(
-    wrench: np.ndarray,
-    begin: np.ndarray,
-    now: np.ndarray,
-    spec: FeatureSpec,
-    config: AnyConfig = CONFIG,
-    limits: AnyLimits = PAPER,
+    wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec, by: By = (CONFIG, PAPER)
 ) -> np.ndarray:
     """The oracle: label each recording as if it had ended at ``now``, then describe."""
-    copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_batch(config, limits, copies, now.astype(np.int32))
+    tracks = labels_of_copies(wrench, now, by)
     return described(tracks, Intervals(np.arange(len(now)), begin, now, CONFIG.dt), spec)
 
 
@@ -71,16 +71,10 @@ def described(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> n
 
 
 def blanked(
-    wrench: np.ndarray,
-    begin: np.ndarray,
-    now: np.ndarray,
-    spec: FeatureSpec,
-    config: AnyConfig = CONFIG,
-    limits: AnyLimits = PAPER,
+    wrench: np.ndarray, begin: np.ndarray, now: np.ndarray, spec: FeatureSpec, by: By = (CONFIG, PAPER)
 ) -> np.ndarray:
     """The oracle without provisional labels: those of the whole recording that were published by ``now``."""
-    copies = np.repeat(wrench[None], len(now), 0)
-    tracks = encode_batch(config, limits, copies, np.full(len(now), len(wrench), np.int32))
+    tracks = labels_of_copies(wrench, np.full(len(now), len(wrench)), by)
 
     def published(track: LabelTrack) -> LabelTrack:
         late = track.emit > now[:, None, None]
@@ -111,7 +105,7 @@ def test_words_of_the_fit_rule(provisional: bool) -> None:
     spec = replace(EVERYTHING, weighing=("time", "change"))
     said = online_features(FIT, limits, FeatureView(spec, provisional), wrench[0], BEGIN, NOW)
     oracle = cut_off if provisional else blanked
-    expected = oracle(wrench[0], BEGIN, NOW, spec, FIT, limits)
+    expected = oracle(wrench[0], BEGIN, NOW, spec, (FIT, limits))
     np.testing.assert_allclose(said, expected, **CLOSE)
     assert not np.array_equal(expected, oracle(wrench[0], BEGIN, NOW, spec))
     with pytest.raises(InputError, match="tolerance"):

@@ -80,7 +80,7 @@ def test_features_of_the_fit_rule_equal_those_of_the_encoder(tolerance):
     """The tolerance is of the recordings of ``fit``, whatever is transformed later."""
     taught, wrench = wrenches().astype(np.float32)[:18], 3 * wrenches(1).astype(np.float32)[:5]
     maker = WrenchFeatures(rule="fit", tolerance=tolerance, features=SPEC).fit(taught)
-    found = auto_tolerance(taught, np.full(18, 300)) if isinstance(tolerance, str) else np.broadcast_to(tolerance, 6)
+    found = auto_tolerance(taught, np.full(18, 300), 5) if isinstance(tolerance, str) else np.broadcast_to(tolerance, 6)
     np.testing.assert_array_equal(maker.tolerance_, found)
     length, rows = np.full(5, 300, np.int32), np.arange(5)
     tracks = encode_batch(FitConfig(), FitLimits(preset().limits, found), wrench, length)
@@ -97,7 +97,7 @@ def test_the_tolerance_is_found_by_a_grid_search_and_learned_from_the_training_f
     assert search.best_params_ == {"tolerance": "auto"}
     assert search.cv_results_["mean_test_score"][0] < 0.8 < search.best_score_
     half = clone(chain).fit(wrenches()[::2], STATE[::2])
-    expected = auto_tolerance(wrenches()[::2].astype(np.float32), np.full(12, 300))
+    expected = auto_tolerance(wrenches()[::2].astype(np.float32), np.full(12, 300), 5)
     np.testing.assert_array_equal(half.features_.tolerance_, expected)
     assert clone(search.best_estimator_).get_params()["rule"] == "fit"
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+from tests.support.compiler import as_users_compile
 
 ROOT = Path(__file__).resolve().parents[2]
 # What fusion, fused multiply-add or another order of a sum would break: golden labels, stream against batch, a trial
@@ -21,8 +22,7 @@ EXACT = (
 
 
 def test_bits_are_equal_with_the_compiler_of_the_users() -> None:
-    ours = {"XLA_FLAGS", "JAX_DISABLE_MOST_OPTIMIZATIONS"}
-    env = {name: value for name, value in os.environ.items() if name not in ours and not name.startswith("PYTEST_")}
+    env = {name: value for name, value in as_users_compile().items() if not name.startswith("PYTEST_")}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in EXACT)]
     done = subprocess.run(
         command, cwd=ROOT, env={**env, "RCBHT_STANDARD_COMPILER": "1"}, capture_output=True, text=True, check=False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +11,9 @@ import pytest
 from rcbht_jax._util import compile_cache
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import model as model_files
+from tests.support.compiler import as_users_compile
 from tests.support.introspection_models import model
 
-OF_TESTS = ("XLA_FLAGS", "JAX_DISABLE_MOST_OPTIMIZATIONS")
 PROGRAM = """
 import sys
 from pathlib import Path
@@ -70,8 +69,7 @@ def test_a_stream_keeps_its_chain(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "rcbht_jax.cli", "stream", "-", "-m", str(tmp_path / "m")]
     command += ["--compile-cache", str(tmp_path / "cache"), "--json"]
     # As users compile: without optimisation (conftest.py) the chain is made too fast to be worth keeping.
-    env = {name: value for name, value in os.environ.items() if name not in OF_TESTS}
-    times = []
+    env, times = as_users_compile(), []
     for _ in range(2):
         with (tmp_path / "in.jsonl").open("rb") as lines:
             subprocess.run(command, check=True, capture_output=True, stdin=lines, env=env)

@@ -69,8 +69,8 @@ def _encode(
     recordings: Recordings, window: int, rule: str, tolerance: Sequence[float]
 ) -> tuple[LabelTracks, dict[str, Any]]:
     config = config_of(rule, window, recordings.dt)
-    given = tolerance[0] if len(tolerance) == 1 else tolerance or None
-    limits = limits_for(config, preset("hiro", recordings.axes), given, recordings.wrench, recordings.length)
+    thresholds = preset("hiro", recordings.axes)
+    limits = limits_for(config, thresholds, tolerance or None, recordings.wrench, recordings.length)
     tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
     return tracks, {"semantics": "online", "window": window, **made_by(config, limits)}
 
