@@ -81,6 +81,7 @@ EXPERIMENTS = (
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),
+    Experiment("hook_bench", "simulation.hook_bench", 1),
     Experiment("kill_resume", "simulation.kill_resume", 3, alone=True),
     Experiment("bench", "simulation.bench", 1, alone=True),
     Experiment(

@@ -42,6 +42,16 @@ def parity_floor(result: Result) -> str:
     return markdown(("change", "largest difference until contact", WORDS_SAME), lines)
 
 
+@table("hook-forces", "hook_bench")
+def hook_forces(result: Result) -> str:
+    """Snap hooks on the bench: what they take and what they hold, beside the formulas."""
+    lines = []
+    for name, row in result["parts"].items():
+        theory = (row["mating force of a tab"], row["separation force of a tab"])
+        lines.append((name, *(f"{force:.2f}" for force in (row["press"], theory[0], row["pull"], theory[1]))))
+    return markdown(("", "press, N", "formula for one tab", "pull, N", "formula for one tab "), lines)
+
+
 @table("solver", *DEVICES)
 def solver(gpu: Result, cpu: Result) -> str:
     """How far the solver of the device engines must go."""

@@ -95,6 +95,8 @@ CELLS = [
     ("parity", "`mjx`, one H200", "trials", "d engines_gpu > mjx > parity > trials"),
     ("parity-floor", "part moved by 1e-07 m", "largest difference until contact",
      ".3f parity_floor > rows > part moved by 1e-07 m > force_until_contact"),
+    ("hook-forces", "four tabs, two after two", "press, N",
+     ".2f hook_bench > parts > four tabs, two after two > press"),
     ("solver", "`mjx`, one H200 | 6/4", "million steps per second",
      ".2f/1e6 engines_gpu > mjx > solver > 0 > steps_per_s"),
     ("speed", "`warp`, one H200 | 8,192", "million steps per second",
