@@ -77,6 +77,7 @@ EXPERIMENTS = (
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
     Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),
+    Experiment("fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
     Experiment("engines", "simulation.engines", 8, alone=True),

@@ -23,6 +23,7 @@ from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.validation import sessions, signature
+from sim_mjx.validation.dynamics import ringing
 
 SEED = 0
 MILD = 64
@@ -51,8 +52,8 @@ def as_recorded(session: str, reference: np.ndarray) -> dict[str, Any]:
     run = native.simulate(one_arm(), sessions.trials_of(preset_of(session), seed=SEED))
     out: dict[str, Any] = {"signature": similarity(reference, run)}
     out["median onsets, s"] = np.round(np.nanmedian(sessions.harmonised(run), axis=0), 3).tolist()
-    ring = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
-    out["ring of Fz in mating"] = ring and {name: round(value, 2) for name, value in ring.items()}
+    ring = ringing(run.wrench[..., 2], run.length, run.onset[:, 3])
+    out["ring of Fz in mating"] = ring and {"hertz": round(ring.hertz, 2), "peak": round(ring.peak, 2)}
     cells = preset_of(session).placements
     if cells:
         out["outcomes that agree with the 25 recorded"] = sessions.agreement(preset_of(session), run)

@@ -52,6 +52,29 @@ def hook_forces(result: Result) -> str:
     return markdown(("", "press, N", "formula for one tab", "pull, N", "formula for one tab "), lines)
 
 
+GATE = ("coverage", "W1/sd", "DTW/sd", "AUC", "spread", "first impact", "snaps")
+
+
+@table("gate", "fidelity_gate")
+def fidelity_gate(result: Result) -> str:
+    """Presets, nonsense and recordings before the gate; what misses its limit is in bold."""
+    lines = []
+    for session, rows in result["rows"].items():
+        for name, row in rows.items():
+            cells = [_measure(row["checks"].get(each)) for each in GATE]
+            signs = row["checks"]["wrong signs"]
+            cells.insert(4, str(int(signs["value"])) if signs["holds"] else f"**{int(signs['value'])}**")
+            verdicts = ("yes" if row[each] else "no" for each in ("passes", "passed before"))
+            lines.append((f"{session}: {name}", *cells, *verdicts))
+    return markdown(("", *GATE[:4], "wrong signs", *GATE[4:], "passes", "passed the former gate"), lines)
+
+
+def _measure(check: Result | None) -> str:
+    if check is None or check["value"] is None:
+        return "–"
+    return f"{check['value']:.2f}" if check["holds"] else f"**{check['value']:.2f}**"
+
+
 @table("solver", *DEVICES)
 def solver(gpu: Result, cpu: Result) -> str:
     """How far the solver of the device engines must go."""

@@ -169,6 +169,14 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _check(name: str, row: dict[str, Any]) -> tuple[str, str, bool]:
+    """One measure of the gate: value, limit, verdict."""
+    value = "cannot be measured" if row["value"] is None else f"{row['value']:.2f}"
+    low, high = (None if row[which] is None else f"{row[which]:.2f}" for which in ("low", "high"))
+    limit = f"{low} to {high}" if low and high else f">= {low}" if low else f"<= {high}"
+    return f"{name} {value}", limit, row["holds"]
+
+
 def _snaps(row: dict[str, Any]) -> str:
     counts = "none in {}, one in {}, two in {}, more in {}".format(*row["trials_with_0_1_2_more"])
     if not row["drop_N_5_50_95_percent"]:
@@ -200,12 +208,15 @@ def _engine(row: dict[str, Any]) -> str:
 
 def _session(name: str, row: dict[str, Any]) -> list[str]:
     lines = []
-    if row["mated"]:
-        value = f"coverage {row['coverage']:.2f}, W1/sd {row['w1_over_sd']:.2f}, DTW/sd {row['dtw_over_sd']:.2f}"
-        limit = "{coverage}, {w1_over_sd}, {dtw_over_sd}".format(**row["limits"]) if row["limits"] else ""
-        lines.append(_line(name, f"{value}; {row['mated']} of {row['trials']} mated", limit, row["holds"]))
+    if row["gate"]:
+        value = "coverage {:.2f}, W1/sd {:.2f}, DTW/sd {:.2f}".format(
+            *(row["gate"][each]["value"] for each in ("coverage", "W1/sd", "DTW/sd"))
+        )
+        lines.append(_line(name, f"{value}; {row['mated']} of {row['trials']} mated", holds=row["holds"]))
+        lines += [_line("", *_check(each, check)) for each, check in row["gate"].items() if not check["holds"]]
     else:
-        lines.append(_line(name, f"none of {row['trials']} trials mated for a second", holds=False))
+        value = f"{row['mated']} of {row['trials']} trials mated for a second; the gate needs three"
+        lines.append(_line(name, value, holds=False))
     if row["onsets"] is not None:
         pairs = zip(row["onsets"], row["recorded_onsets"], strict=True)
         times = ", ".join(f"{simulated:.2f} ({recorded:.2f})" for simulated, recorded in pairs)

@@ -9,7 +9,7 @@ import numpy as np
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.task import NEVER
 from sim_mjx.presets import session_a
-from sim_mjx.presets.session import SessionPreset, openhrp_sensor
+from sim_mjx.presets.session import GateLimits, SessionPreset, openhrp_sensor
 
 TASK = replace(
     session_a.TASK,
@@ -57,4 +57,5 @@ OPENHRP = SessionPreset(
     real=False,
     recorded_as="SIM1",
     pose_limits=(0.01, 0.002),
+    gate=GateLimits(coverage=0.70, w1_over_sd=0.60, dtw_over_sd=0.35, auc=0.90),
 )

@@ -21,6 +21,23 @@ def _x_and_y() -> Plane:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GateLimits:
+    """What a believable simulation of a session keeps; see ``sim_mjx.validation.gate``."""
+
+    coverage: float  # least
+    w1_over_sd: float  # largest
+    dtw_over_sd: float  # largest
+    auc: float  # largest, of the classifier that tells simulated from recorded
+    spread: float = 2.0  # largest factor between the spreads of trials
+    impact: float = 1.25  # of the first impact
+    ring: float = 1.05  # of the ringing's frequency
+    ring_peak: float = 1.15  # of its peak
+    damping: float = 1.5  # of its damping
+    fewer_snaps: float = 0.1  # by which the share of trials with a snap may be lower
+    late: float = 0.3  # s, error of the median start of a state
+
+
+@dataclass(frozen=True, kw_only=True)
 class SessionPreset:
     """One session's constants, before anything varies; arrays are those of a single trial."""
 
@@ -43,9 +60,7 @@ class SessionPreset:
 
     # Limits of a faithful simulation; None = not checked.
     pose_limits: Range | None = None  # rms distance, mm, and turn, degrees, of computed and recorded tool poses
-    signature: bool = False  # whether the wrench must keep the limits of coverage, W1 and DTW
-    onset_limit: float = np.inf  # s, largest error of a median onset
-    ring_limits: Range | None = None  # relative errors of the ring's frequency and peak
+    gate: GateLimits | None = None  # what the simulated wrench must have in common with the recorded one
 
 
 def jr3_sensor(reference: Vector, bias: tuple[float, ...]) -> SensorParams:

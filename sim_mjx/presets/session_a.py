@@ -6,7 +6,7 @@ import numpy as np
 
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.task import ALWAYS, NEVER, NO_STOP, WRIST, TaskParams
-from sim_mjx.presets.session import Range, SessionPreset, jr3_sensor
+from sim_mjx.presets.session import GateLimits, Range, SessionPreset, jr3_sensor
 
 TASK = TaskParams(
     home=np.array([0.12262, -0.13539, -1.89039, 0.2623, 0.72745, 0.0]),
@@ -62,7 +62,5 @@ SESSION_A = SessionPreset(
     pose_lag=0,  # its angles are the encoders' readings, not commands
     repeats=REPEATS,
     pose_limits=(0.3, 0.1),
-    signature=True,
-    onset_limit=0.3,
-    ring_limits=(0.05, 0.15),
+    gate=GateLimits(coverage=0.75, w1_over_sd=0.30, dtw_over_sd=0.20, auc=0.85),
 )

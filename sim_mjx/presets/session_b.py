@@ -9,7 +9,7 @@ import numpy as np
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.task import ALWAYS, NEVER, WORLD
 from sim_mjx.presets import session_a
-from sim_mjx.presets.session import SessionPreset, jr3_sensor
+from sim_mjx.presets.session import GateLimits, SessionPreset, jr3_sensor
 
 TASK = replace(
     session_a.TASK,
@@ -57,5 +57,5 @@ SESSION_B = SessionPreset(
     off_seat=frozenset({(0, -2), (1, -2), (2, -2), (-1, -2), (-2, -2), (-1, 2), (-2, 2)}),
     repeats={"shift": (0.0, 0.0), "turn": (0.0, 0.0), "force_bias": (-0.18, 0.18), "moment_bias": (-0.004, 0.004)},
     pose_limits=(0.01, 0.002),
-    signature=True,
+    gate=GateLimits(coverage=0.86, w1_over_sd=0.33, dtw_over_sd=0.29, auc=0.80),
 )

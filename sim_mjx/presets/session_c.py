@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_mjx.presets import session_b
-from sim_mjx.presets.session import SessionPreset, jr3_sensor
+from sim_mjx.presets.session import GateLimits, SessionPreset, jr3_sensor
 
 TASK = replace(
     session_b.TASK,
@@ -29,4 +29,5 @@ SESSION_C = SessionPreset(
     recorded_as="C",
     last_joint_offset=0.531117,  # 30.43 degrees, at which the tool was mounted
     pose_limits=(0.01, 0.002),
+    gate=GateLimits(coverage=0.65, w1_over_sd=0.40, dtw_over_sd=0.28, auc=0.90),
 )

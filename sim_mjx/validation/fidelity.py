@@ -27,19 +27,18 @@ from sim_mjx.engines import native
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization.trials import DomainRandomization, sample
-from sim_mjx.validation import sessions, signature
+from sim_mjx.validation import gate, sessions, signature, snaps
+from sim_mjx.validation.dynamics import Dynamics, dynamics
 from sim_mjx.validation.engine_parity import FORCE_LIMIT as FORCE
 from sim_mjx.validation.engine_parity import LABELS_LIMIT, OUTCOME_LIMIT, reference
 from sim_mjx.validation.engine_parity import MOMENT_LIMIT as MOMENT
 from sim_mjx.validation.engine_parity import parity as compared
 from sim_mjx.validation.replay import Recorder, seated_snaps
 from sim_mjx.validation.sessions import Target
-from sim_mjx.validation.signature import Similarity
 from sim_mjx.validation.solver_convergence import FORCE_LIMIT, MOMENT_LIMIT, certify
 
 Errors = Float64[np.ndarray, "_sample 2"]  # mm and degrees
 Poses = Float64[np.ndarray, "sample 6"]  # joint angles, rad; or place and roll, pitch, yaw of the tool, m and rad
-COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # the similarity of session A to session B
 # Folders whose poses are of another point of the hand or of another base height.
 OTHER_POSE = ("ERROR-14", "20120426")
 
@@ -175,34 +174,28 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
     }
     if recorded.placements:
         result["outcomes_as_recorded"] = [sessions.agreement(recorded, run), len(run.length)]
-    rings = sessions.rings(run.wrench[..., 2], run.length, run.onset[:, 3])
-    result |= {"ring": rings, "recorded_ring": target.ring}
-    result |= {"snaps": seated_snaps(run, recorder), "recorded_snaps": target.snaps}
+    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    found = seated_snaps(run, recorder)
+    known = target.dynamics
+    result |= {"ring": _ring(events), "recorded_ring": None if known is None else _ring(known)}
+    result |= {"snaps": found, "recorded_snaps": target.snaps}
     simulated = sessions.profiles(run)
+    result |= {"mated": len(simulated), "gate": {}, "holds": False}
     if len(simulated) == 0:
-        return {**result, "mated": 0, "limits": None, "holds": False if recorded.signature else None}, None
-    score = signature.compare(target.profiles, simulated)
-    result |= {
-        "mated": len(simulated), "coverage": score.coverage, "w1_over_sd": score.w1_over_sd,
-        "dtw_over_sd": score.dtw_over_sd, "limits": None, "holds": None,
-    }  # fmt: skip
-    if recorded.signature:
-        holds = _within_limits(recorded, score, np.abs(np.array(onset) - target.onset).max(), rings, target.ring)
-        result |= {"limits": {"coverage": COVERAGE, "w1_over_sd": W1, "dtw_over_sd": DTW}, "holds": holds}
+        return result, None
+    if len(simulated) >= gate.LEAST and onset is not None and recorded.gate is not None:
+        checks = gate.checks(
+            recorded.gate,
+            target.profiles,
+            simulated,
+            None if known is None else (known, events),
+            None if not target.snaps or not target.snaps["trials"] else (snaps.share(target.snaps), snaps.share(found)),
+            float(np.abs(onset - target.onset).max()),
+        )
+        result |= {"gate": gate.as_json(checks), "holds": all(check.holds for check in checks.values())}
     title = f"Session {recorded.name}: recorded and simulated"
     return result, signature.signature_figure(target.profiles, simulated, title, ("recorded", "simulated"))
 
 
-def _within_limits(
-    session: SessionPreset,
-    score: Similarity,
-    onset_error: float,
-    ring: dict[str, float] | None,
-    recorded_ring: dict[str, float] | None,
-) -> bool:
-    """Whether a session's simulation keeps within its limits."""
-    within = score.coverage >= COVERAGE and score.w1_over_sd <= W1 and score.dtw_over_sd <= DTW
-    if session.ring_limits is not None and ring is not None and recorded_ring is not None:
-        for key, limit in zip(("hertz", "peak"), session.ring_limits, strict=True):
-            within = within and abs(ring[key] / recorded_ring[key] - 1) <= limit
-    return bool(within and onset_error <= session.onset_limit)
+def _ring(events: Dynamics) -> dict[str, float] | None:
+    return None if events.ring is None else events.ring._asdict()

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float64, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
@@ -30,6 +30,7 @@ from sim_mjx.randomization import trials
 from sim_mjx.randomization.overrides import Physical
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.validation import signature, snaps
+from sim_mjx.validation.dynamics import Dynamics, dynamics
 from sim_mjx.validation.replay import Recorder, seated_snaps
 from sim_mjx.validation.signature import Profiles, Rows
 from sim_mjx.validation.system_id import Losses, Values
@@ -37,7 +38,6 @@ from sim_mjx.validation.system_id import Losses, Values
 Floats = NDArray[np.float64]
 
 REPEATS = 16  # trials of a session without a grid
-RING = (0.0, 4.0)  # s after the onset of mating, in which its ringing is measured
 SLACK = 4.0  # s after the recorded start of mating, at which a shortened trial ends
 
 
@@ -124,7 +124,7 @@ class Target:
     session: SessionPreset
     profiles: Profiles
     onset: Float64[np.ndarray, " 3"]  # s, median start of rotation, insertion (harmonised) and mating
-    ring: dict[str, float] | None  # of Fz in mating; see rings
+    dynamics: Dynamics | None  # first impact and ringing
     snaps: dict[str, Any] | None  # in the unfiltered force of seated trials; see snaps.summary
 
 
@@ -138,6 +138,16 @@ def recorded(recordings: Recordings, session: str) -> Target:
     Raises:
         InputError: unknown preset, or no such trials.
     """
+    constants, rows = preset(session), recorded_rows(recordings, session)
+    onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
+    starts = recordings.starts(RECORDED)[rows]
+    events = dynamics(recordings.wrench[rows, :, 2], recordings.length[rows], starts[:, 1], starts[:, 3])
+    summary = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
+    return Target(constants, signature.profiles(recordings, rows), onset, events, summary)
+
+
+def recorded_rows(recordings: Recordings, session: str) -> Int[np.ndarray, " row"]:
+    """Recordings of a session that reached every state; arguments and errors of :func:`recorded`."""
     constants = preset(session)
     usable = (recordings.session == constants.recorded_as) & np.isfinite(recordings.starts(HARMONISED)).all(1)
     usable &= np.char.find(recordings.note, "other-setup") < 0
@@ -146,10 +156,7 @@ def recorded(recordings: Recordings, session: str) -> Target:
     rows = np.flatnonzero(usable)
     if len(rows) == 0:
         raise InputError(f"The store holds no trial of session {session} that reached every state.")
-    onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
-    ring = rings(recordings.wrench[rows, :, 2], recordings.length[rows], recordings.starts(RECORDED)[rows, 3])
-    summary = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
-    return Target(constants, signature.profiles(recordings, rows), onset, ring, summary)
+    return rows
 
 
 def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
@@ -158,36 +165,6 @@ def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
     forces = [snaps.unfiltered(recordings.wrench[row, : recordings.length[row], 2], SESSION_A.sensor) for row in seated]
     starts = recordings.starts(RECORDED)[seated, 1].tolist()
     return snaps.summary([snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)])
-
-
-def rings(
-    force: Float[np.ndarray, "trial time"], length: Int[np.ndarray, " trial"], mating: Float[np.ndarray, " trial"]
-) -> dict[str, float] | None:
-    """Ringing of Fz after the push that begins mating: medians over the trials that last long enough.
-
-    Args:
-        force: Fz, N. length: samples. mating: its onset, s, NaN = never.
-
-    Returns:
-        "hertz", the strongest frequency between 1 and 6 Hz in the first 4 s after the onset, and "peak", N, in the
-        first second; None if no trial lasts so long.
-    """
-    measured = []
-    for row, begin in enumerate(np.nan_to_num(mating, nan=np.inf)):
-        last = (begin + RING[1]) / CONTROL_PERIOD
-        if last <= length[row]:
-            first = round(begin / CONTROL_PERIOD)
-            measured.append((_frequency(force[row], begin), force[row, first : first + 200].max()))
-    return dict(zip(("hertz", "peak"), np.median(measured, axis=0).tolist(), strict=True)) if measured else None
-
-
-def _frequency(force: NDArray[np.floating], begin: float) -> float:
-    first, last = (round((begin + at) / CONTROL_PERIOD) for at in RING)
-    times = np.arange(last - first)
-    tail = force[first:last] - np.polyval(np.polyfit(times, force[first:last], 1), times)
-    power = np.abs(np.fft.rfft(tail * np.hanning(len(tail)), 1 << 15))
-    hertz = np.fft.rfftfreq(1 << 15, CONTROL_PERIOD)
-    return float(hertz[np.where((hertz > 1.0) & (hertz < 6.0), power, -1.0).argmax()])
 
 
 # Weights of the terms of the loss; cells of the metric's tables are clipped at WORST_CELL sd.
@@ -217,10 +194,7 @@ def missing_snaps(target: Target, summary: dict[str, Any]) -> float:
     """Shortfall of the share of seated trials with a snap like the recorded ones from the recorded share."""
     if target.snaps is None or target.snaps["trials"] == 0:
         return 0.0
-    recorded, simulated = (
-        each["trials_with_a_snap_as_recorded"] / max(each["trials"], 1) for each in (target.snaps, summary)
-    )
-    return float(max(recorded - simulated, 0.0))
+    return max(snaps.share(target.snaps) - snaps.share(summary), 0.0)
 
 
 def agreement(session: SessionPreset, run: Rollouts) -> int:

@@ -84,6 +84,11 @@ def summary(trials: Sequence[Sequence[Snap]]) -> dict[str, Any]:
     }
 
 
+def share(summary: dict[str, Any]) -> float:
+    """Share of the trials of a summary with a snap as recorded; 0 of none."""
+    return float(summary["trials_with_a_snap_as_recorded"] / max(summary["trials"], 1))
+
+
 def as_recorded(snap: Snap) -> bool:
     """Whether a snap lies in the ranges that session B's do."""
     return RELEASE[0] <= snap.release <= RELEASE[1] and DROP[0] <= snap.drop <= DROP[1]

@@ -95,6 +95,7 @@ CELLS = [
     ("parity", "`mjx`, one H200", "trials", "d engines_gpu > mjx > parity > trials"),
     ("parity-floor", "part moved by 1e-07 m", "largest difference until contact",
      ".3f parity_floor > rows > part moved by 1e-07 m > force_until_contact"),
+    ("gate", "B: the preset", "spread", ".2f fidelity_gate > rows > B > the preset > checks > spread > value"),
     ("hook-forces", "four tabs, two after two", "press, N",
      ".2f hook_bench > parts > four tabs, two after two > press"),
     ("solver", "`mjx`, one H200 | 6/4", "million steps per second",

@@ -21,7 +21,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.cli.fidelity import table
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
-from sim_mjx.validation import fidelity, sessions, signature, snaps
+from sim_mjx.validation import dynamics, fidelity, gate, sessions, signature, snaps
 
 SAMPLES = 400
 SOLVER = {
@@ -46,12 +46,13 @@ def test_rings_are_found() -> None:
     after = np.maximum(times - 3.0, 0.0)
     push = np.where(times < 3.0, 12.0, 30.0)
     force = push + 12.0 * np.exp(-after) * np.sin(2 * np.pi * 2.34 * after) + 0.05 * times
-    found = sessions.rings(np.stack([force, force]), np.array([2000, 1300]), np.array([3.0, 3.0]))
+    found = dynamics.ringing(np.stack([force, force]), np.array([2000, 1300]), np.array([3.0, 3.0]))
     assert found is not None
-    assert found["hertz"] == pytest.approx(2.34, abs=0.03)
-    assert found["peak"] == pytest.approx(force.max())
-    assert sessions.rings(force[None], np.array([1300]), np.array([3.0])) is None
-    assert sessions.rings(force[None], np.array([2000]), np.array([np.nan])) is None
+    assert found.hertz == pytest.approx(2.34, abs=0.03)
+    assert found.peak == pytest.approx(force.max())
+    assert found.damping == pytest.approx(1 / (2 * np.pi * 2.34), rel=0.1)
+    assert dynamics.ringing(force[None], np.array([1300]), np.array([3.0])) is None
+    assert dynamics.ringing(force[None], np.array([2000]), np.array([np.nan])) is None
 
 
 def test_profiles_leave_out_what_never_mated() -> None:
@@ -194,13 +195,24 @@ def test_misses_are_said() -> None:
         "solver": SOLVER,
         "session A": {
             "mated": 0, "trials": 4, "holds": False, "onsets": None, "ring": None, "recorded_ring": None, "seated": 0.0,
-            "snaps": None, "recorded_snaps": None,
+            "snaps": None, "recorded_snaps": None, "gate": {},
         },
         "left_out": [],
     }  # fmt: skip
     lines = table(said).splitlines()
     assert lines[0].endswith("MISSED")
     assert lines[1].endswith("MISSED")
+    rng = np.random.default_rng(0)
+    reference, test = (rng.normal(size=(6, 4, 100, 6)) for _ in range(2))
+    test[..., 2] += 5
+    limits = gate.GateLimits(coverage=0.5, w1_over_sd=1, dtw_over_sd=1, auc=0.8)
+    row = {**said["session A"], "mated": 4, "gate": gate.as_json(gate.checks(limits, reference, test))}
+    lines = table({**said, "session A": json.loads(json.dumps(row))}).splitlines()
+    missed = [line for line in lines if "AUC" in line]
+    assert "AUC 1.00" in missed[0]
+    assert "<= 0.80" in missed[0]
+    assert missed[0].endswith("MISSED")
+    assert not any("spread" in line for line in lines)  # what holds is not listed
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,107 @@
+"""The gate of simulated sessions: what it says of the presets, of recordings, and of models that are nonsense.
+
+For every session the preset; the same without tabs, with soft springs, and with another session's parts; a constant for
+every state and axis; and the recorded mean with sensor noise. As a control, one half of the recordings against the
+other. Nonsense must fail, recordings must pass.
+Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp]
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import tyro
+
+from experiments._lib.benchmarks import recorded
+from experiments._lib.results_io import write_result
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.engines import native
+from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.validation import gate, sessions, signature, snaps
+from sim_mjx.validation.dynamics import Dynamics, dynamics
+from sim_mjx.validation.gate import Check
+from sim_mjx.validation.replay import Recorder, seated_snaps
+
+SEED = 0
+OTHER = {"A": "B", "B": "A", "C": "A", "openhrp": "A"}  # whose parts a session is given
+COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # all that was asked before: the similarity of session A to session B
+SOFT = 0.01  # of the springs' stiffness
+
+
+def parts_of(name: str, preset: SessionPreset) -> PartParams:
+    """The parts of a null model, in the session's place."""
+    parts = preset.parts
+    if name == "no tabs":
+        return replace(parts, hook_overlap=np.full(4, -1e-3))
+    if name == "soft springs":
+        return replace(parts, tab_stiffness=SOFT * np.asarray(parts.tab_stiffness))
+    other = ONE_ARM[OTHER[preset.name]].parts
+    return replace(other, position=parts.position, roll=parts.roll)
+
+
+def simulated(preset: SessionPreset) -> tuple[np.ndarray, Dynamics, dict[str, Any]]:
+    """Profiles, quick events, and snaps of the seated trials."""
+    params = sessions.trials_of(preset, seed=SEED)
+    recorder = Recorder(one_arm(), len(params.command_delay))
+    run = native.simulate(one_arm(), params, watch=recorder.watch)
+    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    return sessions.profiles(run), events, seated_snaps(run, recorder)
+
+
+def of_session(preset: SessionPreset, recordings: Recordings) -> dict[str, Any]:
+    """Every row of a session."""
+    target = sessions.recorded(recordings, preset.name)
+    reference, known = target.profiles, target.snaps if target.snaps and target.snaps["trials"] else None
+    out = {}
+    for name in ("the preset", "no tabs", "soft springs", "another session's parts"):
+        model = preset if name == "the preset" else replace(preset, parts=parts_of(name, preset))
+        profiles, events, found = simulated(model)
+        pair = None if target.dynamics is None else (target.dynamics, events)
+        shares = None if known is None else (snaps.share(known), snaps.share(found))
+        out[name] = row(preset, reference, profiles, pair, shares)
+    rng = np.random.default_rng(SEED)
+    mean = np.broadcast_to(reference.mean((0, 2), keepdims=True), reference.shape)
+    out["a constant per state and axis"] = row(preset, reference, mean + 1e-9 * rng.normal(size=mean.shape))
+    noise = rng.normal(size=reference.shape) * preset.sensor.noise
+    out["recorded mean and noise"] = row(preset, reference, reference.mean(0) + noise)
+    out["recordings: one half against the other"] = row(preset, reference[::2], reference[1::2])
+    return out
+
+
+def row(
+    preset: SessionPreset,
+    reference: np.ndarray,
+    test: np.ndarray,
+    events: tuple[Dynamics, Dynamics] | None = None,
+    shares: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """What the gate says, and what the one before it said."""
+    if len(test) < gate.LEAST or preset.gate is None:
+        return {"mated": len(test), "checks": {}, "passes": False, "passed before": False}
+    found = gate.checks(preset.gate, reference, test, events, shares)
+    before = {
+        "coverage": Check(found["coverage"].value, low=COVERAGE),
+        "W1/sd": Check(found["W1/sd"].value, high=W1),
+        "DTW/sd": Check(found["DTW/sd"].value, high=DTW),
+    }
+    return {
+        "mated": len(test),
+        "checks": gate.as_json(found),
+        "passes": all(check.holds for check in found.values()),
+        "passed before": all(check.holds for check in before.values()),
+    }
+
+
+def main(session: tuple[str, ...] = tuple(ONE_ARM)) -> None:
+    recordings = recorded()
+    result = {"rows": {name: of_session(ONE_ARM[name], recordings) for name in session}}
+    result["states"] = list(signature.STATES)
+    write_result("fidelity_gate", "python -m experiments.simulation.fidelity_gate", result, seed=SEED, show=False)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)
