@@ -58,7 +58,7 @@ EXPERIMENTS = (
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),
-    Experiment("table2", "online.table2", 36, needs=("data",)),
+    Experiment("table2", "online.table2", 36, needs=("data",), shorter=("--repeats", "10"), shorter_minutes=9),
     Experiment("confidence", "online.confidence", 2, needs=("data",)),
     Experiment("abnormal_real", "online.abnormal_real", 3, needs=("data",)),
     Experiment("failure_types_online", "online.failure_types", 10, needs=("data",)),
