@@ -15,14 +15,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from rcbht_jax.errors import InputError
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Give a draft of the file ``path``, with the same suffix; on success it replaces ``path``, else it is removed.
 
+    Behind a link the file that it points to is replaced, so that the link stays.
+
     >>> with atomic_write(Path("limits.json")) as draft:  # doctest: +SKIP
     ...     draft.write_text("{}")
+
+    Raises:
+        InputError: ``path`` is a folder, a device or a pipe, which no file may replace.
     """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path} is not a regular file; expected a name for a new file, or of a file to replace.")
+    path = path.resolve() if path.is_symlink() else path
     draft = draft_of(path)
     try:
         yield draft
@@ -44,7 +54,9 @@ def atomic_folder(path: Path, near: Path | None = None) -> Iterator[Path]:
     draft = draft_of(path if near is None else near)
     try:
         yield draft
+        flush_tree(draft)
         _swap(draft, path)
+        _flush(path.parent)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
@@ -72,6 +84,14 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
     if pressed:
         raise KeyboardInterrupt
+
+
+def flush_tree(folder: Path) -> None:
+    """Have a folder and all that it holds on disk, so that what it replaces can be deleted."""
+    for entry in folder.rglob("*"):
+        if not entry.is_symlink():
+            _flush(entry)
+    _flush(folder)
 
 
 def _flush(path: Path) -> None:

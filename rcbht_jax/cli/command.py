@@ -114,16 +114,26 @@ class Command(ABC):
         """The result of :meth:`run` as text for the terminal."""
 
     def check_inputs(self) -> None:
-        """Refuse options that name a file or a folder that does not exist.
+        """Refuse options that name a file or a folder that does not exist, and outputs that are an input.
 
         Raises:
-            InputError: names the command that makes it.
+            InputError: names the command that makes it, or the output.
         """
+        paths = {name: Path(value) for name, value in vars(self).items() if _is_path(name, value)}
+        for output in (name for name in ("out", "mcap") if name in paths):
+            for name, path in paths.items():
+                if name != output and path.exists() and paths[output].exists() and path.samefile(paths[output]):
+                    raise InputError(f"{paths[output]} is to be written and is used as {name}; choose another name.")
         for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
             for mark in getattr(hint, "__metadata__", ()):
                 path = getattr(self, name)
                 if isinstance(mark, MadeBy) and path is not None and not path.exists():
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
+
+
+def _is_path(name: str, value: Any) -> bool:
+    """Whether an option names a file: a path, or the source of a stream."""
+    return isinstance(value, Path) or (name == "source" and isinstance(value, str))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,11 @@ import difflib
 import errno
 import importlib
 import inspect
+import io
 import json
 import os
 import sys
+import unicodedata
 from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -48,19 +50,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         the exit status.
     """
+    _allow_any_name()
     try:
         return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except InputError as error:
         return _fail(str(error), 2)
     except KeyboardInterrupt:
-        return _fail("Interrupted; no incomplete file was left.", 130)
+        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", 130)
     except BrokenPipeError:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            return _fail("The disk is full; no incomplete file was left. Free some space and try again.", 1)
+            return _fail(
+                "The disk is full. Free some space and try again; no file was replaced by an incomplete one, and the "
+                "events of a stream end where it filled up.",
+                1,
+            )
         return _fail(f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.", 2)
 
 
@@ -116,7 +123,7 @@ def _run(name: str, words: list[str]) -> int:
         result = command.run()
     output = json.dumps(result, allow_nan=False) if as_json else command.text(result)
     if output:  # a command whose standard output is a stream of its own returns no text
-        print(output, flush=True)
+        print(output if as_json else _printable(output), flush=True)
     return 0
 
 
@@ -177,8 +184,23 @@ def _suggestion(close: Sequence[str], command: str, what: str) -> str:
 
 
 def _fail(sentence: str, status: int) -> int:
-    print(f"rcbht: {sentence}", file=sys.stderr)
+    print(f"rcbht: {_printable(sentence)}", file=sys.stderr)
     return status
+
+
+def _printable(text: str) -> str:
+    """Text with control characters spelled out: names in other people's files must not steer the terminal."""
+    return "".join(
+        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf") else c.encode("unicode_escape").decode()
+        for c in text
+    )
+
+
+def _allow_any_name() -> None:
+    """Characters that the terminal does not know are spelled out, too."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 if __name__ == "__main__":

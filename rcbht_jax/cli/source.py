@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.introspection.session import Session
     from rcbht_jax.introspection.words import WordIntrospector
-    from rcbht_jax.io.messages import Message
+    from rcbht_jax.io.messages import LineReader, Message
 
     AnyIntrospector = Introspector | WordIntrospector
     Messages = Iterator[Message]
@@ -157,7 +159,7 @@ class Source(RuleCommand):
         from rcbht_jax.io.rosbags import is_bag, read_bag
 
         if self.source == "-":
-            return read_live(sys.stdin.buffer, self.timeout)
+            return read_live(_standard_input(), self.timeout)
         path = Path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
         if is_bag(path):
@@ -167,6 +169,16 @@ class Source(RuleCommand):
         if path.is_dir():
             return read_folder(path, self.arm, starts)
         raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
+
+
+def _standard_input() -> LineReader:
+    """Standard input through a buffer of its own: Python closes that of ``sys.stdin`` at exit, while it is read."""
+    if sys.stdin is None:
+        raise InputError("Standard input is closed; - reads JSON lines from it.")
+    try:
+        return os.fdopen(os.dup(sys.stdin.fileno()), "rb")
+    except (AttributeError, io.UnsupportedOperation):  # it was replaced by an object without a file
+        return sys.stdin.buffer
 
 
 def _is_store(path: Path) -> bool:

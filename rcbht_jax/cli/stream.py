@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import signal
 import sys
+import threading
 import time
 from collections import Counter
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -154,7 +158,9 @@ class Stream(Source):
         window, revisions = session.introspector.config.window, Revisions()
         session.introspector.warm_up()
         counts: Counter[str] = Counter()
+        first = list(itertools.islice(messages, 1))  # a wrong source is refused before a file is touched
         with ExitStack() as stack:
+            stack.enter_context(_terminated_as_interrupted())
             out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
 
@@ -167,9 +173,10 @@ class Stream(Source):
                 if mcap is not None:
                     _record(mcap, session, message, events)
 
-            for message in messages:
-                complete = session.introspector.received // window
-                report(session.feed(message), message)
+            for message in itertools.chain(first, messages):
+                complete, left_out = session.introspector.received // window, _left_out(session)
+                events = session.feed(message)
+                report(events, message if _left_out(session) == left_out else None)
                 if self.provisional and session.introspector.received // window != complete:
                     report([*revisions.after_window(session.introspector.provisional())])
             report(session.finish())
@@ -257,14 +264,31 @@ class ExportModel(Command):
         return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
 
 
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """SIGTERM as Ctrl-C, so that what was recorded is finished; outside the main thread, do nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _left_out(session: Session) -> int:
+    """How many readings were not used so far."""
+    return sum(session.counts[kind] for kind in ("not-finite", "late", "repeated"))
+
+
 def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event]) -> None:
-    """Write one message's part of the MCAP."""
+    """Write one message's part of the MCAP; a reading has the time of its own stamp."""
     from rcbht_jax.events import Belief, Word
     from rcbht_jax.io.messages import Sample
 
-    values = message.wrench if isinstance(message, Sample) else ()
-    if len(values) == len(session.introspector.axes) and np.isfinite(values).all():
-        mcap.wrench(session.time, values)
+    if isinstance(message, Sample) and len(message.wrench) == len(session.introspector.axes):
+        mcap.wrench(session.time if message.time is None else message.time, message.wrench)
     for event in events:
         mcap.event(event)
     if any(isinstance(event, Belief | Word) for event in events):

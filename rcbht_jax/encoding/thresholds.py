@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
@@ -176,7 +177,7 @@ def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThr
         [70.0, 46.0, 23.0, 1.0]
     """
     try:
-        content = json.loads(path.read_text())
+        content = load_json(path)
         if content["format"] != FORMAT or content["format_version"] != FORMAT_VERSION:
             raise InputError(f"{path} is not a file of thresholds of version {FORMAT_VERSION}.")
         rows, provenance = content["limits"], dict(content["provenance"])

@@ -280,6 +280,10 @@ class Introspector:
         events: list[Event] = []
         sample, time = self.received, self._now()
         for head, confidence, p in zip(self.model.heads, self._confidence, probabilities, strict=True):
+            if not np.isfinite(p).all():
+                raise InputError(
+                    f"the belief of head {head.name} is not finite at sample {sample}; the model is damaged."
+                )
             best = int(p.argmax())
             level, since = confidence.update(head.classes[best], float(p[best]), time)
             values: dict[str, Any] = {"probability": float(p[best]), "level": level, "certain_for": since}

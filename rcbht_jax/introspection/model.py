@@ -27,7 +27,7 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.labels import UNIT_OF
-from rcbht_jax.learning.model_io import read_svm, reading, svm_members, write_archive
+from rcbht_jax.learning.model_io import check_finite, read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.types import axis_names
 
@@ -168,6 +168,7 @@ def _read_head(
     sigmoid = archive[prefix + "sigmoid"]
     if sigmoid.shape != (svm.intercept.size, 2):
         raise InputError(f"{path} is damaged: sigmoid has the shape {sigmoid.shape}, not {(svm.intercept.size, 2)}.")
+    check_finite(path, "sigmoid", sigmoid)
     view = FeatureView(spec, bool(meta["sight"]["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
     # Files older than alarm levels lack them.

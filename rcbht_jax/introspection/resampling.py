@@ -109,8 +109,9 @@ class Resampler:
         return Resampled(value[None].astype(np.float32), time)
 
     def _anew(self, time: float, value: Float[np.ndarray, " axis"], text: str) -> Resampled:
+        reports = [Report("gap", text), *self.finish()]
         resampled = self._start(time, value)
-        resampled.anew, resampled.reports = True, [Report("gap", text)]
+        resampled.anew, resampled.reports = True, reports
         return resampled
 
     def _advance(self, time: float, value: Float[np.ndarray, " axis"], step: float) -> Resampled:
@@ -134,9 +135,12 @@ class Resampler:
             reports.append(Report("gap", f"{missing} missing readings were bridged by a straight line", missing))
         self._off += abs(off) > JITTER
         self._off_since += 1
-        if self._off_since * self._dt >= 1:
-            if self._off:
-                text = f"{self._off} of {self._off_since} readings were more than {JITTER:g} periods off the grid"
-                reports.append(Report("jitter", text, self._off))
-            self._off = self._off_since = 0
-        return reports
+        return reports + (self.finish() if self._off_since * self._dt >= 1 else [])
+
+    def finish(self) -> list[Report]:
+        """What is left to report about readings since the latest report on jitter, when a stretch of them ends."""
+        off, since = self._off, self._off_since
+        self._off = self._off_since = 0
+        if not off:
+            return []
+        return [Report("jitter", f"{off} of {since} readings were more than {JITTER:g} periods off the grid", off)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -12,6 +13,8 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
+
+LONGEST_PAUSE = 10.0  # s of waiting: beyond it the source's clock has jumped
 
 
 class Session:
@@ -41,13 +44,14 @@ class Session:
 
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
-        self.counts[type(message).__name__.lower()] += 1
+        if not isinstance(message, Malformed):  # its notice counts it
+            self.counts[type(message).__name__.lower()] += 1
         if isinstance(message, Sample):
             return self._sample(message)
         if isinstance(message, Begin):
             return self.introspector.begin()
         if isinstance(message, Reset):
-            events = self.introspector.finish()
+            events = self.finish()
             self.introspector.reset()
             self._resampler = Resampler(*self._grid)
             return events
@@ -84,8 +88,9 @@ class Session:
         return Notice(self.introspector.received, self.time, kind, text, count)
 
     def finish(self) -> list[Event]:
-        """Events of the end of the stream: the words still held, if words are reported."""
-        return self.introspector.finish()
+        """Events of the end of the stream: what is left to report, and the words still held, if words are reported."""
+        reports = [self._notice(report.kind, report.text, report.count) for report in self._resampler.finish()]
+        return reports + self.introspector.finish()
 
     def run(self, messages: Iterable[Message]) -> Iterator[Event]:
         """Events of all messages."""
@@ -99,13 +104,18 @@ def paced(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[Message]:
-    """The messages of a recording at ``speed`` times the pace of their time stamps; 0 = as fast as possible."""
+    """The messages of a recording at ``speed`` times the pace of their time stamps; 0 = as fast as possible.
+
+    Each trial has a pace of its own. A clock that jumps ahead or back is not waited for.
+    """
     began, first = clock(), None
     for message in messages:
-        if speed > 0 and isinstance(message, Sample) and message.time is not None:
-            if first is None:
+        if isinstance(message, Reset):
+            first = None
+        if speed > 0 and isinstance(message, Sample) and message.time is not None and math.isfinite(message.time):
+            wait = 0.0 if first is None else (message.time - first) / speed - (clock() - began)
+            if first is None or not -LONGEST_PAUSE < wait < LONGEST_PAUSE:
                 began, first = clock(), message.time
-            wait = (message.time - first) / speed - (clock() - began)
-            if 0 < wait < float("inf"):
+            elif wait > 0:
                 sleep(wait)
         yield message

@@ -3,7 +3,7 @@
 A line is one JSON object. ``{"wrench": [Fx, Fy, Fz, Mx, My, Mz], "time": 1.005}`` is a sample in N and Nm; ``time``
 (s) is optional. A ROS ``Wrench`` or ``WrenchStamped`` as JSON (``{"force": {"x": ...}, "torque": ...}``, alone or
 under ``wrench``, with ``header.stamp``) is a sample as well. With ``{"begin": true}`` a sub-task begins at the next
-sample, with ``{"reset": true}`` a trial.
+sample, with ``{"reset": true}`` a trial; a sample on the same line is that next one.
 """
 
 from __future__ import annotations
@@ -78,30 +78,35 @@ def read_lines(source: LineReader) -> Iterator[Message]:
                 raw = source.readline(MAX_LINE)
             yield Malformed(f"a line is longer than {MAX_LINE} bytes")
         elif raw.strip():
-            yield parse(raw)
+            yield from _parsed(raw)
 
 
 def parse(line: bytes | str) -> Message:
-    """The message of one line; :class:`Malformed` if it is not one. Never raises.
+    """The message of a line that says one thing; :class:`Malformed` if it does not. Never raises.
 
     >>> parse('{"wrench": [0, 0, 5, 0, 0, 0.1], "time": 1.005}')
     Sample(wrench=(0.0, 0.0, 5.0, 0.0, 0.0, 0.1), time=1.005)
     """
+    found = _parsed(line)
+    return found[0] if len(found) == 1 else Malformed(f"a line has {len(found)} messages; expected one")
+
+
+def _parsed(line: bytes | str) -> list[Message]:
+    """The messages of one line, in their order: a reset, a begin, a reading."""
     try:
-        return _message(json.loads(line))
+        return _messages(json.loads(line))
     except (ValueError, RecursionError, OverflowError, TypeError, KeyError) as error:
-        return Malformed(f"a line is not a message ({type(error).__name__}: {str(error)[:80]})")
+        return [Malformed(f"a line is not a message ({type(error).__name__}: {str(error)[:80]})")]
 
 
-def _message(value: Any) -> Message:
+def _messages(value: Any) -> list[Message]:
     if not isinstance(value, dict):
         raise TypeError("expected an object")
-    for key, message in (("begin", Begin), ("reset", Reset)):
-        if value.get(key) is True:
-            return message()
-    wrench = value.get("wrench", value)
-    time = value.get("time", _stamp(value.get("header")))
-    return Sample(_values(wrench), None if time is None else _number(time))
+    found: list[Message] = [kind() for key, kind in (("reset", Reset), ("begin", Begin)) if value.get(key) is True]
+    if not found or "wrench" in value or "force" in value:
+        time = value.get("time", _stamp(value.get("header")))
+        found.append(Sample(_values(value.get("wrench", value)), None if time is None else _number(time)))
+    return found
 
 
 def _values(wrench: Any) -> tuple[float, ...]:

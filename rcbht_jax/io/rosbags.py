@@ -29,6 +29,7 @@ with needs_extra("stream"):
 WRENCH = ("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/Wrench")
 SUFFIXES = (".bag", ".mcap", ".db3")
 
+LATEST = 2.0**31 - 1  # s, the last stamp that ROS can hold
 _LABELS = """std_msgs/Header header
 string[] axis
 int32[] primitive
@@ -148,7 +149,9 @@ class McapWriter:
 
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where there are not six axes), ``/labels`` (codes
     and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file appears
-    when the block ends without an error.
+    when the block ends; also when an error or an interruption ends it, with what was written until then, if anything
+    was. Stamps of ROS end in 2038 and begin in 1970: where the first message lies outside, it is at time zero; single
+    messages outside get the nearest stamp.
 
     Raises:
         InputError: the folder of the file does not exist.
@@ -169,6 +172,7 @@ class McapWriter:
         ):
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
+        self._origin: float | None = None  # s, what is written as time zero
 
     def __enter__(self) -> McapWriter:
         self._writer = Writer(self._folder, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -180,7 +184,7 @@ class McapWriter:
     ) -> None:
         try:
             self._writer.close()
-            if kind is None:
+            if kind is None or self._connections:  # an hour of recording is worth more than its missing end
                 [file] = self._folder.glob("*.mcap")
                 os.replace(file, self._path)
         finally:
@@ -188,7 +192,9 @@ class McapWriter:
 
     def _write(self, topic: str, kind: str, time: float, **fields: Any) -> None:
         types = self._store.types
-        nanoseconds = max(0, round(time * 1e9))
+        if self._origin is None:
+            self._origin = 0.0 if 0 <= time <= LATEST else time
+        nanoseconds = round(min(max(time - self._origin, 0.0), LATEST) * 1e9)
         stamp = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
         header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
         if topic not in self._connections:

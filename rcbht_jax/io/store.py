@@ -51,6 +51,7 @@ VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
     "outcome": ("outcome", ("trial",), "string", {}),
     "note": ("note", ("trial",), "string", {}),
 }
+LARGEST = 1e30  # in any unit: sums over hours stay far from the largest single precision number
 NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
 INTERVALS = {"recording": "int32", "track": "string", "label": "string", "start": "float64", "end": "float64"}
 
@@ -283,8 +284,11 @@ def validate(recordings: Recordings) -> None:
         where = f"recording {row} ({recordings.trial[row]})"
         if not 1 <= samples <= wrench.shape[1]:
             raise InputError(f"{where}: length is {samples}; expected 1 to {wrench.shape[1]} samples.")
-        if not np.isfinite(wrench[row, :samples]).all():
-            raise InputError(f"{where}: the wrench is not finite everywhere; expected numbers.")
+        if not (np.abs(wrench[row, :samples]) <= LARGEST).all():  # NaN compares as false
+            raise InputError(
+                f"{where}: the wrench is not finite everywhere, or beyond {LARGEST:g}; expected numbers whose sums are "
+                "finite in single precision."
+            )
         if wrench[row, samples:].any():
             raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
     _check_annotations(recordings)

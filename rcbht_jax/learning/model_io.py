@@ -7,8 +7,6 @@ names of the features, the encoder's configuration and thresholds, and where it 
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -120,6 +118,8 @@ def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str
     Raises:
         InputError: missing, damaged, of another format, or whatever goes wrong with its content in the block.
     """
+    if path.exists() and not path.is_file():  # a pipe or a device might never end
+        raise InputError(f"{path} is not a regular file; expected a model file.")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             meta = json.loads(str(archive["meta"]))
@@ -128,14 +128,13 @@ def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str
             yield meta, archive
     except InputError:
         raise
-    except (
-        OSError, EOFError, AttributeError, KeyError, IndexError, TypeError, ValueError, zipfile.BadZipFile, zlib.error
-    ) as error:  # fmt: skip
-        raise InputError(f"{path} is not a readable model file: {error}.") from error
+    except Exception as error:  # a damaged archive can fail in any way inside zipfile, NumPy and json
+        detail = (str(error).splitlines() or [""])[0] or type(error).__name__
+        raise InputError(f"{path} is not a readable model file: {detail}.") from error
 
 
 def _check(svm: SvmModel, features: int, path: Path) -> None:
-    """Refuse arrays that do not fit together, which would otherwise broadcast into nonsense."""
+    """Refuse arrays that do not fit together or are not finite, which would otherwise end in nonsense."""
     classes, vectors = len(svm.classes), int(svm.support_count.sum())
     expected = {
         "center": (features,),
@@ -149,3 +148,16 @@ def _check(svm: SvmModel, features: int, path: Path) -> None:
     for name, shape in expected.items():
         if getattr(svm, name).shape != shape:
             raise InputError(f"{path} is damaged: {name} has the shape {getattr(svm, name).shape}, not {shape}.")
+        check_finite(path, name, getattr(svm, name))
+    if not 0 < svm.gamma < np.inf:
+        raise InputError(f"{path} is damaged: gamma is {svm.gamma}; expected a positive number.")
+
+
+def check_finite(path: Path, name: str, values: NDArray[Any]) -> None:
+    """Refuse an array of a model that is no array of finite real numbers.
+
+    Raises:
+        InputError: names the array.
+    """
+    if values.dtype.kind not in "iuf" or not np.isfinite(values).all():
+        raise InputError(f"{path} is damaged: {name} is not finite everywhere; expected numbers.")

@@ -145,6 +145,10 @@ def classify(
             f"{len(model.feature_names)} others; train it anew."
         )
     decision = model.svm.decision(features.values)
+    if not np.isfinite(decision).all():
+        raise InputError(
+            "the model's decision values are not finite on these recordings; they are too large, or it is."
+        )
     predicted = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
     return Classification(model.svm.classes, items, predicted, decision, _seen(model, recordings)[items.row])
 

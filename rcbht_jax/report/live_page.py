@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import secrets
 import threading
 from collections import deque
@@ -223,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, body: bool) -> None:
         path = self.path.split("?", 1)[0]
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
-        if self.server.local and _host(self.headers.get("Host", "")) not in LOOPBACK:
+        if self.server.local and _host(self.headers.get("Host", "")) not in self.server.names:
             self.send_error(403, "Only this machine may look")
         elif path == "/":
             self._send(self.server.document, "text/html; charset=utf-8", body)
@@ -286,8 +287,8 @@ def document() -> bytes:
 
 def _host(value: str) -> str:
     """Name in a Host header, without the port."""
-    if value.startswith("["):
-        return value[1:].split("]", 1)[0]
+    if found := re.fullmatch(r"\[([0-9a-fA-F:.]+)\](:\d*)?", value):
+        return found[1]
     return value.rsplit(":", 1)[0] if ":" in value else value
 
 
@@ -308,7 +309,8 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()
-        self.local = host in LOOPBACK
+        self.local = host in LOOPBACK or host.startswith("127.")
+        self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()
         self.about: dict[str, Any] = {}
         if session is not None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
 
 SCHEMA = "rcbht-results-rows-1"
@@ -81,7 +81,7 @@ def read_results(folder: Path) -> Results:
 
 def _record(path: Path) -> dict[str, Any]:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = load_json(path)
     except ValueError as error:
         raise InputError(f"{path} is not JSON ({error}).") from error
     return record if isinstance(record, dict) else {}

@@ -56,6 +56,8 @@ class View(Command):
         from sim_mjx.validation.replay import moments
 
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
+        if self.out is None and out is not None and out.name != f"{self.trial}.png":
+            raise InputError(f"The trial {self.trial!r} has no name for a file; choose one with -o.")
         self._check(out)
         recordings = read_recordings(self.store)
         row = find_recording(recordings, self.trial, self.arm, self.source)

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
@@ -110,7 +111,7 @@ def read(path: Path) -> Physical:
         InputError: not such a file, or an unknown parameter in it.
     """
     try:
-        content = json.loads(path.read_text())
+        content = load_json(path)
         if content["format"] != FORMAT:
             raise KeyError("format")
         physical = tuple((str(name), float(value)) for name, value in content["values"].items())

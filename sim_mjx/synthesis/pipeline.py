@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.atomic import flush_tree
 from rcbht_jax._util.digest import files_hash
 from rcbht_jax.encoding import thresholds
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -113,7 +114,12 @@ def synthesise(
         if not finished:
             drawn = _simulate_missing(folder, job, scenario, _labelled(job, scenario, simulate), progress)
             resumed -= sum(len(faults) for _, faults in drawn.values())
-            _assemble(folder, target, job, scenario, manifest, drawn)
+            draft = _assemble(folder, job, scenario, manifest, drawn)
+            store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
+            if target.exists():
+                target.rename(folder / f"replaced-{time.time_ns()}.zarr")
+            draft.rename(target)
+            flush_tree(target)  # before the shards are deleted
         shards.remove(folder)
     return _report(target, len(scenario.arms), resumed)
 
@@ -142,7 +148,11 @@ def _encoder(job: SynthesisConfig) -> EncoderConfig:
 def _manifest(job: SynthesisConfig) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
     versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
-    return {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
+    made = {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
+    if job.window is not None:  # what else the labels depend on
+        made["versions"]["encoding_sha256"] = encoding_hash()
+        made["thresholds"] = _limits().tolist()
+    return made
 
 
 @cache  # the code that runs is the one read at the start, whatever is edited later
@@ -150,6 +160,13 @@ def code_hash() -> str:
     """Digest of the simulation's sources: shards made by different code must not be mixed."""
     root = Path(__file__).parents[2]
     return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *(root / "rcbht_jax/robots").glob("*.py")]))
+
+
+@cache
+def encoding_hash() -> str:
+    """Digest of the sources that label trials."""
+    root = Path(rcbht_jax.__file__).parent
+    return files_hash(root, sorted([*(root / "encoding").glob("*.py"), root / "labels.py", root / "types.py"]))
 
 
 def _provenance(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -164,6 +181,8 @@ def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
         return False
     try:
         provenance = store.read_attrs(target).get("simulated")
+        store.read_recordings(target)  # a damaged one is no result: its shards are still there
+        store.read_simulation(target)
     except InputError:
         return False
     return provenance is not None and shards.as_json(provenance) == shards.as_json(_provenance(manifest))
@@ -224,13 +243,12 @@ def _limits() -> NDArray[np.float64]:
 
 def _assemble(
     folder: Path,
-    target: Path,
     job: SynthesisConfig,
     scenario: Scenario,
     manifest: dict[str, Any],
     drawn: dict[int, Drawn],
-) -> None:
-    """Join the shards into the store and move it to the target; ``drawn`` holds the trials of this run's shards."""
+) -> Path:
+    """Join the shards into a store in the work folder; ``drawn`` holds the trials of this run's shards."""
     loaded = [shards.load(folder, shard) for shard in range(-(-job.trials // job.shard))]
     parts = [part for part in loaded if part is not None]
     if len(parts) < len(loaded):
@@ -256,9 +274,7 @@ def _assemble(
     )  # fmt: skip
     if job.window is not None:
         _write_labels(draft, job, parts, stored)
-    if target.exists():
-        target.rename(folder / f"replaced-{time.time_ns()}.zarr")
-    draft.rename(target)
+    return draft
 
 
 def _write_labels(draft: Path, job: SynthesisConfig, parts: list[shards.Arrays], stored: NDArray[np.int64]) -> None:

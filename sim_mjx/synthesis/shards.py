@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 import shutil
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,9 +21,10 @@ from jaxtyping import Shaped
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.digest import content_hash
+from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
 
-MANIFEST, LOCK, PARTIAL = "manifest.json", "lock", ".*.partial-*"
+MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
 Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 
 
@@ -44,8 +44,11 @@ def working(folder: Path, manifest: Mapping[str, Any]) -> Iterator[None]:
     Raises:
         InputError: the folder holds other files, has another manifest, or is locked.
     """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise InputError(f"{folder} is a link or a file; move it away or choose another name.")
     folder.mkdir(exist_ok=True)
-    with (folder / LOCK).open("w") as lock:
+    lock = os.open(folder, os.O_RDONLY)  # the folder itself: a file in it might be somebody else's
+    try:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -54,6 +57,8 @@ def working(folder: Path, manifest: Mapping[str, Any]) -> Iterator[None]:
         for leftover in folder.glob(PARTIAL):
             leftover.unlink()
         yield
+    finally:
+        os.close(lock)
 
 
 def save(folder: Path, shard: int, arrays: Arrays) -> None:
@@ -70,7 +75,7 @@ def load(folder: Path, shard: int) -> Arrays | None:
         # opened here, because NumPy leaves a damaged file open
         with _file(folder, shard).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (FileNotFoundError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+    except Exception:  # a damaged archive can fail in any way inside zipfile and NumPy
         return None
     digest = arrays.pop("sha256", None)
     intact = digest is not None and str(digest) == content_hash(arrays[name] for name in sorted(arrays))
@@ -82,10 +87,9 @@ def remove(folder: Path) -> None:
     for entry in folder.iterdir():
         if entry.is_dir():
             shutil.rmtree(entry)
-        elif entry.name not in (MANIFEST, LOCK):
+        elif entry.name != MANIFEST:
             entry.unlink()
     (folder / MANIFEST).unlink()
-    (folder / LOCK).unlink()
     folder.rmdir()
 
 
@@ -102,14 +106,14 @@ def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     path = folder / MANIFEST
     wanted = as_json(manifest)
     if not path.exists():
-        foreign = [entry.name for entry in folder.iterdir() if entry.name != LOCK and not entry.match(PARTIAL)]
+        foreign = [entry.name for entry in folder.iterdir() if not entry.match(PARTIAL)]
         if foreign:
             raise InputError(f"{folder} holds {foreign[0]} and no {MANIFEST}; move it away or choose another name.")
         with atomic_write(path) as draft:
             draft.write_text(json.dumps(manifest, indent=1, sort_keys=True, allow_nan=False))
         return
     try:
-        existing = json.loads(path.read_text())
+        existing = load_json(path)
     except ValueError as error:
         raise InputError(f"{path} is damaged; delete {folder} to begin anew.") from error
     if existing != wanted:

@@ -143,3 +143,21 @@ def test_any_words_end_in_status_zero_or_two(words: list[str], tmp_path_factory:
         assert main.main(words) in (0, 2)
     finally:
         os.chdir(before)
+
+
+def test_names_do_not_steer_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["info", "\x1b]0;owned\x07\u202egnp.zarr"]) == 2
+    assert "rcbht: \\x1b]0;owned\\x07\\u202egnp.zarr" in capsys.readouterr().err
+
+
+def test_names_that_a_terminal_cannot_show_are_spelled_out(tmp_path: Path) -> None:
+    code = "import sys; from rcbht_jax.cli.main import main; sys.exit(main(['info', 'Gr\\xf6\\xdfe\\udcff.zarr']))"
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=False, env=os.environ | {"PYTHONIOENCODING": "ascii"}
+    )
+    assert run.returncode == 2
+    assert rb"Gr\xf6\xdfe" in run.stderr
+    assert b"Traceback" not in run.stderr

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import signal
+import subprocess
 import sys
 import threading
 import urllib.request
@@ -20,6 +23,7 @@ from rcbht_jax.encoding.thresholds import write_thresholds
 from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.introspection import model as model_files
 from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.report import live_page
@@ -86,6 +90,61 @@ def test_wrong_input(model_path, tmp_path, capsys):
         error = capsys.readouterr().err
         assert error.startswith("rcbht: ")
         assert "Traceback" not in error
+
+
+def test_wrong_sources_leave_old_outputs_alone(model_path, tmp_path, capsys):
+    """Neither what a wrong source would have replaced, nor a file that is read and named as an output."""
+    bag, events, mcap = tmp_path / "x.mcap", tmp_path / "e.jsonl", tmp_path / "o.mcap"
+    with McapWriter(bag) as out:
+        for k in range(20):
+            out.wrench(0.005 * k, (0.0,) * 6)
+    before = {path: path.read_bytes() for path in (bag, model_path)}
+    events.write_text("an hour")
+    mcap.write_text("another hour")
+    outputs = ["-o", str(events), "--mcap", str(mcap)]
+    for words, sentence in (
+        (["stream", str(bag), "--topic", "/typo", *outputs], "no wrenches on /typo"),
+        (["stream", str(bag), "-o", str(bag)], "is used as source"),
+        (["stream", str(bag), "--mcap", str(bag)], "is used as source"),
+        (["stream", str(bag), "-m", str(model_path), "-o", str(model_path)], "is used as model"),
+        (["export-model", str(model_path), "-o", str(model_path)], "is used as model"),
+    ):
+        assert main([*words, *(["-m", str(model_path)] if "-m" not in words and words[0] == "stream" else [])]) == 2
+        assert sentence in capsys.readouterr().err
+    assert (events.read_text(), mcap.read_text()) == ("an hour", "another hour")
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_terminated_stream_keeps_its_recording(model_path, tmp_path, capsys, monkeypatch):
+    out, write, written = tmp_path / "o.mcap", McapWriter.wrench, []
+
+    def terminates(mcap: McapWriter, time: float, values: tuple[float, ...]) -> None:
+        write(mcap, time, values)
+        written.append(time)
+        if len(written) == 50:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(McapWriter, "wrench", terminates)
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(1, 30, 100))))
+    assert main(["stream", "-", "-m", str(model_path), "--mcap", str(out)]) == 130
+    assert "what a stream had recorded is kept" in capsys.readouterr().err
+    assert [sample.time for sample in read_bag(out, "/wrench")] == pytest.approx([0.005 * k for k in range(50)])
+
+
+def test_a_reader_of_standard_input_does_not_crash_the_end():
+    """Python's own buffer cannot be closed at exit while a thread waits in it."""
+    script = (
+        "import sys; from rcbht_jax.cli.source import _standard_input; from rcbht_jax.io.messages import read_live\n"
+        "print(next(read_live(_standard_input(), 5))); sys.exit(3)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    process.stdin.write(b'{"begin": true}\n')
+    process.stdin.flush()
+    assert process.wait(60) == 3
+    process.communicate()
 
 
 def test_serve_shows_a_source_to_its_end(model_path, monkeypatch):

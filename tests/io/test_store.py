@@ -268,6 +268,7 @@ def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
         ({"length": np.array([50, 50, 49], np.int32)}, "not zero; expected zero padding"),
         ({"length": np.full(2, 50, np.int32)}, "length is int32 of shape"),
         ({"wrench": np.full((3, 50, 6), np.nan, np.float32)}, "not finite"),
+        ({"wrench": np.full((3, 50, 6), 3e38, np.float32)}, r"beyond 1e\+30"),
         (
             {"annotations": Annotations.from_rows([(3, "phase", "push", 0.0, 1.0)])},
             "are about recordings 3 to 3;",

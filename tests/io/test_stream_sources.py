@@ -70,6 +70,14 @@ def test_any_bytes_give_messages(data):
         assert isinstance(message, Sample | Begin | Reset | Malformed)
 
 
+def test_a_line_that_says_several_things_is_several_messages():
+    reading = b'{"time": 1, "wrench": [1, 2, 3, 4, 5, 6], "begin": true, "reset": true}'
+    sample = Sample((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), 1.0)
+    assert list(read_lines(io.BytesIO(reading))) == [Reset(), Begin(), sample]
+    assert parse(reading) == Malformed("a line has 3 messages; expected one")
+    assert [type(m) for m in read_lines(io.BytesIO(b'{"begin": true, "wrench": 3}'))] == [Malformed]
+
+
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=10),
     lambda inner: st.lists(inner, max_size=7) | st.dictionaries(
@@ -153,6 +161,18 @@ def test_jitter_is_reported_once_per_second():
     assert not fed([((k + 0.001) * DT, 0.0) for k in range(1000)])[1]
 
 
+def test_jitter_is_reported_when_a_stretch_ends():
+    """A pause, and the end, tell what less than a second of readings had to report."""
+    stretch = [(k * 0.0065, 0.0) for k in range(90)]
+    kinds = fed(stretch + [(5 + time, 0.0) for time, _ in stretch])[1]
+    assert kinds == ["gap", "jitter"]
+    session = Session(Introspector(model()))
+    events = list(session.run([Sample(ZERO, time) for time, _ in stretch]))
+    assert not [event for event in events if isinstance(event, Notice)]
+    assert [event.kind for event in session.finish() if isinstance(event, Notice)] == ["jitter"]
+    assert session.finish() == []
+
+
 anything = st.floats() | st.sampled_from([0.0, DT, 2 * DT, 3 * DT, 1.0, -1e308, 1e308])
 
 
@@ -200,6 +220,7 @@ def test_nothing_is_dropped_in_silence():
     assert kinds == ["malformed", "malformed", "not-finite", "late", "gap", "gap", "silent", "resumed"]
     assert session.introspector.received == 100  # everything after the long gap
     assert all(np.isfinite(e.probabilities).all() for e in events if isinstance(e, Belief))
+    assert session.counts["malformed"] == 2
 
 
 def test_pace():
@@ -214,6 +235,24 @@ def test_pace():
     assert sum(slept) == pytest.approx(0.2)
     assert list(paced(messages, 0.0, lambda: now[0], sleep)) == messages
     assert sum(slept) == pytest.approx(0.2)
+
+
+def test_pace_of_trials_and_of_clocks_that_jump():
+    now = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    def lasts(messages: list[object]) -> float:
+        now[0] = 0.0
+        assert list(paced(messages, 1.0, lambda: now[0], sleep)) == messages
+        return now[0]
+
+    trial_of_two = [Reset(), *(Sample(ZERO, 0.5 * k) for k in range(5))]
+    assert lasts(trial_of_two * 3) == pytest.approx(6.0)
+    for stamp in (3600.0, 1.7e9, 1e10, 1e300, -1e308, math.inf, math.nan):
+        assert lasts([*trial_of_two, Sample(ZERO, stamp), Sample(ZERO, stamp + 1)]) < 4
+    assert lasts([*trial_of_two, Sample(ZERO, 3600.0), Sample(ZERO, 3602.0)]) == pytest.approx(4.0)
 
 
 class Slow:
@@ -344,16 +383,37 @@ def test_mcap_out_can_be_read_back(tmp_path):
     assert len(list(read_bag(path))) == 300
 
 
-def test_mcap_out_is_whole_or_absent(tmp_path):
+def test_mcap_out_keeps_what_was_recorded(tmp_path):
+    """An interruption costs the rest of a recording, not its beginning; without a beginning the old file stays."""
     path = tmp_path / "out.mcap"
+    path.write_text("old")
 
-    def broken() -> None:
+    def broken(readings: int) -> None:
         with McapWriter(path) as out:
-            out.wrench(0.0, ZERO)
+            for k in range(readings):
+                out.wrench(k * DT, ZERO)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        broken()
-    assert not list(tmp_path.iterdir())
+        broken(0)
+    assert path.read_text() == "old"
+    with pytest.raises(KeyboardInterrupt):
+        broken(3)
+    assert [sample.time for sample in read_bag(path)] == pytest.approx([0, DT, 2 * DT])
+    assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(InputError, match="not a folder"):
         McapWriter(tmp_path / "none" / "x.mcap")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "written"),
+    [([-1.0, -0.5, 2.0], [0.0, 0.5, 3.0]), ([1.7e12, 1.7e12 + 5], [0.0, 5.0]), ([3.0, 1e18, 1e308, -2.0], None)],
+)
+def test_stamps_that_ros_cannot_hold(tmp_path, stamps, written):
+    """No time of a source ends a recording."""
+    with McapWriter(tmp_path / "out.mcap") as out:
+        for stamp in stamps:
+            out.wrench(stamp, ZERO)
+    with AnyReader([tmp_path / "out.mcap"]) as reader:
+        found = [received * 1e-9 for _, received, _ in reader.messages()]
+    assert sorted(found) == pytest.approx(written or [0.0, 3.0, 2.0**31 - 1, 2.0**31 - 1])

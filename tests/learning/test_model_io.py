@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +60,29 @@ def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
         load(path)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["center", "width", "support", "dual", "intercept"])
+def test_arrays_that_are_not_finite_are_refused(model, tmp_path, name, value):
+    path = tmp_path / "m"
+    save(path, model)
+    values = getattr(model.svm, name).copy()
+    values.flat[0] = value
+    rewritten(path, **{name: values})
+    with pytest.raises(InputError, match=f"{name} is not finite"):
+        load(path)
+
+
+@pytest.mark.parametrize("gamma", [-1.0, 0.0, 1e999])
+def test_a_width_of_the_kernel_that_is_none_is_refused(model, tmp_path, gamma):
+    path = tmp_path / "m"
+    save(path, model)
+    with np.load(path) as archive:
+        meta = json.loads(str(archive["meta"]))
+    rewritten(path, meta=np.array(json.dumps(meta | {"gamma": gamma})))
+    with pytest.raises(InputError, match="gamma is"):
+        load(path)
+
+
 def test_code_in_a_file_is_refused(model, tmp_path):
     path = tmp_path / "m"
     save(path, model)
@@ -81,6 +105,19 @@ def test_other_formats_and_damage_are_refused(model, tmp_path):
         load(path)
     with pytest.raises(InputError, match="not a readable model"):
         load(tmp_path / "missing")
+    save(path, model)
+    for flag in (6, 8, 10):  # version, encryption, method of the first entry of the zip archive's directory
+        archive = bytearray(path.read_bytes())
+        archive[archive.find(b"PK\x01\x02") + flag] ^= 0x61
+        (tmp_path / "flag").write_bytes(archive)
+        with pytest.raises(InputError, match="not a readable model"):
+            load(tmp_path / "flag")
+    rewritten(path, meta=np.array("[" * 100_000))
+    with pytest.raises(InputError, match="not a readable model"):
+        load(path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="not a regular file"):
+        load(tmp_path / "pipe")
     save(path, model)
     rewritten(path, meta=np.array(json.dumps({"format": "rcbht-model-99"})))
     with pytest.raises(InputError, match="rcbht-model-99"):

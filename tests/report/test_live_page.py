@@ -110,7 +110,9 @@ def test_nothing_but_reading(server, method):
 def test_other_paths_and_names(server):
     for path in ("/etc/passwd", "/../../etc/passwd", "/..", "/page.html", "/%2e%2e/"):
         assert ask(server, "GET", path)[0] == 404
-    assert ask(server, "GET", "/", {"Host": "evil.example:80"})[0] == 403
+    for name in ("evil.example:80", "[localhost]evil", "[127.0.0.1]:80.evil", "[::1]x"):
+        assert ask(server, "GET", "/", {"Host": name})[0] == 403
+    assert ask(server, "GET", "/", {"Host": "[::1]:80"})[0] == 200
     assert ask(server, "GET", "/", {"Host": f"localhost:{server.server_address[1]}"})[0] == 200
     assert server.server_address[0] == "127.0.0.1"
     with pytest.raises(InputError, match="cannot be served"):

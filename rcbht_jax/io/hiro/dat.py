@@ -104,6 +104,8 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
 
 def _read_bytes(path: Path, max_bytes: int) -> bytes:
     try:
+        if not path.is_file() and path.exists():  # a pipe or a device might never end
+            raise InputError(f"{path} is not a regular file; expected a table.")
         size = path.stat().st_size
         if size > max_bytes:
             raise InputError(f"{path} has {size} bytes; expected at most {max_bytes}. Is it a trial's table?")

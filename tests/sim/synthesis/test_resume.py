@@ -157,6 +157,68 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     assert (folder / "thesis.txt").read_text() == "mine"
 
 
+def test_a_file_called_lock_and_a_link_are_left_alone(tmp_path: Path) -> None:
+    folder = shards.folder_of(tmp_path / "t.zarr")
+    folder.mkdir()
+    (folder / "lock").write_text("precious")
+    with pytest.raises(InputError, match="holds lock"):
+        synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
+    assert (folder / "lock").read_text() == "precious"
+    shards.folder_of(tmp_path / "u.zarr").symlink_to(folder)
+    with pytest.raises(InputError, match="is a link"):
+        synthesise(tmp_path / "u.zarr", SMALL, simulate=fake_engine)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_appears_at_the_target_meanwhile_is_kept(overwrite: bool, tmp_path: Path, whole: dict[str, bytes]) -> None:
+    target = tmp_path / "t.zarr"
+
+    def meanwhile(params: TrialParams) -> Any:
+        target.mkdir(exist_ok=True)
+        (target / "thesis.txt").write_text("mine")
+        return fake_engine(params)
+
+    with pytest.raises(InputError, match=r"t\.zarr exists"):
+        synthesise(target, SMALL, simulate=meanwhile, overwrite=overwrite)
+    assert (target / "thesis.txt").read_text() == "mine"
+    (target / "thesis.txt").unlink()
+    target.rmdir()
+    assert synthesise(target, SMALL, simulate=lambda _: pytest.fail("simulated again")).resumed == 12
+    assert tree(target) == whole
+
+
+def test_a_finished_store_that_was_damaged_is_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its shards stay, so that nothing is lost."""
+    target = tmp_path / "t.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(shards, "remove", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(target, SMALL, simulate=fake_engine)
+    before = tree(target)
+    chunk = next(file for file in sorted((target / "wrench" / "c").rglob("*")) if file.is_file())
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    chunk.write_bytes(data)
+    with pytest.raises(InputError, match="exists already"):
+        synthesise(target, SMALL, simulate=fake_engine)
+    assert len(list(shards.folder_of(target).glob("shard-*"))) == 3
+    synthesise(target, SMALL, simulate=lambda _: pytest.fail("simulated again"), overwrite=True)
+    assert tree(target) == before
+
+
+def test_labels_of_other_code_or_thresholds_are_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = replace(SMALL, window=5)
+    for name, other, words in (
+        ("encoding_hash", lambda: "other", r"versions\.encoding_sha256"),
+        ("_limits", lambda: pipeline.thresholds.preset("pa10").limits, "thresholds"),
+    ):
+        interrupted(tmp_path / f"{name}.zarr", job)
+        with monkeypatch.context() as patch:
+            patch.setattr(pipeline, name, other)
+            with pytest.raises(InputError, match=words):
+                synthesise(tmp_path / f"{name}.zarr", job, simulate=fake_engine)
+
+
 def test_only_one_works_in_a_folder(tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
 
@@ -168,14 +230,17 @@ def test_only_one_works_in_a_folder(tmp_path: Path) -> None:
         synthesise(target, SMALL, simulate=second)
 
 
-@pytest.mark.parametrize("damage", ["cut", "flip", "empty"])
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "version", "flag", "method"])
 def test_a_damaged_shard_is_made_again(damage: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
     shard = shards.folder_of(target) / "shard-000001.npz"
     data = bytearray(shard.read_bytes())
     data[len(data) // 2] ^= 0xFF
-    shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}[damage])
+    header = bytearray(shard.read_bytes())
+    at = header.rfind(b"PK\x01\x02")  # the last entry of the zip archive's directory
+    header[at + {"version": 6, "flag": 8}.get(damage, 10)] ^= 0x61
+    shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}.get(damage, bytes(header)))
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
     assert tree(target) == whole
 

@@ -1,0 +1,26 @@
+"""Whatever is wrong with a JSON file is a ValueError."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax._util.json_file import load_json
+
+
+def test_json_of_unknown_origin(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for text in ("", "[", "[" * 100_000, '{"a":' * 100_000, "nonsense"):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"."):
+            load_json(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match="decode"):
+        load_json(path)
+    path.write_text('{"a": [1]}')
+    assert load_json(path) == {"a": [1]}
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="regular"):
+        load_json(tmp_path / "pipe")
