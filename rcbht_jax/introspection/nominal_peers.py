@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,9 @@ from rcbht_jax.introspection.nominal import Monitor, NominalMonitor
 
 with needs_extra("learn"):
     from sklearn.ensemble import IsolationForest
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 LEAST_WIDTH = 0.1  # of the mean width of a channel's band
 
@@ -27,8 +31,18 @@ class Band:
     half: Float[np.ndarray, "moment channel"]  # half of the width
 
 
+class _BandMonitor(Monitor):
+    """Scores by the distance from the middle of a band."""
+
+    def _score(
+        self, model: Band, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
+    ) -> Float[np.ndarray, " time"]:
+        at = np.minimum(time, len(model.middle) - 1)
+        return (np.abs(described[..., 0] - model.middle[at]) / model.half[at]).max(1)
+
+
 @dataclass(kw_only=True, eq=False, repr=False)
-class QuantileBand(Monitor):
+class QuantileBand(_BandMonitor):
     """Band between two quantiles of the nominal values at each moment; the score is how far a channel is outside.
 
     The score is the distance from the middle of the band in halves of its width, largest over the channels: 1 is on
@@ -63,11 +77,50 @@ class QuantileBand(Monitor):
         least = LEAST_WIDTH * half.mean(0)
         return Band(middle, np.maximum(half, np.where(least > 0, least, 1.0)))
 
-    def _score(
-        self, model: Band, described: Float[np.ndarray, "time channel kind"], time: Int[np.ndarray, " time"]
-    ) -> Float[np.ndarray, " time"]:
-        at = np.minimum(time, len(model.middle) - 1)
-        return (np.abs(described[..., 0] - model.middle[at]) / model.half[at]).max(1)
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class GaussianProcessBand(_BandMonitor):
+    """Band of a Gaussian process over time, channel by channel; the score is how far a channel is from its mean.
+
+    The score is the distance from the mean in standard deviations of a new value, largest over the channels. Kernel: a
+    squared exponential and noise, whose scales maximise the marginal likelihood (scikit-learn's
+    ``GaussianProcessRegressor``). It learns from moments that are drawn at random from the nominal recordings, since
+    its effort grows with the cube of their number. After the longest nominal recording the band stays as it ended.
+
+    Args:
+        points: moments to learn from.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> band = GaussianProcessBand(rate=20, points=60).fit(rng.normal(size=(10, 60, 1)))
+        >>> jump = np.repeat([0, 9], 30)[:, None] + rng.normal(size=(60, 1))
+        >>> bool(band.scores(jump).argmax() >= 30)
+        True
+    """
+
+    memory: Any = 0.05
+    points: Any = 150
+
+    def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Band:
+        if self.points < 2:
+            raise InputError(f"points is {self.points}; expected two or more.")
+        values = np.concatenate(parts)
+        time = np.concatenate([np.arange(len(part)) for part in parts])
+        rng = np.random.default_rng(self.random_state)
+        drawn = rng.choice(len(time), min(int(self.points), len(time)), replace=False)
+        moments = np.arange(time.max() + 1)[:, None]
+        half = moments[-1, 0] / 2 + 0.5  # time between -1 and 1, so that one range of scales fits all skills
+        found = []
+        for channel in values.T:
+            process = GaussianProcessRegressor(
+                RBF(0.3, (0.01, 10.0)) + WhiteKernel(0.1, (1e-4, 10.0)), normalize_y=True
+            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ConvergenceWarning)  # a scale at the end of its range
+                process.fit(time[drawn, None] / half - 1, channel[drawn])
+            found.append(process.predict(moments / half - 1, return_std=True))
+        middle, width = (np.stack(part, 1) for part in zip(*found, strict=True))
+        return Band(middle, np.where(width > 0, width, 1.0))
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

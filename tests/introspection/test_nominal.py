@@ -13,12 +13,13 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import nominal_file
 from rcbht_jax.introspection.nominal import FREEDOM, Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge, thresholds
-from rcbht_jax.introspection.nominal_peers import IsolationForestMonitor, QuantileBand
+from rcbht_jax.introspection.nominal_peers import GaussianProcessBand, IsolationForestMonitor, QuantileBand
 
 MONITORS = [
     NominalMonitor(rate=20, score_rate=10, memory=0.5, levels=(1,)),
     QuantileBand(rate=20, score_rate=20),
     QuantileBand(rate=20, score_rate=20, normal=True),
+    GaussianProcessBand(rate=20, score_rate=20, points=40, folds=3),
     IsolationForestMonitor(rate=20, score_rate=10, trees=5, folds=3),
 ]
 every_monitor = pytest.mark.parametrize("monitor", MONITORS, ids=lambda one: type(one).__name__)
@@ -179,8 +180,25 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(neighbours=0), pushes(3, 0), "one neighbour"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),
+        (GaussianProcessBand(points=1), pushes(3, 0), "points is 1"),
     ],
 )
 def test_bad_input_is_one_sentence(monitor: Monitor, series: list[NDArray[np.float64]], words: str) -> None:
     with pytest.raises(InputError, match=words):
         monitor.fit(series)
+
+
+def test_a_gaussian_process_finds_course_and_noise() -> None:
+    """A sine with noise of .1 around it: mean and width of the band are those, in every channel's own unit."""
+    rng = np.random.default_rng(0)
+    course = np.sin(np.arange(60) / 8)
+    series = [np.stack([course, 100 * course], 1) + rng.normal(size=(60, 2)) * [0.1, 10] for _ in range(12)]
+    band = GaussianProcessBand(rate=20, folds=2).fit(series)
+    model = band._learn(series, np.zeros(12, np.int64))
+    assert (np.abs(model.middle - np.stack([course, 100 * course], 1)) < [0.1, 10]).all()
+    np.testing.assert_allclose(model.half, np.full((60, 2), [0.1, 10]), rtol=0.25)
+    late = np.stack([course, 100 * course], 1)
+    late[40:, 1] += 80  # eight deviations
+    scores = band.scores(late)
+    assert scores[:40].max() < 3
+    assert scores[40:].min() > 5
