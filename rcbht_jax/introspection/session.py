@@ -14,6 +14,7 @@ from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
+MOST_SAMPLES = 2**31 - 2**20  # without a new start: the encoder counts in 32 bits
 LONGEST_PAUSE = 10.0  # s of waiting: beyond it the source's clock has jumped
 
 
@@ -70,7 +71,10 @@ class Session:
             self._silent = False
             events.append(self._notice("resumed", "readings arrive again"))
         events += [self._notice(report.kind, report.text, report.count) for report in resampled.reports]
-        if resampled.anew:
+        count = self.introspector.received + len(resampled.samples)
+        if count > MOST_SAMPLES:
+            events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
+        if resampled.anew or count > MOST_SAMPLES:
             events += self.introspector.finish()
             self.introspector.reset()
         if len(resampled.samples):

@@ -112,13 +112,14 @@ def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[st
 
 
 def list_tracks(path: Path) -> list[str]:
-    """Names of the label tracks in a store, sorted.
+    """Names of the label tracks in a store, sorted; also of damaged ones, which reading them tells.
 
     Raises:
         InputError: ``path`` is not a store.
     """
     open_store(path)
-    return sorted(entry.parent.name for entry in (path / "labels").glob("*/zarr.json"))
+    entries = [entry for entry in (path / "labels").glob("*") if entry.is_dir() and not entry.name.startswith(".")]
+    return sorted(entry.name for entry in entries if NAME.fullmatch(entry.name))
 
 
 def _folder(path: Path, name: str) -> Path:

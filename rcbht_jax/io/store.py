@@ -51,6 +51,7 @@ VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
     "outcome": ("outcome", ("trial",), "string", {}),
     "note": ("note", ("trial",), "string", {}),
 }
+SHORTEST, LONGEST = 1e-9, 1e6  # s between samples: beyond these it is another unit
 LARGEST = 1e30  # in any unit: sums over hours stay far from the largest single precision number
 NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
 INTERVALS = {"recording": "int32", "track": "string", "label": "string", "start": "float64", "end": "float64"}
@@ -273,8 +274,8 @@ def validate(recordings: Recordings) -> None:
     if wrench.ndim != 3 or 0 in wrench.shape:
         raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, axes], none of them 0.")
     _check_shapes(recordings, len(wrench))
-    if not (np.isfinite(recordings.dt) and recordings.dt > 0):
-        raise InputError(f"dt is {recordings.dt}; expected a positive number of seconds.")
+    if not SHORTEST <= recordings.dt <= LONGEST:
+        raise InputError(f"dt is {recordings.dt}; expected {SHORTEST:g} to {LONGEST:g} s.")
     axes = (recordings.axes, recordings.units)
     if any(len(names) != wrench.shape[2] for names in axes) or len(set(recordings.axes)) < wrench.shape[2]:
         raise InputError(

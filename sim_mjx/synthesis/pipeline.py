@@ -46,6 +46,7 @@ Drawn = tuple[Any, list[Fault]]  # parameters of a shard's trials, and their fau
 # Default trials per shard: what an interruption costs at most. A GPU needs many to be busy.
 SHARD = {"native": 256, "mjx": 8192, "warp": 16384}
 ROBOT = "hiro"  # its threshold preset labels the trials
+MOST = 10**9  # trials: more would fill any disk
 CREATED = "undated"  # a date would make every store different
 
 
@@ -133,6 +134,8 @@ def check(job: SynthesisConfig) -> Scenario:
     for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
         if value < 1:
             raise InputError(f"The {name} is {value}; expected 1 or more.")
+    if job.trials > MOST:
+        raise InputError(f"The number of trials is {job.trials}; expected at most {MOST}.")
     engines.check(job.engine)
     if job.window is not None:
         _encoder(job)

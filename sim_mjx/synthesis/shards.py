@@ -29,7 +29,13 @@ Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 
 
 def folder_of(target: Path) -> Path:
-    """The work folder that belongs to a store."""
+    """The work folder that belongs to a store.
+
+    Raises:
+        InputError: the store has no name.
+    """
+    if not target.name:
+        raise InputError(f'"{target}" is not a name for a store; expected for example trials.zarr.')
     return target.with_name(f"{target.name}.work")
 
 

@@ -105,6 +105,7 @@ def test_missing_and_damaged_tracks(path: Path) -> None:
         entry.unlink()
         with pytest.raises(InputError, match=r"damaged|incomplete|not a Zarr group"):
             label_store.read_tracks(path, "x")
+        assert label_store.list_tracks(path) == ["x"]  # damaged tracks do not vanish
         entry.write_bytes(whole)
     same_tracks(label_store.read_tracks(path, "x")[0], label_tracks())
 

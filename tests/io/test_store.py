@@ -278,6 +278,9 @@ def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
         ({"columns": {"a/b": np.zeros(3)}}, "not a name for a column"),
         ({"columns": {"wrench": np.zeros(3)}}, "not a name for a column"),
         ({"dt": 0.0}, "dt is 0.0"),
+        ({"dt": 1e-320}, "expected 1e-09 to"),
+        ({"dt": 1e300}, "expected 1e-09 to"),
+        ({"dt": float("nan")}, "dt is nan"),
     ],
 )
 def test_contradictory_recordings_are_refused(tmp_path: Path, change: dict[str, Any], sentence: str) -> None:

@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Notice, SubtaskStarted
+from rcbht_jax.introspection import session as session_module
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.session import Session, paced
@@ -221,6 +222,14 @@ def test_nothing_is_dropped_in_silence():
     assert session.introspector.received == 100  # everything after the long gap
     assert all(np.isfinite(e.probabilities).all() for e in events if isinstance(e, Belief))
     assert session.counts["malformed"] == 2
+
+
+def test_more_samples_than_the_encoder_counts_start_anew(monkeypatch):
+    monkeypatch.setattr(session_module, "MOST_SAMPLES", 150)
+    session = Session(Introspector(model()))
+    events = list(session.run(samples_of(trial(0, 52, 400))))
+    assert [(e.kind, e.sample) for e in events if isinstance(e, Notice)] == [("gap", 150), ("gap", 150)]
+    assert session.introspector.received == 100
 
 
 def test_pace():

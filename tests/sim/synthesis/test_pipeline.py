@@ -158,6 +158,7 @@ def test_nothing_is_stored_when_all_diverged(tmp_path: Path) -> None:
     [
         ({"preset": "D"}, "openhrp"),
         ({"trials": 0}, "number of trials"),
+        ({"trials": 10**18}, "number of trials is 1000000000000000000"),
         ({"shard": 0}, "shard"),
         ({"seed": -1}, "seed"),
         ({"engine": "abacus"}, "native"),
@@ -168,6 +169,11 @@ def test_impossible_jobs_are_refused(change: dict[str, Any], words: str, tmp_pat
     with pytest.raises(InputError, match=words):
         synthesise(tmp_path / "t.zarr", replace(SMALL, **change), simulate=fake_engine)
     assert os.listdir(tmp_path) == []
+
+
+def test_a_store_without_a_name_is_refused() -> None:
+    with pytest.raises(InputError, match="not a name for a store"):
+        synthesise(Path(""), SMALL, simulate=fake_engine)
 
 
 def test_an_existing_store_is_only_replaced_when_asked(whole: Path, tmp_path: Path) -> None:
