@@ -66,12 +66,17 @@ EXPERIMENTS = (
     Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
     Experiment("kitting", "external.kitting", 10, needs=("external",)),
     Experiment("external_choice", "external.choice", 5, needs=("data",)),
+    Experiment("kitting_more", "external.kitting_more", 2, needs=("external",)),
     Experiment(
-        "external_failures", "external.failures", 15, needs=("external", "peers"), shorter=("--repeats", "1"),
-        shorter_minutes=5,
+        "external_early", "external.early", 18, needs=("external", "peers"), shorter_minutes=3,
+        shorter=("--repeats", "1", "--only", "lp1"),
     ),
     Experiment(
-        "external_caps", "external.caps", 8, needs=("external",), shorter=("--only", "without words", "trees"),
+        "external_failures", "external.failures", 11, needs=("external", "peers"), shorter=("--repeats", "1"),
+        shorter_minutes=2,
+    ),
+    Experiment(
+        "external_caps", "external.caps", 9, needs=("external", "peers"), shorter=("--only", "without words", "trees"),
         shorter_minutes=4,
     ),
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),

@@ -1,10 +1,12 @@
 """Segmentation of screwed caps: every sample of runs that a model has not seen, wrench only.
 
 Runs of about 8 s at 40 Hz with six labels, made by hand. Peers see the same samples: one ensemble of trees on the
-wrench without words and without the second ensemble, and the most frequent label.
+wrench without words and without the second ensemble, and, offline, changes found by ClaSP and CLaP with segments
+labelled by the one method (experiments.external.change_points).
 
 Run: python -m experiments.external.caps --seed 0
-Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL.
+Finished rows are stored; the same command resumes an interrupted run. Reads RCBHT_EXTERNAL; the rows
+of ClaSP and CLaP need the libraries aeon and claspy (see make peers).
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from sklearn.model_selection import LeaveOneOut
 from experiments._lib.benchmarks import rounded
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments.external import change_points
+from experiments.external.change_points import DETECTORS, ORACLE
 from rcbht_jax.features.trailing import trailing_statistics, with_norms
 from rcbht_jax.introspection.segmentation import Protocol, Segmentation, WrenchSegmenter, segment
 from rcbht_jax.io.importing.importer import read_source
@@ -73,6 +77,14 @@ class Experiment:
             predicted += [forest.predict(x[i]) for i in test]
         return {"score": rounded(segmentation_score(truth, predicted, data.dt).to_json())}
 
+    def change_points(self, detector: str) -> dict[str, Any]:
+        """Changes found without labels, segments labelled by the one method."""
+        data = self.recordings()
+        track = data.annotations.choose()
+        truth = [data.annotations.of_samples(i, track, n, data.dt) for i, n in enumerate(data.length.tolist())]
+        predicted, counts = change_points.scored(data, detector, self.seed)
+        return {"score": rounded(segmentation_score(truth, predicted, data.dt).to_json())} | counts
+
 
 def _by_run(found: Segmentation) -> dict[str, float]:
     """Accuracy of each run."""
@@ -91,6 +103,7 @@ def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
         "offline": partial(experiment.ours, offline=True),
         "trees on the wrench": partial(experiment.peer, one_shot=False),
         "trees on the wrench, one run teaches": partial(experiment.peer, one_shot=True),
+        **{f"{name}, offline": partial(experiment.change_points, name) for name in (*DETECTORS, ORACLE)},
     }
     rows.fill(wanted, only)
 

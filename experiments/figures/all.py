@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments._lib.report_rows import peer_rows
 from experiments._lib.results_io import committed
-from experiments.figures import calibration_curves, dots, faults, hook, online, sim_to_real, words
+from experiments.figures import calibration_curves, dots, early, faults, hook, online, sim_to_real, words
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
@@ -179,6 +179,7 @@ FIGURES = {
     "confidence": confidence,
     "online-reliability": lambda: online.reliability(rows_of("table2")),
     "online-early": lambda: online.early(rows_of("table2")),
+    "early-failures": lambda: early.draw(committed("external_early")),
     "online-faults": lambda: faults.faults(committed("faults_online")["presets"]),
     "failure-types": failure_types,
     "sim-to-real": lambda: sim_to_real.draw(rows_of("sim_to_real"), sim_to_real.STORY),

@@ -14,21 +14,35 @@ SCORES = ("accuracy", "macro_f1", "f1@10", "f1@25", "f1@50", "edit", "covering",
 def failures(result: dict[str, Any]) -> str:
     """Accuracy of the one method, its members and peers."""
     rows = result["rows"]
-    titles = dict.fromkeys(name.split(" | ")[1] for name in rows if "first" not in name)
+    titles = dict.fromkeys(name.split(" | ")[1] for name in rows)
     lines = [[title, *(score(rows.get(f"{of} | {title}", {}).get("accuracy")) for of in SETS)] for title in titles]
     return markdown(("accuracy", *SETS.values()), lines)
 
 
-@table("external-first", "external_failures")
+@table("external-first", "external_early")
 def first(result: dict[str, Any]) -> str:
     """Accuracy after the first samples of a series."""
-    rows = result["rows"]
-    counts = list(dict.fromkeys(name.split("first ")[1].split()[0] for name in rows if "first" in name))
+    rows, counts = result["rows"], result["prefixes"]
     lines = []
     for of, title in SETS.items():
         found = [rows.get(f"{of} | first {count} samples") for count in counts]
         lines.append((title, *(f"{row['accuracy']['mean']:.3f}" if row else NONE for row in found)))
-    return markdown(("samples", *counts), lines)
+    return markdown(("samples", *map(str, counts)), lines)
+
+
+@table("external-early", "external_early")
+def early(result: dict[str, Any]) -> str:
+    """Accuracy, earliness and harmonic mean of the rules that stop."""
+    rows = result["rows"]
+    titles = dict.fromkeys(name.split(" | ")[1] for name in rows if not name.split(" | ")[1].startswith("first "))
+    lines = []
+    for of, name in SETS.items():
+        for title in titles:
+            row = rows.get(f"{of} | {title}", {})
+            lines.append(
+                (f"{name}: {title}", *(score(row.get(key)) for key in ("accuracy", "earliness", "harmonic_mean")))
+            )
+    return markdown(("", "accuracy", "earliness", "harmonic mean"), lines)
 
 
 @table("external-caps", "external_caps")
@@ -39,15 +53,28 @@ def caps(result: dict[str, Any]) -> str:
     return markdown(("", *head), lines)
 
 
-@table("external-kitting", "kitting")
-def kitting(result: dict[str, Any]) -> str:
+@table("external-kitting", "kitting", "kitting_more")
+def kitting(result: dict[str, Any], more: dict[str, Any]) -> str:
     """AUROC of each skill, false alarms and delay of monitors that know nominal executions only."""
+    named = {
+        f"{channels}: {name}": row for channels, methods in result["rows"].items() for name, row in methods.items()
+    }
     lines = []
-    for channels, methods in result["rows"].items():
-        for name, row in methods.items():
-            skills = row["skills"].values()
-            late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
-            values = [f"{cell['auroc']:.3f}" for cell in skills]
-            lines.append((f"{channels}: {name}", *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}"))
+    for title, row in (named | {name: row for name, row in more["rows"].items() if "skills" in row}).items():
+        skills = row["skills"].values()
+        late = [cell["delay_median"] for cell in skills if cell["delay_median"] is not None]
+        values = [f"{cell['auroc']:.3f}" for cell in skills]
+        lines.append((title, *values, f"{row['false_alarms']:.3f}", f"{max(late):.2f}"))
     head = ("AUROC", *(f"skill {number}" for number in (3, 4, 5, 7)), "false alarms", "slowest median delay, s")
     return markdown(head, lines)
+
+
+@table("external-kitting-types", "kitting_more")
+def kitting_types(result: dict[str, Any]) -> str:
+    """Which type of anomaly it was."""
+    lines = []
+    for name, row in result["rows"].items():
+        if " | " in name:
+            of, title = name.split(" | ")
+            lines.append((of, title, score(row["accuracy"]), score(row["balanced_accuracy"]), str(row["executions"])))
+    return markdown(("", "", "accuracy", "balanced accuracy", "executions"), lines)

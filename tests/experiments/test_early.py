@@ -1,0 +1,94 @@
+"""Rules of early classification against cases that are computed by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments._lib import early
+
+DELAY = np.array([0.5, 1.0])
+
+
+def beliefs(*largest: list[float]) -> np.ndarray:
+    """Beliefs of two classes, the second of which has these probabilities ``[time][item]``."""
+    second = np.array(largest)
+    return np.stack([1 - second, second], 2)
+
+
+def test_economy_waits_where_errors_become_fewer() -> None:
+    """Half of the items are unsure at first, and wrong; all are right at the end."""
+    seen = beliefs([0.9, 0.9, 0.6, 0.6], [0.9, 0.9, 0.9, 0.9])
+    seen[0, 2:] = seen[0, 2:, ::-1]  # the unsure ones say the other class
+    y = np.ones(4, int)
+    # Two groups. Cost of the sure one: now .5 * 0 + .5 * .5 = .25, later .5. Of the unsure one: now w + (1 - w) / 2,
+    # later 1 - w; waiting pays where w / 2 > 1 / 4 - ... , that is w + (1 - w) / 2 > 1 - w, w > 1 / 3.
+    assert early.economy(seen, y, DELAY, 0.5, 2)(seen).tolist() == [0, 0, 1, 1]
+    assert early.economy(seen, y, DELAY, 0.34, 2)(seen).tolist() == [0, 0, 1, 1]
+    assert early.economy(seen, y, DELAY, 0.33, 2)(seen).tolist() == [0, 0, 0, 0]
+    # One group: half of the items are wrong now. w / 2 + (1 - w) / 2 > 1 - w where w > 1 / 2.
+    assert early.economy(seen, y, DELAY, 0.49, 1)(seen).tolist() == [0, 0, 0, 0]
+    assert early.economy(seen, y, DELAY, 0.51, 1)(seen).tolist() == [1, 1, 1, 1]
+
+
+def test_economy_looks_further_than_the_next_time() -> None:
+    """All are wrong at two times and right at the third; a rule that looks one time ahead would stop at once."""
+    seen = beliefs([0.4] * 4, [0.4] * 4, [0.9] * 4)
+    delay = np.array([0.2, 0.6, 1.0])
+    # w + .2 (1 - w) now, w + .6 (1 - w) next, 1 - w last: waiting pays where w > .8 (1 - w).
+    assert early.economy(seen, np.ones(4, int), delay, 0.45, 1)(seen).tolist() == [2] * 4
+    assert early.economy(seen, np.ones(4, int), delay, 0.44, 1)(seen).tolist() == [0] * 4
+
+
+def test_economy_follows_the_chain_between_groups() -> None:
+    """Of the unsure ones half become sure and right; the others stay unsure and wrong."""
+    seen = beliefs([0.9, 0.9, 0.6, 0.6], [0.95, 0.95, 0.95, 0.6])
+    seen[0, 2:], seen[1, 3] = seen[0, 2:, ::-1], seen[1, 3, ::-1]
+    y, delay = np.ones(4, int), np.array([0.0, 1.0])
+    rule = early.economy(seen, y, delay, 0.7, 2)
+    # Groups at the end: quantile .95, so that .6 is alone. Unsure: now w = .7, later w / 2 + 1 - w = .65. Sure: now 0.
+    assert rule(seen).tolist() == [0, 0, 1, 1]
+    assert early.economy(seen, y, delay, 0.66, 2)(seen).tolist() == [0, 0, 0, 0]
+
+
+def test_calimera_waits_where_its_belief_grows_enough() -> None:
+    """Equal items, so that the regression has the sign of its target."""
+    seen = beliefs([0.6] * 3, [0.9] * 3)
+    # .4 w + .5 (1 - w) now and .1 w + (1 - w) later: equal at w = .625.
+    assert early.calimera(seen, DELAY, 0.62)(seen).tolist() == [0, 0, 0]
+    assert early.calimera(seen, DELAY, 0.63)(seen).tolist() == [1, 1, 1]
+
+
+def test_calimera_goes_backwards() -> None:
+    """The middle time is worse than both others; its rule waits, so that the first compares with the last."""
+    seen = beliefs([0.6] * 3, [0.55] * 3, [0.95] * 3)
+    delay = np.array([0.2, 0.6, 1.0])
+    # .4 w + .2 (1 - w), .45 w + .6 (1 - w), .05 w + (1 - w): the last is below the first where .35 w > .8 (1 - w).
+    assert early.calimera(seen, delay, 0.69)(seen).tolist() == [0, 0, 0]
+    assert early.calimera(seen, delay, 0.70)(seen).tolist() == [2, 2, 2]
+
+
+@pytest.mark.parametrize("name", ["economy", "calimera", "certain"])
+def test_no_rule_looks_ahead(name: str) -> None:
+    rng = np.random.default_rng(0)
+    seen = rng.dirichlet(np.ones(3), (5, 40))
+    y, delay = rng.integers(0, 3, 40), np.linspace(0.2, 1, 5)
+    rule = {
+        "economy": lambda: early.economy(seen, y, delay, 0.8, 3),
+        "calimera": lambda: early.calimera(seen, delay, 0.8),
+        "certain": lambda: early.certain(0.7),
+    }[name]()
+    changed = seen.copy()
+    changed[3:] = rng.dirichlet(np.ones(3), (2, 40))
+    at, then = rule(seen), rule(changed)
+    assert (at < 3).any()
+    assert (at[at < 3] == then[at < 3]).all()
+    assert (then[at >= 3] >= 3).all()
+
+
+def test_what_decisions_are_worth() -> None:
+    seen = beliefs([0.6, 0.4], [0.9, 0.9])
+    accuracy, earliness, mean = early.worth(seen, np.array([1, 1]), DELAY, early.certain(0.8)(seen))
+    assert (accuracy, earliness, mean) == (1.0, 1.0, 0.0)
+    accuracy, earliness, mean = early.worth(seen, np.array([1, 1]), DELAY, np.array([0, 1]))
+    assert (accuracy, earliness, mean) == (1.0, 0.75, 0.4)

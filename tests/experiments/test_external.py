@@ -1,0 +1,83 @@
+"""Parts of the experiments on recordings of other laboratories, on small made-up ones."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from experiments.external import change_points, kitting_more, method
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+from rcbht_jax.types import Recordings
+
+
+@pytest.fixture(scope="module")
+def runs() -> Recordings:
+    """Six runs of rest, push, rest in two days; the push begins later from run to run."""
+    wrench, rows = [], []
+    for run in range(6):
+        at = 100 + 10 * run
+        force = np.zeros((300, 2))
+        force[at : at + 100] = 5
+        wrench.append(force + np.random.default_rng(run).normal(size=force.shape) * 0.05)
+        edges = np.array([0, at, at + 100, 300]) / 100
+        rows += [
+            (run, "phase", name, *pair) for name, pair in zip(("rest", "push", "rest"), pairwise(edges), strict=True)
+        ]
+    session = np.array(["monday"] * 3 + ["tuesday"] * 3)
+    return Recordings.from_arrays(
+        wrench, 100, axes=["a", "b"], units=["N", "N"], annotations=rows, session=session, anomaly=["x", "y"] * 3
+    )
+
+
+def test_segments_between_changes_get_the_class_that_other_runs_teach(runs: Recordings) -> None:
+    marks = [np.array([100 + 10 * run, 200 + 10 * run]) for run in range(6)]
+    marks[2] = np.array([121, 160, 219])  # one change more than there are, the others a little off
+    labels = change_points.label(runs, marks, 0)
+    names = runs.annotations.labels["phase"]
+    for run, found in enumerate(labels):
+        expected = np.repeat(["rest", "push", "rest"], np.diff([0, *marks[run][[0, -1]], 300]))
+        assert [names[code] for code in found] == expected.tolist()
+
+
+def test_a_run_without_changes_is_one_segment(runs: Recordings) -> None:
+    items = labelled_intervals(runs, TaskSpec("phase", outcomes=()))
+    found = change_points.cut(items, runs, [np.zeros(0, np.int64)] * 5 + [np.array([7])])
+    assert found.intervals[0].recording.tolist() == [0, 1, 2, 3, 4, 5, 5]
+    assert found.intervals[0].start.tolist() == [0] * 6 + [7]
+    assert found.intervals[0].end.tolist() == [300] * 5 + [7, 300]
+
+
+def test_only_changes_inside_a_run_count(runs: Recordings, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A detector is told the median number of changes of the other runs; edges and repetitions are no changes."""
+    told = []
+
+    def detector(series: np.ndarray, count: int, seed: int) -> np.ndarray:
+        told.append(count)
+        return np.array([300, 0, 150, 150])
+
+    monkeypatch.setitem(change_points.DETECTORS, "made up", detector)
+    labels, counts = change_points.scored(runs, "made up", 0)
+    assert told == [2] * 6
+    assert counts == {"segments found": 12, "segments annotated": 18}
+    assert [at.tolist() for at in change_points.oracle(runs)] == [[100 + 10 * k, 200 + 10 * k] for k in range(6)]
+    assert all(len(set(part[:150])) == len(set(part[150:])) == 1 for part in labels)
+
+
+def test_days_are_held_out_whole(runs: Recordings) -> None:
+    items = labelled_intervals(runs, TaskSpec("anomaly", outcomes=()))
+    splits = kitting_more.by_days(items)
+    assert [set(items.session[test]) for _, test in splits] == [{"monday"}, {"tuesday"}]
+    assert all(not set(items.session[train]) & set(items.session[test]) for train, test in splits)
+
+
+def test_a_class_with_one_item_is_not_learned() -> None:
+    rng = np.random.default_rng(0)
+    y = np.array([0] * 10 + [1] + [2] * 10)
+    x = rng.normal(size=(21, 3)) + 5 * y[:, None]
+    train, test = np.arange(21), np.array([0, 10, 20])
+    found = method.believe(x, x, y, train, test, 0)
+    np.testing.assert_allclose(found.sum(1), 1)
+    assert found[:, 1].tolist() == [0, 0, 0]
+    assert found[[0, 2]].argmax(1).tolist() == [0, 2]
