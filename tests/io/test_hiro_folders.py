@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,25 @@ def test_a_broken_trial_does_not_stop_the_others(tmp_path: Path) -> None:
     }
     assert np.isnan(recordings.starts(RECORDED)[2:]).all()
     np.testing.assert_array_equal(recordings.starts(RECORDED)[1], [0, 0.5, 1, 1.5])
+
+
+def test_pipes_devices_and_huge_files_are_not_read(tmp_path: Path) -> None:
+    """Reading a pipe that nobody writes to, or /dev/zero, never ends."""
+    trial(tmp_path / "set" / "good", 1)
+    odd = trial(tmp_path / "set" / "odd", 2, marks=None)
+    os.mkfifo(odd / "notes.dat")
+    os.mkfifo(odd / "R_State.dat")
+    (odd / "zero.dat").symlink_to("/dev/zero")
+    digest = importer.read_hiro(tmp_path)[1].content_sha256
+    with (odd / "film.dat").open("wb") as film:
+        film.truncate(6 << 30)  # sparse
+    pipe = tmp_path / "set" / "pipe"
+    pipe.mkdir()
+    os.mkfifo(pipe / "R_Torques.dat")
+    recordings, report = importer.read_hiro(tmp_path)
+    assert recordings.trial.tolist() == ["good", "odd"]
+    assert [path for path, _ in report.skipped] == ["set/pipe"]
+    assert report.content_sha256 == digest
 
 
 def test_exact_copies_are_imported_once(tmp_path: Path) -> None:

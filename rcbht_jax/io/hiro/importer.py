@@ -26,6 +26,7 @@ import numpy as np
 from rcbht_jax._util.digest import files_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
+from rcbht_jax.io.hiro.dat import MAX_BYTES
 from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
 from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
 from rcbht_jax.types import Recordings
@@ -105,7 +106,7 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
         first = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{directory} holds no usable trial.{first}")
     report.imported = [f"{name(record.folder)}/{record.arm}" for record in records]
-    files = (path for folder in source_of for path in sorted(folder.glob("*.dat")))
+    files = (path for folder in source_of for path in sorted(folder.glob("*.dat")) if _is_table(path))
     report.content_sha256 = files_hash(directory, files)  # unreadable files are in the report already
     return _pack(records), report
 
@@ -135,6 +136,11 @@ def _folders(directory: Path) -> list[Path]:
         return sorted(child for child in directory.iterdir() if child.is_dir())
     except OSError as error:
         raise InputError(f"{directory} cannot be read: {error.strerror}.") from error
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file may be one: pipes and devices never end, and a film takes long to read."""
+    return path.is_file() and path.stat().st_size <= MAX_BYTES
 
 
 def _is_trial(folder: Path) -> bool:
