@@ -74,6 +74,43 @@ def classes(result: dict[str, Any]) -> str:
     return markdown(("", *sets), rows)
 
 
+@table("fit-streamed", "detected_starts")
+def streamed(result: dict[str, Any]) -> str:
+    """Step accuracy of streamed states by words of both rules."""
+    ways = {"onsets given": "given", "onsets detected": "noticed", "the detected state": "filter alone"}
+    kinds = dict.fromkeys(name.split(" | ")[1] for name in result["rows"])
+    sets = ("REAL", "SIM1")
+    rows = [
+        (
+            kind,
+            *(
+                _mean(result["rows"][f"{one} | {kind}"][f"macro step accuracy, {key}"])
+                for one in sets
+                for key in ways.values()
+            ),
+        )
+        for kind in kinds
+    ]
+    return markdown(("words", *(f"{one}, {way}" for one in sets for way in ways)), rows)
+
+
+def _mean(score: dict[str, Any]) -> str:
+    low, high = score["interval"]
+    return f"{score['mean']:.3f} ({low:.3f} to {high:.3f})"
+
+
+@table("fit-transfer", "fit_sim_to_real")
+def transfer(result: dict[str, Any]) -> str:
+    """States of recorded trials by words alone, learned from simulated ones."""
+    rows = []
+    for kind, row in result["rows"].items():
+        four, three = row["harmonised"], row["merged"]
+        low, high = four["A+B"]["interval"]
+        both = f"{four['A+B']['accuracy']:.3f} ({low:.3f} to {high:.3f})"
+        rows.append((kind, *(f"{four[one]['accuracy']:.3f}" for one in "AB"), both, f"{three['A+B']['accuracy']:.3f}"))
+    return markdown(("words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"), rows)
+
+
 @table("words-rate", "rate_distortion")
 def rate(result: dict[str, Any]) -> str:
     """Words per second and axis at a residual of 1 %, of every method and set."""
