@@ -55,6 +55,9 @@ EXPERIMENTS = (
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
         shorter_minutes=2,
     ),
+    Experiment(
+        "fit_tried", "words.tried", 7, needs=("data",), shorter=("--only", "clean"), shorter_minutes=1
+    ),
     Experiment(  # before sim_to_real, which finds its sets of two presets here
         "fit_sim_to_real", "classification.sim_to_real_fit", 5, (SETS,), ("data",), shorter=("--only", "paper"),
         shorter_minutes=3,

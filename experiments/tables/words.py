@@ -152,6 +152,34 @@ def resampled(result: dict[str, Any]) -> str:
     return _stability(result, "resampled", "Hz")
 
 
+@table("fit-tried-rate", "fit_tried")
+def tried_rate(result: dict[str, Any]) -> str:
+    """Words and numbers for each second and axis at a residual of 1 %, with breaks of its own and shared ones."""
+    rows = []
+    for name, row in result["rows"].items():
+        if name.startswith("rate | "):
+            _, of, kind = name.split(" | ")
+            found = (row[f"{what} per second at residual"][TARGET] for what in ("words", "numbers"))
+            rows.append((of, kind, *(NONE if value is None else f"{value:.2f}" for value in found)))
+    return markdown(("", "breaks", "words", "numbers"), rows)
+
+
+@table("fit-tried-noise", "fit_tried")
+def tried_noise(result: dict[str, Any]) -> str:
+    """Share of long primitives that stay, equal time and words for each second under noise."""
+    rows = {name: row for name, row in result["rows"].items() if name.startswith("noise | ")}
+    levels = [f"{level:g}" for level in result["noise, tolerances"]]
+    lines = []
+    for name, row in rows.items():
+        _, of, kind = name.split(" | ")
+        clean = result["rows"][f"clean | {of} | {kind}"]
+        cells = ([row[level][key] for key in ("kept", "time", "words per second")] for level in levels)
+        shown = (" / ".join(NONE if v is None else f"{v:.2f}" for v in cell) for cell in cells)
+        lines.append((of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown))
+    head = ("stays / equal time / words per second", "noise, tolerances", "residual / words per second without")
+    return markdown((*head, *levels), lines)
+
+
 def _stability(result: dict[str, Any], kind: str, what: str) -> str:
     rows = {name: row for name, row in result["rows"].items() if name.startswith(f"{kind} | ")}
     levels = list(next(iter(rows.values())))
