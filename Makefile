@@ -63,8 +63,9 @@ reproduce: $(INSTALLED) $(PEERS)/.installed ## run all experiments, or go on: FO
 	$(if $(RESULTS),RCBHT_RESULTS=$(RESULTS)) $(BIN)/python -m experiments.reproduce $(WORK) \
 	  --peers $(PEERS)/bin/python --jobs $(JOBS) $(if $(FORCE),--force) $(if $(LONG),--long)
 
-figures: $(INSTALLED) ## draw the figures, and write the tables and numbers of the pages, from the committed results
+figures: $(INSTALLED) ## draw the figures and the film of the README, and write the tables and numbers of the pages, from the committed results
 	$(BIN)/python -m experiments.figures.all
+	$(BIN)/python -m tools.readme_film
 	$(BIN)/python -m experiments.pages
 
 peers: $(PEERS)/.installed ## measure other methods on the same folds, in an environment of their own

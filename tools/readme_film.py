@@ -1,116 +1,301 @@
-"""The film on the README: one simulated assembly, and the words that its wrench becomes.
+"""The film on the README: a simulated assembly, its wrench as lines, words of the fit rule, and described in sentences.
 
-Run: rcbht simulate trials.zarr --preset B --trials 8
-     python -m tools.readme_film trials.zarr sim-B-000003
+Run: python -m tools.readme_film [trials.zarr], in make figures. Without a store (of preset A) it simulates one.
+The first picture is the last one, so that the film tells its story where it is not played.
 """
 
 from __future__ import annotations
 
+import re
 import sys
+import tempfile
+import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.text import Text
-from numpy.typing import NDArray
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
 from PIL import Image
 
 import rcbht_jax as rj
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax.cli.main import main as rcbht
 from rcbht_jax.cli.plot import find_recording
-from rcbht_jax.labels import AXES, COLORS, LLB, MEANING
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.introspection.description import describe_recording
+from rcbht_jax.labels import COLORS, LLB, MEANING, name
 from rcbht_jax.plots.canvas import new_figure, text_color
-from rcbht_jax.types import Recordings
-from sim_mjx.plots.trial_overview import XYZ, still
+from rcbht_jax.plots.trial import fitted_lines
+from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from sim_mjx.assembly.task import STATES
+from sim_mjx.plots.projection import SIDE, Drawing
+from sim_mjx.plots.trial_overview import shade_states
 from sim_mjx.validation.replay import Replay, simulated
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "assembly.gif"
-FIRST, LAST = 4.5, 7.6  # s of the trial: the end of the approach, contact, and settling before the parts snap
-FRAMES, RATE = 63, 10  # pictures, pictures per second
-HOLD = 3000  # ms, the last picture
-WINDOW = 10  # samples
-FORCE, MOMENT = (60.0, 30.0, 12.0, 3.0), (6.0, 3.0, 1.2, 0.3)  # N/s, Nm/s: above the noise of this sensor
-SHOWN = ("Fx", "Fz")
-WIDE, NARROW = 0.3, 0.13  # s, shortest spans into which a word, or its abbreviation, is written
+TRIAL, TRIALS = "sim-A-000004", 5
+SHOWN = ("Fz", "Fx")
+FIRST, LAST = 5.6, 20.4  # s of the trial: the end of the approach, until the parts rest
+FRAMES, RATE = 75, 10  # pictures, pictures per second
+HOLD = 4000  # ms, the complete picture
+WIDE, NARROW = 0.75, 0.34  # s, shortest spans into which a word, or its abbreviation, is written
+PALE = 0.35  # opacity of what is not published yet
+LEFT, RIGHT = 0.068, 0.988
+SIGNAL, LINES = "0.72", "black"
+TOP, CELL, CAPTION = 0.988, 0.225, 0.752  # of the row of moments, in heights of the picture
+BOTTOMS = ((0.355, 0.22), (0.112, 0.22))  # of the forces: bottom and height
+STORY = "A robot snaps two\nparts together. What its\nwrist feels becomes\nlines, words, sentences."
+NUMBERS = "①②③④⑤⑥"
 
 
-class Panel:
-    """One force above the behaviours that it became, both up to the present."""
+@dataclass(frozen=True)
+class Known:
+    """What the encoder has published at one moment, and what it would publish if the stream ended: ``[slot]``."""
 
-    def __init__(self, figure: Figure, bottom: float, axis: str, wrench: NDArray[Any], words: Any, dt: float) -> None:
-        force = figure.add_axes((0.43, bottom + 0.115, 0.555, 0.25))
-        band = figure.add_axes((0.43, bottom, 0.555, 0.1))
-        self.dt, self.values, color = dt, wrench[:, AXES.index(axis)], XYZ[AXES.index(axis)]
-        shown = self.values[round(FIRST / dt) : round(LAST / dt)]
-        force.set(xlim=(FIRST, LAST), ylim=(shown.min() - 1.5, shown.max() + 1.5), xticks=[])
-        force.set_ylabel(f"{axis}, N", fontsize=10, color=color)
-        force.tick_params(labelsize=8)
-        band.set(xlim=(FIRST, LAST), ylim=(0, 1), yticks=[])
-        band.tick_params(labelsize=8)
-        (self.line,) = force.plot([], [], color=color, linewidth=1.5)
-        self.word = force.text(0.012, 0.95, "", transform=force.transAxes, va="top", fontsize=12, weight="bold")
-        chosen = words[(words["axis"] == axis) & (words["layer"] == "llb") & (words["t1"] * dt > FIRST)]
-        self.bars = [self._bar(band, word) for word in chosen.itertuples()]
+    published: dict[str, LabelTrack]
+    provisional: dict[str, LabelTrack]
 
-    def _bar(self, band: Axes, word: Any) -> tuple[float, float, str, Rectangle, Text]:
-        code, start, end = LLB[word.label] - 1, word.t0 * self.dt, word.t1 * self.dt
-        color, meaning = COLORS["llb"][code], MEANING["llb"][code]
-        bar = band.add_patch(Rectangle((start, 0), end - start, 1, color=color, linewidth=0))
-        left, right = max(start, FIRST), min(end, LAST)
-        text = meaning if right - left > WIDE else word.label if right - left > NARROW else ""
-        middle = band.text((left + right) / 2, 0.5, text, ha="center", va="center", fontsize=9, color=text_color(color))
-        return start, end, meaning, bar, middle
 
-    def show(self, seconds: float) -> None:
-        """Draw the force and its words until ``seconds``; words grow, and their names appear half-way."""
+def one_trial(recordings: Recordings, row: int) -> Recordings:
+    """The axes that are shown, of one recording."""
+    columns = [recordings.axes.index(axis) for axis in SHOWN]
+    wrench = recordings.wrench[row, : recordings.length[row], columns].T
+    units = [recordings.units[column] for column in columns]
+    return Recordings.from_arrays([wrench], 1 / recordings.dt, axes=SHOWN, units=units)
+
+
+def streamed(trial: Recordings, times: list[float]) -> list[dict[str, Known]]:
+    """Per moment, and per axis, what is known of primitives and behaviours."""
+    config = FitConfig(dt=trial.dt)
+    limits = FitLimits(
+        np.asarray(rj.preset(axes=trial.axes).limits),
+        auto_tolerance(trial.wrench, trial.length, config.needed),
+    )
+    encoder, out, published, done = rj.Encoder(config, limits), [], [], 0
+    for seconds in times:
+        now = round(seconds / trial.dt)
+        published += encoder.push(trial.wrench[0, done:now])
+        held, done = encoder.peek(), now
+        out.append({axis: Known(_lanes(published, k), _lanes([held], k)) for k, axis in enumerate(trial.axes)})
+    return out
+
+
+def _lanes(parts: list[LabelTracks], axis: int) -> dict[str, LabelTrack]:
+    """Primitives and behaviours of one axis in several tracks, without empty slots."""
+    out = {}
+    for layer in ("primitive", "llb"):
+        found = [jax.tree.map(lambda values: np.asarray(values)[axis], getattr(part, layer)) for part in parts]
+        whole = jax.tree.map(lambda *values: np.concatenate(values), *found)
+        out[layer] = jax.tree.map(lambda values, used=whole.label > 0: values[used], whole)
+    return out
+
+
+class Force:
+    """One axis with its fitted lines, above the words that they became."""
+
+    def __init__(self, figure: Figure, place: tuple[float, float], trial: Recordings, axis: str) -> None:
+        bottom, height = place
+        band = 0.05
+        self.signal = figure.add_axes((LEFT, bottom + band, RIGHT - LEFT, height - band))
+        self.band = figure.add_axes((LEFT, bottom, RIGHT - LEFT, band), sharex=self.signal)
+        self.dt, self.values = trial.dt, trial.wrench[0, :, trial.axes.index(axis)]
+        shown = self.values[round(FIRST / self.dt) : round(LAST / self.dt)]
+        margin = 0.12 * float(np.ptp(shown))
+        self.signal.set(xlim=(FIRST, LAST), ylim=(shown.min() - margin, shown.max() + margin))
+        self.signal.set_ylabel(f"{axis}, N", fontsize=11)
+        self.signal.tick_params(labelbottom=False, bottom=False, labelsize=9)
+        self.signal.locator_params(axis="y", nbins=4)
+        self.band.set(ylim=(0, 1), yticks=[])
+        self.band.set_ylabel("words", fontsize=9.5, rotation=0, ha="right", va="center")
+        self.band.tick_params(labelsize=9)
+        (self.line,) = self.signal.plot([], [], color=SIGNAL, linewidth=3.2, solid_joinstyle="round")
+        self.now = [ax.axvline(LAST, color="0.2", linewidth=1.0) for ax in (self.signal, self.band)]
+        self.drawn: list[Any] = []
+
+    def show(self, known: Known, seconds: float) -> None:
+        """Draw all that is known at a moment."""
+        for artist in self.drawn:
+            artist.remove()
         samples = np.arange(round(FIRST / self.dt), round(seconds / self.dt))
         self.line.set_data(samples * self.dt, self.values[samples])
-        for start, end, meaning, bar, text in self.bars:
-            bar.set_width(float(np.clip(seconds, start, end)) - start)
-            text.set_visible(text.get_position()[0] <= seconds)
-            if start <= seconds < end:
-                color = bar.get_facecolor()
-                style = {"facecolor": color, "linewidth": 0, "pad": 3}
-                self.word.set(text=meaning, color=text_color(color), bbox=style)
+        for line in self.now:
+            line.set(xdata=[seconds, seconds], visible=seconds < LAST)
+        self.drawn = []
+        for lanes, alpha in ((known.published, 1.0), (known.provisional, PALE)):
+            lines = list(fitted_lines(lanes["primitive"], self.dt))
+            fits = LineCollection(lines, colors=LINES, linewidths=1.4, alpha=(1 + alpha) / 2, capstyle="round")
+            self.drawn.append(self.signal.add_collection(fits, autolim=False))
+            spans = (np.asarray(getattr(lanes["llb"], field)).tolist() for field in ("label", "t0", "t1"))
+            for code, first, end in zip(*spans, strict=True):
+                self._word(code, first * self.dt, end * self.dt, alpha)
+
+    def _word(self, code: int, start: float, end: float, alpha: float) -> None:
+        color, width = COLORS["llb"][code - 1], min(end, LAST) - max(start, FIRST)
+        bar = Rectangle((start, 0), end - start, 1, facecolor=color, alpha=alpha, edgecolor="white")
+        bar.set_linewidth(0.8 if width > 0.1 else 0)
+        self.drawn.append(self.band.add_patch(bar))
+        text = MEANING["llb"][code - 1] if width > WIDE else name("llb", code) if width > NARROW else ""
+        if text:
+            middle = (max(start, FIRST) + min(end, LAST)) / 2
+            ink = "black" if alpha < 1 else text_color(color)
+            self.drawn.append(self.band.text(middle, 0.46, text, ha="center", va="center", fontsize=9.5, color=ink))
+
+
+class Moment:
+    """The parts while one sentence comes true, and the sentence."""
+
+    def __init__(self, figure: Figure, left: float, width: float, replay: Replay, text: str) -> None:
+        self.ax = figure.add_axes((left, TOP - CELL, width, CELL))
+        self.replay, self.drawing = replay, Drawing(self.ax, replay.model, SIDE)
+        frame(self.ax)
+        self.text = figure.text(left, CAPTION, text, fontsize=10, va="top", linespacing=1.2)
+
+    def show(self, seconds: float, begun: bool, told: bool) -> None:
+        """The parts at a moment, and the sentence once it is known."""
+        self.ax.set_visible(begun)
+        self.text.set_visible(told)
+        self.drawing.show(*at_moment(self.replay, seconds))
+        x, y = self.drawing.place("MOUNT")
+        look_at(self.ax, x - 0.02, y + 0.016, 0.026)
+
+
+def at_moment(replay: Replay, seconds: float) -> tuple[Any, Any]:
+    """Positions, and which tabs are past their lips."""
+    sample = min(round(seconds / replay.dt), len(replay.qpos) - 1)
+    return replay.qpos[sample], replay.past[sample]
+
+
+def frame(ax: Axes) -> None:
+    ax.set(xticks=[], yticks=[])
+    for spine in ax.spines.values():
+        spine.set_color("0.75")
+
+
+def look_at(ax: Axes, x: float, y: float, half: float) -> None:
+    """Show what lies within ``half`` metres above and below a point."""
+    box = ax.get_window_extent()
+    wide = half * box.width / box.height
+    ax.set(xlim=(x - wide, x + wide), ylim=(y - half, y + half))
+
+
+class Film:
+    """The whole picture, at any moment."""
+
+    def __init__(self, replay: Replay, recordings: Recordings, row: int) -> None:
+        self.figure, self.replay, self.trial = new_figure((9.0, 6.0), 100), replay, one_trial(recordings, row)
+        self.sentences = [one for one in describe_recording(self.trial, 0) if FIRST < one[0] < LAST]
+        self.done = [start + longest(text) for start, text in self.sentences]
+        cells = len(self.sentences) + 1
+        gap, left = 0.012, 0.012
+        width = (RIGHT - left - gap * (cells - 1)) / cells
+        lefts = [left + (width + gap) * k for k in range(cells)]
+        robot = self.figure.add_axes((lefts[0], TOP - CELL, width, CELL))
+        self.robot = Drawing(robot, replay.model, SIDE)
+        self.robot.show(replay.qpos[0], replay.past[0])
+        frame(robot)
+        look_at(robot, 0.2, self.robot.place("MOUNT")[1] + 0.22, 0.3)
+        self.figure.text(left, CAPTION, STORY, fontsize=10, va="top", color="0.35", linespacing=1.2)
+        self.moments = [
+            Moment(self.figure, one, width, replay, f"{NUMBERS[k]} {start:.1f} s\n{wrapped(text)}")
+            for k, (one, (start, text)) in enumerate(zip(lefts[1:], self.sentences, strict=True))
+        ]
+        self.forces = {axis: Force(self.figure, BOTTOMS[k], self.trial, axis) for k, axis in enumerate(SHOWN)}
+        self.marks: list[tuple[float, Any]] = []  # when it appears, artist
+        self._mark(recordings, row)
+        _legend(self.figure)
+
+    def _mark(self, recordings: Recordings, row: int) -> None:
+        """States, and where the sentences begin."""
+        upper, lower = self.forces.values()
+        upper.band.tick_params(labelbottom=False, bottom=False)
+        lower.band.set_xlabel("time, s", fontsize=9.5, labelpad=1)
+        onset = recordings.starts(HARMONISED)[row]
+        for ax in (upper.signal, lower.signal):
+            shade_states(ax, recordings, row, names=False)
+            for start, _ in self.sentences:
+                line = ax.axvline(start, color="0.35", linewidth=0.8, linestyle=(0, (2, 2)))
+                self.marks.append((start, line))
+        ends = np.clip([*onset, LAST], FIRST, LAST)
+        for state, middle in zip(STATES, (ends[:-1] + ends[1:]) / 2, strict=True):
+            at = upper.signal.get_xaxis_transform()
+            upper.signal.text(middle, 0.97, state, transform=at, ha="center", va="top", fontsize=9, color="0.4")
+        for number, (start, _) in zip(NUMBERS, self.sentences, strict=False):
+            at = upper.signal.get_xaxis_transform()
+            text = upper.signal.text(start, 1.02, number, transform=at, ha="center", va="bottom", fontsize=11)
+            self.marks.append((start, text))
+
+    def picture(self, seconds: float, known: dict[str, Known]) -> Image.Image:
+        """All that is known at one moment."""
+        self.robot.show(*at_moment(self.replay, seconds))
+        for moment, begun, done in zip(self.moments, [FIRST, *self.done], self.done, strict=False):
+            moment.show(min(seconds, done), begun <= seconds, done <= seconds)
+        for start, artist in self.marks:
+            artist.set_visible(start <= seconds)
+        for axis, force in self.forces.items():
+            force.show(known[axis], seconds)
+        canvas: Any = FigureCanvasAgg(self.figure)
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+
+def _legend(figure: Figure) -> None:
+    """Colours of the words, and what is pale."""
+    handles: list[Any] = [
+        Line2D([], [], color=SIGNAL, linewidth=3.2, label="wrench"),
+        Line2D([], [], color=LINES, linewidth=1.4, label="its lines"),
+    ]
+    for code in (LLB.FX, LLB.CT, LLB.PS, LLB.PL, LLB.N):
+        handles.append(Patch(facecolor=COLORS["llb"][code - 1], label=MEANING["llb"][code - 1]))
+    handles.append(Patch(facecolor=COLORS["llb"][LLB.PS - 1], alpha=PALE, label="pale: not yet final"))
+    figure.legend(
+        handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False, borderpad=0,
+        bbox_to_anchor=(0.5, 0.003), handlelength=1.2, columnspacing=1.0, handletextpad=0.4,
+    )  # fmt: skip
+
+
+def longest(text: str) -> float:
+    """Seconds after which a sentence has come true."""
+    return max(float(seconds) for seconds in re.findall(r"(?:in|for) ([\d.]+) s", text))
+
+
+def wrapped(text: str) -> str:
+    """A sentence in lines of a cell's width, one part for each axis."""
+    return "\n".join("\n".join(textwrap.wrap(part, 25)) for part in re.split(r"(?<=,) (?=F)", text))
 
 
 def pictures(replay: Replay, recordings: Recordings, row: int) -> list[Image.Image]:
-    """The trial at ``FRAMES`` times: arm and parts on the left, forces and words on the right."""
-    wrench = recordings.wrench[row, : recordings.length[row]]
-    limits = rj.GradientThresholds(np.array([FORCE] * 3 + [MOMENT] * 3))
-    words = rj.encode(wrench, rate=1 / recordings.dt, window=WINDOW, thresholds=limits).to_frame()
-    figure = new_figure((9.0, 4.2), 100)
-    figure.text(0.02, 0.93, "Two parts meet", fontsize=13)
-    figure.text(0.43, 0.93, "the force at the wrist, and its words", fontsize=13)
-    drawings = still(
-        (figure.add_axes((0.02, 0.48, 0.34, 0.42)), figure.add_axes((0.02, 0.03, 0.34, 0.42))), replay, 0.0
-    )
-    panels = [Panel(figure, 0.53 - 0.43 * n, axis, wrench, words, recordings.dt) for n, axis in enumerate(SHOWN)]
-    canvas: Any = FigureCanvasAgg(figure)
-    frames = []
-    for seconds in np.linspace(FIRST + 0.05, LAST, FRAMES):
-        sample = round(seconds / replay.dt)
-        for drawing in drawings:
-            drawing.show(replay.qpos[sample], replay.past[sample])
-        for panel in panels:
-            panel.show(seconds)
-        canvas.draw()
-        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
-    return frames
+    """The trial at ``FRAMES`` times, after the complete picture."""
+    film, times = Film(replay, recordings, row), np.linspace(FIRST + 0.2, LAST, FRAMES).tolist()
+    frames = [film.picture(*moment) for moment in zip(times, streamed(film.trial, times), strict=True)]
+    return [frames[-1], *frames[:-1]]
 
 
-def main(store: Path, trial: str) -> None:
+def made(folder: Path) -> Path:
+    """A store with the trial of the film."""
+    store = folder / "trials.zarr"
+    if rcbht(["simulate", str(store), "--preset", "A", "--trials", str(TRIALS)]):
+        raise SystemExit("The trial of the film cannot be simulated.")
+    return store
+
+
+def write(store: Path) -> None:
     """Simulate a stored trial again and write its film, with one palette: what does not move is stored once."""
     recordings = rj.read_recordings(store)
-    row = find_recording(recordings, trial, "R", "")
+    row = find_recording(recordings, TRIAL, "R", "")
     frames = pictures(simulated(store, recordings, row), recordings, row)
-    palette = frames[-1].quantize(64)
-    indexed = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    durations = [1000 // RATE] * (FRAMES - 1) + [HOLD]
+    strip = np.concatenate([np.asarray(frames[k]) for k in (0, FRAMES // 4, -FRAMES // 5)])  # pale words too
+    palette = Image.fromarray(strip).quantize(128)
+    indexed = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in frames]
+    durations = [HOLD] + [1000 // RATE] * (FRAMES - 1)
     with atomic_write(OUT) as draft:
         indexed[0].save(
             draft, format="GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0, disposal=1
@@ -118,4 +303,8 @@ def main(store: Path, trial: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    if len(sys.argv) > 1:
+        write(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            write(made(Path(folder)))

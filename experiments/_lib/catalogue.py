@@ -55,6 +55,13 @@ EXPERIMENTS = (
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
         shorter_minutes=2,
     ),
+    Experiment(
+        "fit_tried", "words.tried", 7, needs=("data",), shorter=("--only", "clean"), shorter_minutes=1
+    ),
+    Experiment(  # before sim_to_real, which finds its sets of two presets here
+        "fit_sim_to_real", "classification.sim_to_real_fit", 5, (SETS,), ("data",), shorter=("--only", "paper"),
+        shorter_minutes=3,
+    ),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),
@@ -62,7 +69,9 @@ EXPERIMENTS = (
     Experiment("confidence", "online.confidence", 2, needs=("data",)),
     Experiment("abnormal_real", "online.abnormal_real", 3, needs=("data",)),
     Experiment("failure_types_online", "online.failure_types", 10, needs=("data",)),
-    Experiment("detected_starts", "online.detected_starts", 2, needs=("data",)),
+    Experiment(
+        "detected_starts", "online.detected_starts", 18, needs=("data",), shorter=("--only", "paper"), shorter_minutes=2
+    ),
     Experiment("online_agreement", "online.agreement", 1, needs=("data", "golden")),
     Experiment("kitting", "external.kitting", 10, needs=("external",)),
     Experiment("external_choice", "external.choice", 5, needs=("data",)),
@@ -96,7 +105,7 @@ EXPERIMENTS = (
     ),
     Experiment(
         "sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"),
-        shorter_minutes=5,
+        shorter_minutes=3,
     ),
     Experiment(
         "faults_online", "online.faults", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"),

@@ -23,23 +23,22 @@ import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.fit_words import WEIGHED, WINDOW, tolerances
 from experiments.classification.grammar import DEVIATION, RANKS, counted
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
-from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import PLAIN, RICHER
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features
-from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.types import LabelTracks
 
-WINDOW = 5
 SCALES = (1.0, 1 / 4, 1 / 16)
 ACROSS = tuple(name for name, benchmark in BENCHMARKS.items() if benchmark.train_on)
 CHOSEN = (*ACROSS, "SIM1 states")  # those in which the paper's words are not near 1
-WEIGHED = ("time", "change")
 FINER = (2, 4, 8)
 
 
@@ -87,18 +86,7 @@ class Experiment:
     def __init__(self, repeats: int, seed: int) -> None:
         self.repeats, self.seed = repeats, seed
         self.recordings = of_sources(recorded(), (REAL, SIM1))
-        self.tolerance = self._tolerances(self.recordings)
-
-    @staticmethod
-    def _tolerances(recordings: Recordings) -> dict[str, list[float]]:
-        """Of every source, without labels."""
-        taught = {REAL: (recordings.source == REAL) & (recordings.session == "A")}
-        taught[SIM1] = recordings.source == SIM1
-        needed = FitConfig(WINDOW, recordings.dt).needed
-        return {
-            source: auto_tolerance(recordings.wrench[rows], recordings.length[rows], needed).tolist()
-            for source, rows in taught.items()
-        }
+        self.tolerance = {source: values.tolist() for source, values in tolerances(self.recordings).items()}
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self, rule: str, scale: float, factor: float) -> LabelTracks:

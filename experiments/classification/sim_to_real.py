@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from experiments._lib import raw_learners
 from experiments._lib.benchmarks import recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
@@ -84,7 +85,7 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def measure(self, spec: Row, boundaries: str) -> dict[str, Any]:
         """Accuracy on every test set, of a learner that saw the training sets only."""
-        how = Labelling(spec.window, spec.tare, self.limits(spec))
+        how = Labelling(spec.window, spec.tare, self.limits(spec), self.tolerance(spec), spec.weighing)
         pool = self.pool(spec, how, boundaries)
         train = pool.rows(spec.train)
         train = train[np.isin(pool.trial[train], some_trials(pool, train, spec.trials, spec.draw))]
@@ -152,6 +153,13 @@ class Experiment:
             options = SearchOptions(objective=Objective(), candidates=SEARCHED, seed=SEED)
             selected = search(calibration_data(trials, items, config), config, options).thresholds
         return tuple(tuple(row) for row in np.asarray(selected.limits).tolist())
+
+    @cache  # noqa: B019
+    def tolerance(self, spec: Row) -> tuple[float, ...]:
+        """Tolerances of the fit rule, told by training trials without their labels; none for the paper's rule."""
+        if spec.rule == "paper":
+            return ()
+        return tuple((spec.factor * learned_tolerance(self.training(spec)[0])).tolist())
 
     def training(self, spec: Row) -> tuple[Recordings, LabelledIntervals]:
         """A few trials of each training set as one set, and their states."""

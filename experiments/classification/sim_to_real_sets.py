@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.rules import config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.features import FAMILIES, Features, FeatureSpec
 from rcbht_jax.io.store import read_recordings
@@ -77,6 +77,8 @@ class Labelling:
     window: int = 5  # samples
     tare: bool = True  # subtract the mean of the first second
     limits: tuple[tuple[float, ...], ...] | None = None  # [6][4]; None = the preset
+    tolerance: tuple[float, ...] = ()  # [6] of the fit rule; none = the paper's rule
+    weighing: tuple[str, ...] = ()  # of labels in the family histogram
 
 
 class Sets:
@@ -108,12 +110,15 @@ class Sets:
         """Labels of all trials of a set."""
         trials = self.recordings(name, how.tare)
         limits = preset() if how.limits is None else GradientThresholds(np.array(how.limits))
-        return encode_batch(EncoderConfig(how.window, trials.dt), limits, trials.wrench, trials.length)
+        config = config_of("fit" if how.tolerance else "paper", how.window, trials.dt)
+        chosen = limits_for(config, limits, how.tolerance or None, trials.wrench, trials.length)
+        return encode_batch(config, chosen, trials.wrench, trials.length)
 
     @cache  # noqa: B019
     def features(self, name: str, how: Labelling, boundaries: str) -> Features:
         """All families of features of a set's sentences."""
-        return extract_features(self.tracks(name, how), self.items(name, boundaries), SPEC)
+        spec = replace(SPEC, weighing=how.weighing)
+        return extract_features(self.tracks(name, how), self.items(name, boundaries), spec)
 
 
 def store_of(folder: Path, level: str, preset: str) -> Path:

@@ -192,11 +192,11 @@ FIGURES = {
 # Pictures of trials and of experiments that draw while they measure, and the command that writes each.
 REAL = "REAL_HIRO_ONE_SA_SUCCESS"
 PICTURES = {
-    "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13",
+    "trial": "rcbht plot trial hiro.zarr 20121127-HIROSA-S-13 --tracks online-W5-fit",
     "label-map": f"rcbht plot map hiro.zarr --source {REAL} --by state",
     "online-beliefs": "rcbht plot beliefs hiro.zarr 20121127-HIROSA-S-13 --model b.model",
     "live-page": "rcbht serve hiro.zarr --trial 20121127-HIROSA-S-13 --model b.model --speed 1",
-    "view": "rcbht view a.zarr sim-A-000004",
+    "view": "rcbht view a.zarr sim-A-000004 --tracks online-W5-fit",
     "labels-primitive": "python -m tools.docs_pictures",
     "labels-mc": "python -m tools.docs_pictures",
     "labels-llb": "python -m tools.docs_pictures",

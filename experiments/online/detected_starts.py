@@ -4,16 +4,22 @@ A classifier "phase" estimates the present state from the features of the whole 
 only follow each other, detects when the next one begins. Half of the trials train, the other half is streamed at 10 Hz.
 Beliefs about the state (from the features of the sub-task, as in table2) are made with the given starts (harmonised)
 and with the detected ones; both are compared with the true state, and so are the classifier and the filter alone. The
-filter's two constants were chosen on these trials.
+filter's two constants were chosen on these trials, with the paper's words.
+
+All of this by the paper's words and by those of the fit rule: as they are, weighed by time and change of value, and
+with a quarter of the tolerance (experiments.classification.fitted_words). Tolerances are learned as there, without
+labels: of the robot from session A, of the simulation from its own trials.
 
 Run: python -m experiments.online.detected_starts --repeats 10 --seed 0
-Reads the recorded trials (RCBHT_DATA).
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,11 +28,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, with_interval
-from experiments._lib.results_io import write_result
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.fit_words import WORDS, Words, tolerances
 from experiments._lib.tasks import states
-from experiments.online.table2 import SETS, SetNames, halves
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
+from experiments.online.table2 import SETS, halves
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
 from rcbht_jax.introspection.alarms import PhaseFilter
 from rcbht_jax.introspection.training import (
     HeadSpec,
@@ -44,8 +50,10 @@ from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 
 RATE = 10.0  # snapshots per second
-HEADS = {name: HeadSpec(states(), phase=name == "phase") for name in ("state", "phase")}
 NEAR = 0.5  # s, within which a start counts as detected
+STREAMED = ("REAL", "SIM1")
+
+Encoder = tuple[AnyConfig, AnyLimits]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,6 +66,11 @@ class View:
     snapshots: Snapshots
     x: NDArray[np.float32]
     head: HeadSpec
+
+
+def heads(words: Words) -> dict[str, HeadSpec]:
+    """The two classifiers."""
+    return {name: HeadSpec(states(), phase=name == "phase", weighing=words.weighing) for name in ("state", "phase")}
 
 
 def fitted(items: LabelledIntervals, view: View, inside: NDArray[np.bool_], seed: int) -> ProbabilisticSvm:
@@ -96,7 +109,9 @@ def with_beginnings(snapshots: Snapshots, starts: dict[int, dict[int, float]], d
     return replace(snapshots, begin=begin)
 
 
-def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], seed: int) -> dict[str, Any]:
+def repeat(
+    data: Recordings, items: LabelledIntervals, views: dict[str, View], encoder: Encoder, seed: int
+) -> dict[str, Any]:
     """Scores of one half-split."""
     inside, dt = halves(items, seed), data.dt
     state, phase = (fitted(items, views[name], inside, seed) for name in ("state trains", "phase trains"))
@@ -112,7 +127,7 @@ def repeat(data: Recordings, items: LabelledIntervals, views: dict[str, View], s
         errors.append([starts[recording].get(s, np.nan) - onset[s] for s in range(1, len(items.classes))])
     own = with_beginnings(snapshots, starts, dt)
     order = np.lexsort((own.now, own.recording))
-    x = snapshot_features(data, own.take(order), given.head.view, EncoderConfig(dt=dt), preset())
+    x = snapshot_features(data, own.take(order), given.head.view, *encoder)
     mine = ~inside[given.snapshots.interval]
     scores = {
         "given": (items.y[given.snapshots.interval[mine]], state.probability(given.x[mine].astype(np.float64))),
@@ -143,10 +158,9 @@ def summary(runs: list[dict[str, Any]], classes: tuple[str, ...]) -> dict[str, A
     return out
 
 
-def views_of(data: Recordings, items: LabelledIntervals) -> dict[str, View]:
+def views_of(data: Recordings, items: LabelledIntervals, words: Words, encoder: Encoder) -> dict[str, View]:
     """All snapshots that any repeat needs, with features."""
-    config = EncoderConfig(dt=data.dt)
-    every = round(1 / (RATE * config.dt))
+    every = round(1 / (RATE * data.dt))
     training, regular = training_snapshots(items, every), regular_snapshots(items, every)
     wanted = {
         "state trains": training,
@@ -157,29 +171,35 @@ def views_of(data: Recordings, items: LabelledIntervals) -> dict[str, View]:
     out = {}
     for name, snapshots in wanted.items():
         with tqdm(total=len(snapshots), desc=name, file=sys.stderr, disable=None) as bar:
-            head = HEADS[name.split()[0]]
-            out[name] = View(
-                snapshots, snapshot_features(data, snapshots, head.view, config, preset(), bar.update), head
-            )
+            head = heads(words)[name.split()[0]]
+            out[name] = View(snapshots, snapshot_features(data, snapshots, head.view, *encoder, bar.update), head)
     return out
 
 
-def main(repeats: int = 10, seed: int = 0, sets: SetNames = ("REAL", "SIM1")) -> None:
+def row(data: Recordings, name: str, words: Words, encoder: Encoder, seeds: range) -> dict[str, Any]:
+    """Scores of one set with words of one kind."""
+    items = labelled_intervals(data, states(sources=(SETS[name],), arms="R"))
+    views = views_of(data, items, words, encoder)
+    runs = [repeat(data, items, views, encoder, s) for s in tqdm(seeds, desc=name, file=sys.stderr, disable=None)]
+    return {"trials": len(np.unique(items.trial)), **summary(runs, items.classes)}
+
+
+def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     data = recorded()
-    rows = {}
-    for name in sets:
-        items = labelled_intervals(data, states(sources=(SETS[name],), arms="R"))
-        views = views_of(data, items)
-        seeds = tqdm(range(seed, seed + repeats), desc=name, file=sys.stderr, disable=None)
-        runs = [repeat(data, items, views, s) for s in seeds]
-        rows[name] = {"trials": len(np.unique(items.trial)), **summary(runs, items.classes)}
-    result = {
+    tolerance = tolerances(data)
+    about = {
         "what": "beginnings of sub-tasks noticed from the stream, held against the harmonised ones",
         "repeats": repeats,
-        "rows": rows,
+        "tolerance": {source: values.tolist() for source, values in tolerance.items()},
+        "choices": "families, weighing and factors on the tolerance were fixed before the first score of a fit row",
     }
+    wanted: dict[str, Callable[[], Any]] = {}
+    for kind, words in WORDS.items():
+        for name in STREAMED:
+            encoder = words.encoder(tolerance[SETS[name]], data.dt)
+            wanted[f"{name} | {kind}"] = partial(row, data, name, words, encoder, range(seed, seed + repeats))
     command = f"python -m experiments.online.detected_starts --repeats {repeats} --seed {seed}"
-    write_result("detected_starts", command, result, seed)
+    Rows("detected_starts", command, about, seed).fill(wanted, only)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,10 @@ def detected(result: dict[str, Any]) -> str:
         'the belief of the head "phase" itself': "phase alone",
     }
     lines = [
-        (title, *(f"{rows[name][f'macro step accuracy, {key}']['mean']:.3f}" for name in ("REAL", "SIM1")))
+        (
+            title,
+            *(f"{rows[name][f'macro step accuracy, {key}']['mean']:.3f}" for name in ("REAL | paper", "SIM1 | paper")),
+        )
         for title, key in ways.items()
     ]
     return markdown(("step accuracy (mean of classes)", "real trials", "SIM one arm"), lines)

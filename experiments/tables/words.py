@@ -74,6 +74,43 @@ def classes(result: dict[str, Any]) -> str:
     return markdown(("", *sets), rows)
 
 
+@table("fit-streamed", "detected_starts")
+def streamed(result: dict[str, Any]) -> str:
+    """Step accuracy of streamed states by words of both rules."""
+    ways = {"onsets given": "given", "onsets detected": "noticed", "the detected state": "filter alone"}
+    kinds = dict.fromkeys(name.split(" | ")[1] for name in result["rows"])
+    sets = ("REAL", "SIM1")
+    rows = [
+        (
+            kind,
+            *(
+                _mean(result["rows"][f"{one} | {kind}"][f"macro step accuracy, {key}"])
+                for one in sets
+                for key in ways.values()
+            ),
+        )
+        for kind in kinds
+    ]
+    return markdown(("words", *(f"{one}, {way}" for one in sets for way in ways)), rows)
+
+
+def _mean(score: dict[str, Any]) -> str:
+    low, high = score["interval"]
+    return f"{score['mean']:.3f} ({low:.3f} to {high:.3f})"
+
+
+@table("fit-transfer", "fit_sim_to_real")
+def transfer(result: dict[str, Any]) -> str:
+    """States of recorded trials by words alone, learned from simulated ones."""
+    rows = []
+    for kind, row in result["rows"].items():
+        four, three = row["harmonised"], row["merged"]
+        low, high = four["A+B"]["interval"]
+        both = f"{four['A+B']['accuracy']:.3f} ({low:.3f} to {high:.3f})"
+        rows.append((kind, *(f"{four[one]['accuracy']:.3f}" for one in "AB"), both, f"{three['A+B']['accuracy']:.3f}"))
+    return markdown(("words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"), rows)
+
+
 @table("words-rate", "rate_distortion")
 def rate(result: dict[str, Any]) -> str:
     """Words per second and axis at a residual of 1 %, of every method and set."""
@@ -113,6 +150,34 @@ def noise(result: dict[str, Any]) -> str:
 def resampled(result: dict[str, Any]) -> str:
     """The same between a recording and its copy at another rate."""
     return _stability(result, "resampled", "Hz")
+
+
+@table("fit-tried-rate", "fit_tried")
+def tried_rate(result: dict[str, Any]) -> str:
+    """Words and numbers for each second and axis at a residual of 1 %, with breaks of its own and shared ones."""
+    rows = []
+    for name, row in result["rows"].items():
+        if name.startswith("rate | "):
+            _, of, kind = name.split(" | ")
+            found = (row[f"{what} per second at residual"][TARGET] for what in ("words", "numbers"))
+            rows.append((of, kind, *(NONE if value is None else f"{value:.2f}" for value in found)))
+    return markdown(("", "breaks", "words", "numbers"), rows)
+
+
+@table("fit-tried-noise", "fit_tried")
+def tried_noise(result: dict[str, Any]) -> str:
+    """Share of long primitives that stay, equal time and words for each second under noise."""
+    rows = {name: row for name, row in result["rows"].items() if name.startswith("noise | ")}
+    levels = [f"{level:g}" for level in result["noise, tolerances"]]
+    lines = []
+    for name, row in rows.items():
+        _, of, kind = name.split(" | ")
+        clean = result["rows"][f"clean | {of} | {kind}"]
+        cells = ([row[level][key] for key in ("kept", "time", "words per second")] for level in levels)
+        shown = (" / ".join(NONE if v is None else f"{v:.2f}" for v in cell) for cell in cells)
+        lines.append((of, kind, f"{clean['residual']:.4f} / {clean['words per second']:.2f}", *shown))
+    head = ("stays / equal time / words per second", "noise, tolerances", "residual / words per second without")
+    return markdown((*head, *levels), lines)
 
 
 def _stability(result: dict[str, Any], kind: str, what: str) -> str:

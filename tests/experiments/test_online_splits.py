@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments._lib.fit_words import PAPER, WORDS
 from experiments.online import detected_starts, table2
 from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots, regular_snapshots, since_trial_start, training_snapshots
@@ -105,15 +106,16 @@ def test_detected_starts_trains_on_one_half_and_scores_the_other(
         "phase trains": since_trial_start(training),
         "phase": since_trial_start(regular),
     }.items():
-        head = detected_starts.HEADS[name.split()[0]]
+        head = detected_starts.heads(WORDS[PAPER])[name.split()[0]]
         x = features(snapshots, len(names(head.view.spec)))
         views[name] = detected_starts.View(snapshots, x, head)
     hidden = {}
     for name, view in views.items():
         trains = inside[view.snapshots.interval]
         hidden[name] = replace(view, x=spoilt(view.x, ~trains if "trains" in name else trains))
-    result = detected_starts.repeat(data(), items, views, SEED)
-    assert_same(detected_starts.repeat(data(), items, hidden, SEED), result)
+    encoder = WORDS[PAPER].encoder(np.ones(6), DT)
+    result = detected_starts.repeat(data(), items, views, encoder, SEED)
+    assert_same(detected_starts.repeat(data(), items, hidden, encoder, SEED), result)
     assert len(result["errors"]) == TRIALS / 2
     assert result["macro step accuracy, given"] > 0.8
     assert result["macro step accuracy, phase alone"] > 0.6

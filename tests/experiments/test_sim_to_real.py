@@ -9,11 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
+from experiments._lib.benchmarks import REAL
+from experiments._lib.fit_words import WORDS, tolerances
 from experiments._lib.results_io import RESULTS
 from experiments.classification.sim_to_real import Pool, choose, scored, some_trials
+from experiments.classification.sim_to_real_fit import FIT, PROTOCOL
 from experiments.classification.sim_to_real_rows import CANDIDATES, ROWS
-from experiments.classification.sim_to_real_sets import RECORDED, SETS
+from experiments.classification.sim_to_real_sets import RECORDED, SETS, Labelling, Sets
 from experiments.figures.sim_to_real import draw, lines
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FAMILIES
 from rcbht_jax.io.tare import tare
 from rcbht_jax.plots.canvas import save
@@ -107,6 +113,36 @@ def test_rows_train_on_nothing_that_they_are_tested_on() -> None:
         if "recorded" not in name:
             assert not {*row.train} & {*RECORDED}, name
     assert {family for families in CANDIDATES.values() for family in families} <= {*FAMILIES}
+
+
+def test_rows_of_the_fit_rule_differ_in_their_words_only() -> None:
+    known, limits = ROWS[PROTOCOL], np.arange(1.0, 7.0)
+    assert not {"wide A", "wide B"} & {*known.train}
+    for name, row in FIT.items():
+        assert replace(row, rule=known.rule, weighing=known.weighing, factor=known.factor) == known
+        config, made = WORDS[name].encoder(limits, 0.005)
+        assert isinstance(config, FitConfig) == (row.rule == "fit")
+        if isinstance(made, FitLimits):
+            np.testing.assert_allclose(made.tolerance, row.factor * limits)
+    assert FIT["paper"] == known
+
+
+def test_a_set_is_labelled_by_the_rule_of_its_tolerance(tmp_path: Path) -> None:
+    some = trials((150, 400))
+    some = replace(some, session=np.full(2, "A"))
+    made = Sets(tmp_path, some).tracks("A", Labelling(tare=False, tolerance=(0.5,) * 6))
+    expected = rj.encode(some.wrench, rate=200, lengths=some.length, rule="fit", tolerance=0.5)
+    np.testing.assert_array_equal(made.llb.label, expected.llb.label)
+    paper = Sets(tmp_path, some).tracks("A", Labelling(tare=False))
+    np.testing.assert_array_equal(paper.llb.label, rj.encode(some.wrench, rate=200, lengths=some.length).llb.label)
+
+
+def test_the_robots_tolerance_is_of_session_a_alone() -> None:
+    both = replace(trials((400, 400)), session=np.array(["A", "B"]), source=np.full(2, REAL))
+    louder = replace(both, wrench=both.wrench * np.array([1, 5], np.float32)[:, None, None])
+    np.testing.assert_array_equal(tolerances(both)[REAL], tolerances(louder)[REAL])
+    quiet = replace(both, wrench=both.wrench * np.array([0.1, 1], np.float32)[:, None, None])
+    np.testing.assert_allclose(tolerances(quiet)[REAL], tolerances(both)[REAL] / 10, rtol=1e-4)
 
 
 def test_figure_shows_the_committed_rows(tmp_path: Path) -> None:
