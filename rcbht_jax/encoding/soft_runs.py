@@ -38,23 +38,23 @@ CANDIDATES = 16
 class SoftState:
     """What is known of the present run of every lane: first samples that it may have, and how likely they are."""
 
-    time: Int[Array, "*lanes"]  # int32, samples received
-    start: Int[Array, "candidate *lanes"]  # int32, first sample of the run
-    weight: Float[Array, "candidate *lanes"]  # probability; sums to 1
+    time: Int[Array, "..."]  # int32 [*lanes], samples received
+    start: Int[Array, "..."]  # int32 [candidate, *lanes], first sample of the run
+    weight: Float[Array, "..."]  # [candidate, *lanes], probability; sums to 1
     line: Line  # [candidate, *lanes], of the run's samples that are not kept any longer
-    recent: Float[Array, "kept *lanes"]  # last samples, among which breaks may still be found
-    lost: Float[Array, "*lanes"]  # sum over the windows of the weights of candidates that left
+    recent: Float[Array, "..."]  # [kept, *lanes], last samples, among which breaks may still be found
+    lost: Float[Array, "..."]  # [*lanes], sum over the windows of the weights of candidates that left
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SoftRuns:
-    """Runs that ended, one for each candidate; a run that did not end has weight 0."""
+    """Runs that ended, one for each candidate; a run that did not end has weight 0. Stacks of steps lead."""
 
-    weight: Float[Array, "candidate *lanes"]
-    t0: Int[Array, "candidate *lanes"]  # int32, first sample
-    t1: Int[Array, "candidate *lanes"]  # int32, end
-    label: Float[Array, "candidate *lanes 9"]  # distribution over the primitives
+    weight: Float[Array, "..."]  # [candidate, *lanes]
+    t0: Int[Array, "..."]  # int32 [candidate, *lanes], first sample
+    t1: Int[Array, "..."]  # int32 [candidate, *lanes], end
+    label: Float[Array, "..."]  # [candidate, *lanes, 9], distribution over the primitives
 
 
 def init(
