@@ -21,7 +21,7 @@ import tyro
 from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.classification.grammar import RANKS
-from rcbht_jax.calibration import gradient
+from rcbht_jax.calibration import gradient as training
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
 from rcbht_jax.calibration.rest import rest_not_constant, rest_thresholds
 from rcbht_jax.calibration.rest_runs import RestRuns, fit_rest_limits
@@ -41,7 +41,7 @@ from rcbht_jax.types import Recordings
 WINDOW, SIDE = 5, "A"
 BENCHMARK = "REAL states, A to B"
 SCORED = (BENCHMARK, "REAL merged states, A to B")
-METHODS = ("default", "rest", "search", "gradient")
+METHODS = ("default", "rest", "search")
 CANDIDATES, STEPS = 256, 30
 GROUPS = (0, 0, 0, 1, 1, 1)  # forces and moments
 WORDS = FeatureSpec(families=PLAIN, balance=True)
@@ -91,10 +91,10 @@ class Experiment:
         return search(self.data, self.config, options, rest=self.rest).thresholds
 
     def _gradient(self) -> AnyLimits:
-        options = gradient.GradientOptions(
-            steps=STEPS, rate=0.1, loss="fit", temperature=gradient.FIT_TEMPERATURE, seed=self.seed
+        options = training.GradientOptions(
+            steps=STEPS, rate=0.1, loss="fit", temperature=training.FIT_TEMPERATURE, seed=self.seed
         )
-        return gradient.calibrate(self.data, self.config, self.limits("default"), options, rest=self.rest).thresholds
+        return training.calibrate(self.data, self.config, self.limits("default"), options, rest=self.rest).thresholds
 
     def calibrated(self, method: str) -> Callable[[], Any]:
         """Limits of a method, and what they do on the session that chose them."""
@@ -152,13 +152,14 @@ class Experiment:
         }
 
 
-def main(seed: int = 0, only: Only = ALL_ROWS) -> None:
+def main(seed: int = 0, gradient: bool = False, only: Only = ALL_ROWS) -> None:
+    """Make the rows; those of the method gradient, which take a quarter of an hour or more, if ``gradient`` is set."""
     experiment = Experiment(seed)
     rows = Rows(
         "fit_calibration", f"python -m experiments.calibration.fit_rule --seed {seed}", experiment.about(), seed
     )
     wanted = {}
-    for method in METHODS:
+    for method in (*METHODS, *("gradient",) * gradient):
         wanted[f"limits | {method}"] = experiment.calibrated(method)
         wanted |= {f"{name} | {method}": experiment.scored(name, method) for name in SCORED}
     rows.fill(wanted, only)
