@@ -212,8 +212,9 @@ def _rest_noise(
     slope = np.einsum("rbta,t->rba", cut, time / (time**2).sum())
     left = cut - cut.mean(2, keepdims=True) - time[:, None] * slope[:, :, None]
     size = np.sqrt((left**2).mean(2))
-    calm = rest[:, : count * windows].reshape(len(recordings), count, windows, -1).all(2)
-    if not calm.any((0, 1)).all():
+    blocks = rest[:, : count * windows].reshape(len(recordings), count, windows, -1)
+    calm = np.asarray(blocks.all(axis=2))
+    if not np.any(calm, axis=(0, 1)).all():
         raise InputError(f"An axis is never at rest for {BLOCK} s; record some rest, or calibrate by another method.")
     noise = np.array([np.quantile(size[..., k][calm[..., k]], CONSTANT) for k in range(size.shape[2])])
     # An axis of few digits may be without noise: begin far below what is usual.
