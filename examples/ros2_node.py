@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from rcbht_jax.encoding.rules import config_of, limits_for
-from rcbht_jax.encoding.thresholds import preset, read_thresholds
+from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
+from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
@@ -98,15 +99,19 @@ class Bridge:
     @property
     def _lead(self) -> float:
         learns = self._parameters["robot"] == "auto" and not self._parameters["thresholds"]
-        learns |= self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
+        measured = self._parameters["rule"] == "fit" and not self._parameters["tolerance"]
+        if measured and self._parameters["thresholds"]:
+            measured = not has_tolerances(Path(self._parameters["thresholds"]))
+        learns |= measured
         return float(self._parameters["lead"]) if learns else 0.0
 
     def _words(self, early: list[Message]) -> WordIntrospector:
         opening = read_opening(iter(early), self._lead)
         rate, window = self._parameters["rate"] or opening.rate(), self._parameters["window"]
         recordings = opening.recordings(rate, AXES)
+        thresholds: AnyLimits
         if self._parameters["thresholds"]:
-            thresholds, _ = read_thresholds(Path(self._parameters["thresholds"]), AXES)
+            thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES)
         elif self._parameters["robot"] == "auto":
             thresholds = live_thresholds(recordings, window)
         else:

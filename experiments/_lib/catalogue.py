@@ -126,6 +126,10 @@ EXPERIMENTS = (
     ),
     Experiment("calibration_near", "calibration.near_preset", 6, (STORE, "--simulated", SETS), ("data",)),
     Experiment("calibration_bank", "calibration.bank", 8, (STORE,), ("data",)),
+    Experiment(
+        "fit_calibration", "calibration.fit_rule", 5, needs=("data",), shorter=("--only", "default", "rest"),
+        shorter_minutes=2,
+    ),
     Experiment("calibration_transfer", "calibration.transfer", 1, (STORE,), ("data",)),
     Experiment(
         "calibration_speed", "calibration.speed", 3, (STORE,), ("data",), ("calibration_speed_cpu",), alone=True

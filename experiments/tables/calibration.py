@@ -57,6 +57,22 @@ def calibration_bank(result: dict[str, Any]) -> str:
     return markdown(("", "SIM1", "gain over the preset", *sets), lines)
 
 
+@table("fit-calibration", "fit_calibration")
+def fit_calibration(result: dict[str, Any]) -> str:
+    """Limits and tolerances of the fit rule by each method, on the session that chose them and on the other one."""
+    rows, sets = result["rows"], list(result["benchmarks"])
+    lines = []
+    for name, limits in rows.items():
+        kind, method = name.split(" | ")
+        if kind != "limits":
+            continue
+        scores = (score(rows.get(f"{one} | {method}", {}).get("accuracy")) for one in sets)
+        rest = limits["share of rest that is constant, worst axis"]
+        words = f"{limits['primitives per trial']:.0f}"
+        lines.append((method, words, f"{rest:.3f}", f"{limits['fit inside']:.3f}", *scores))
+    return markdown(("", "primitives", "rest that is constant, worst axis", "fit, session A", *sets), lines)
+
+
 @table("calibration-time", "calibration_curves")
 def calibration_time(result: dict[str, Any]) -> str:
     """Objective over processor seconds on the seeds that all methods have; what training does to held-out trials."""

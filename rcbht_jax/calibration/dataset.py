@@ -13,8 +13,9 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax.calibration.label_durations import Windows, device_lines, fit_windows
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.calibration.label_durations import Samples, Windows, device_lines, fit_windows
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.tasks import LabelledIntervals
 from rcbht_jax.types import Array, Recordings
@@ -44,13 +45,17 @@ class CalibrationData:
             self.wrench[rows], windows, self.edges[rows], self.y[rows], self.classes, self.trial[rows]
         )
 
+    def signal(self, config: AnyConfig) -> Windows | Samples:
+        """What :func:`rcbht_jax.calibration.label_durations.label_durations` reads by the rule of a configuration."""
+        return Samples(self.wrench, self.windows.length) if isinstance(config, FitConfig) else self.windows
+
     def fingerprint(self) -> str:
         """SHA-256 of everything that the result of a calibration depends on."""
         windows = self.windows
         return content_hash([windows.slope, windows.vmax, windows.vmin, windows.length, self.edges, self.y])
 
 
-def calibration_data(recordings: Recordings, items: LabelledIntervals, config: EncoderConfig) -> CalibrationData:
+def calibration_data(recordings: Recordings, items: LabelledIntervals, config: AnyConfig) -> CalibrationData:
     """The sentences of a task with the fitted windows of their recordings.
 
     Args:
@@ -79,7 +84,7 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: E
 
 
 def device_calibration_data(
-    config: EncoderConfig,
+    config: AnyConfig,
     wrench: Float[Array, "trial time 6"],
     edges: Int[Array, "trial edge"],
     y: Int[Array, "trial sentence"],
@@ -99,7 +104,7 @@ def device_calibration_data(
 
 
 @partial(jax.jit, static_argnums=0)
-def _fitted(config: EncoderConfig, wrench: Array, edges: Array) -> tuple[Array, Windows]:
+def _fitted(config: AnyConfig, wrench: Array, edges: Array) -> tuple[Array, Windows]:
     """The wrench with zeros after its end, in whole windows, and their fitted lines."""
     length = edges[:, -1]
     inside = jnp.arange(wrench.shape[1], dtype=jnp.int32)[None] < length[:, None]

@@ -18,15 +18,19 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.objective import ridge_leave_one_out
 from rcbht_jax.calibration.rest import RestSlopes
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.soft import overlaps, soft_encode, soft_shares
-from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free, validate
+from rcbht_jax.calibration.rest_runs import RestRuns
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, gradients_of, limit_values
+from rcbht_jax.encoding.soft import cell, overlaps, soft_encode, soft_shares
+from rcbht_jax.encoding.thresholds import GradientThresholds, from_free, to_free
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array
 
 with needs_extra("learn"):
     import optax  # type: ignore[import-untyped]
+
+FIT_TEMPERATURE = (0.3, 0.03)  # first and last of the fit rule: hotter, noise breaks runs by chance
 
 _FEATURES = 6 * sum(LAYER_SIZES)
 _FLOOR = 1e-4  # added to a share under the root, whose slope at 0 is infinite
@@ -57,7 +61,7 @@ class GradientOptions:
 class Parameters(NamedTuple):
     """Trained parameters, float32."""
 
-    free: Float[Array, "6 4"]  # see rcbht_jax.encoding.thresholds.from_free
+    free: Float[Array, "6 limit"]  # see rcbht_jax.encoding.thresholds.from_free; of the fit rule log tolerance last
     weights: Float[Array, "150 class"]
     bias: Float[Array, " class"]
 
@@ -67,7 +71,7 @@ class Batch(NamedTuple):
 
     wrench: Float[Array, "trial time 6"]  # N and Nm
     length: Int[Array, " trial"]  # int32, samples
-    weights: Float[Array, "trial sentence window"]  # overlap of each sentence with each window, samples
+    weights: Float[Array, "trial sentence cell"]  # overlap of each sentence with each cell of soft labels, samples
     y: Int[Array, "trial sentence"]  # int32
 
 
@@ -75,16 +79,16 @@ class Batch(NamedTuple):
 class TrainResult:
     """Trained thresholds and classifier, and how the training went."""
 
-    thresholds: GradientThresholds  # [6, 4]
+    thresholds: AnyLimits  # [6, 4]
     parameters: Parameters
     history: list[tuple[float, float, float]]  # per step: seconds, training loss, held-out loss (NaN without)
-    path: Float[np.ndarray, "step 6 4"]  # limits after each step, float64
+    path: Float[np.ndarray, "step 6 limit"]  # limits after each step, and tolerance of the fit rule; float64
 
 
-def batch_of(data: CalibrationData, config: EncoderConfig) -> Batch:
+def batch_of(data: CalibrationData, config: AnyConfig) -> Batch:
     """Calibration data as arrays for :func:`loss`."""
-    windows = -(-data.wrench.shape[1] // config.window)
-    weights = overlaps(jnp.asarray(data.edges), windows, config.window)
+    size = cell(config)
+    weights = overlaps(jnp.asarray(data.edges), -(-data.wrench.shape[1] // size), size)
     return Batch(jnp.asarray(data.wrench), jnp.asarray(data.windows.length), weights, jnp.asarray(data.y))
 
 
@@ -103,14 +107,14 @@ def _orders(trials: int, options: GradientOptions) -> Iterator[NDArray[np.int64]
 
 
 def loss(
-    config: EncoderConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
+    config: AnyConfig, options: GradientOptions, parameters: Parameters, batch: Batch, temperature: Array | float
 ) -> Float[Array, ""]:
     """Mean loss of the linear classifier on soft label shares, without its penalty.
 
     With ``fit`` it is the leave-one-trial-out unexplained variance of a ridge classifier
     (:func:`rcbht_jax.calibration.objective.ridge_leave_one_out`).
     """
-    limits = from_free(parameters.free).limits
+    limits = limits_from(parameters.free)
     labels = soft_encode(
         config, limits, batch.wrench, batch.length, temperature, straight_through=options.straight_through
     )
@@ -130,20 +134,20 @@ def loss(
 
 def calibrate(
     data: CalibrationData,
-    config: EncoderConfig,
-    start: GradientThresholds,
+    config: AnyConfig,
+    start: AnyLimits,
     options: GradientOptions,
     *,
     held_out: CalibrationData | None = None,
     progress: Callable[[int], None] | None = None,
-    rest: RestSlopes | None = None,
+    rest: RestSlopes | RestRuns | None = None,
 ) -> TrainResult:
     """Train thresholds and classifier, from ``start``.
 
     Args:
         data: training trials only.
         config: static configuration of the encoder.
-        start: initial thresholds ``[6, 4]``, strictly ordered.
+        start: initial limits ``[6, 4]``, strictly ordered; by the fit rule FitLimits.
         options: settings of the training.
         held_out: trials whose loss at the temperature of each step is recorded; they are not used otherwise.
         progress: called with the number of steps done since the last call.
@@ -152,8 +156,8 @@ def calibrate(
     Raises:
         InputError: the initial thresholds are not strictly ordered, or the training diverges.
     """
-    validate(np.asarray(start.limits))
-    free = np.asarray(to_free(start), np.float32)
+    checked_limits(config, start)
+    free = np.asarray(_free(start), np.float32)
     if not np.isfinite(free).all():
         raise InputError("Training starts from strictly ordered thresholds; two of the given limits are equal.")
     parameters = _first(free, len(data.classes), options)
@@ -177,7 +181,9 @@ def calibrate(
             raise InputError("The training diverged: its loss is not finite; choose smaller rates.")
         if progress is not None:
             progress(1)
-    return TrainResult(GradientThresholds(path[-1]), parameters, history, np.stack(path))
+    last = path[-1]
+    found = FitLimits(last[:, :4], last[:, 4]) if last.shape[1] == 5 else GradientThresholds(last)
+    return TrainResult(found, parameters, history, np.stack(path))
 
 
 def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) -> Parameters:
@@ -185,10 +191,24 @@ def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) ->
     return Parameters(jnp.asarray(free), weights, jnp.zeros(classes))
 
 
+def limits_from(free: Float[Array, "6 limit"]) -> AnyLimits:
+    """Limits from unconstrained numbers of each axis: four, or five of the fit rule."""
+    limits = from_free(free[:, :4])
+    return limits if free.shape[1] == 4 else FitLimits(limits.limits, jnp.exp(free[:, 4]))
+
+
+def _free(limits: AnyLimits) -> Array:
+    """Undo :func:`limits_from`."""
+    gradients = to_free(GradientThresholds(gradients_of(limits)))
+    if not isinstance(limits, FitLimits):
+        return gradients
+    tolerance = jnp.broadcast_to(jnp.asarray(limits.tolerance, gradients.dtype), gradients.shape[:1])
+    return jnp.concatenate([gradients, jnp.log(tolerance)[:, None]], axis=1)
+
+
 @jax.jit
 def _limits(free: Array) -> Array:
-    limits: Array = from_free(free).limits
-    return limits
+    return limit_values(limits_from(free))
 
 
 _loss = jax.jit(loss, static_argnums=(0, 1))
@@ -203,14 +223,14 @@ def _optimizer(options: GradientOptions) -> optax.GradientTransformation:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _step(
-    config: EncoderConfig,
+    config: AnyConfig,
     options: GradientOptions,
     parameters: Parameters,
     state: Any,
     batch: Batch,
     rows: Array,
     temperature: Array,
-    rest: RestSlopes | None,
+    rest: RestSlopes | RestRuns | None,
 ) -> tuple[Parameters, Any, Array]:
     some = jax.tree.map(lambda leaf: leaf[rows], batch) if options.batch else batch
 
@@ -218,7 +238,7 @@ def _step(
         value = loss(config, options, parameters, some, temperature)
         penalty = options.decay * jnp.sum(jnp.square(parameters.weights))
         if rest is not None:
-            penalty = penalty + rest.soft_penalty(from_free(parameters.free).limits)
+            penalty = penalty + rest.soft_penalty(limits_from(parameters.free))
         return value + penalty, value
 
     gradients, value = jax.grad(total, has_aux=True)(parameters)

@@ -1,15 +1,17 @@
-"""Time per label in every sentence, for many candidate thresholds at once.
+"""Time per label in every sentence, for many candidate limits at once.
 
-The encoder's own chain runs over the shared windows with lanes = recordings x axes x candidates. Nothing is stored per
+The encoder's own chain runs over the shared windows with lanes = recordings x axes x candidates; by the fit rule, whose
+lines depend on the tolerance, over the shared samples. Nothing is stored per
 window: the time of each published label is added at once to the sentences it overlaps. Times are whole samples, so the
 result does not depend on how candidates or recordings are grouped.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +19,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from rcbht_jax.encoding import encoder, segments
-from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding import encoder, fit, segments
+from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.fit_line import residuals_after
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, limit_values
 from rcbht_jax.encoding.segments import gradient_label
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LAYER_SIZES
 from rcbht_jax.types import Array, Segment
@@ -37,9 +41,9 @@ _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 @partial(jax.jit, static_argnums=0, static_argnames="group")
 def label_durations(
-    config: EncoderConfig,
-    thresholds: Thresholds,
-    windows: Windows,
+    config: AnyConfig,
+    thresholds: AnyLimits | Float[Array, "candidate axis 5"],
+    signal: Windows | Samples,
     edges: Int[Array, "recording edge"],
     *,
     group: int = 1,
@@ -47,24 +51,23 @@ def label_durations(
     """Samples that each label occupies in each sentence.
 
     Args:
-        config: static configuration; its window must be the one of ``windows``.
-        thresholds: candidates ``[candidate, 6, 4]``, N/s and Nm/s.
-        windows: fitted lines of all recordings, from :func:`fit_windows`.
+        config: static configuration; its window must be the one of the signal.
+        thresholds: candidates ``[candidate, 6, 4]``, N/s and Nm/s; of the fit rule FitLimits, or ``[candidate, 6, 5]``.
+        signal: fitted lines of all recordings, from :func:`fit_windows`; of the fit rule the samples.
         edges: samples at which the sentences of a recording begin and end, increasing.
         group: recordings encoded at once; larger groups suit a device with many cores.
 
     Returns:
         int32; primitives, compositions, behaviours in the order of their codes.
     """
-    limits = limits_of(thresholds)
-    recordings = windows.length.shape[0]
-    order = jnp.argsort(windows.length)  # a group is encoded for as long as its longest recording
+    limits = limit_values(thresholds)
+    recordings = signal.length.shape[0]
+    order = jnp.argsort(signal.length)  # a group is encoded for as long as its longest recording
     padded = jnp.concatenate([order, jnp.full(-recordings % group, order[-1])]).reshape(-1, group)
     lane_limits = jnp.moveaxis(limits, (2, 1, 0), (0, 1, 2))
 
     def one_group(rows: Array) -> Array:
-        some = Windows(*(leaf[rows] for leaf in (windows.slope, windows.vmax, windows.vmin, windows.length)))
-        return _group_times(config, lane_limits, some, edges[rows])
+        return _group_times(config, lane_limits, jax.tree.map(lambda leaf: leaf[rows], signal), edges[rows])
 
     times = jax.lax.map(one_group, padded)  # [group, sentence, label, row, axis, candidate]
     times = jnp.moveaxis(times, (0, 3, 1, 4, 2, 5), (1, 2, 3, 4, 5, 0))
@@ -72,45 +75,90 @@ def label_durations(
     return jnp.zeros_like(flat).at[:, order].set(flat)
 
 
-def _group_times(config: EncoderConfig, limits: Array, windows: Windows, edges: Array) -> Array:
-    """int32 ``[sentence, label, recording, axis, candidate]``; limits ``[4, axis, candidate]``."""
-    shape = (windows.slope.shape[0], AXES, limits.shape[2])
+def _group_times(config: AnyConfig, limits: Array, signal: Windows | Samples, edges: Array) -> Array:
+    """int32 ``[sentence, label, recording, axis, candidate]``; limits ``[4 or 5, axis, candidate]``."""
+    shape = (signal.length.shape[0], AXES, limits.shape[2])
     lanes = shape[0] * shape[1] * shape[2]
-    lane_limits = jnp.broadcast_to(limits[:, None], (4, *shape)).reshape(4, lanes)
+    lane_limits = jnp.broadcast_to(limits[:, None], (limits.shape[0], *shape)).reshape(-1, lanes)
     lane_edges = jnp.broadcast_to(edges.T[:, :, None, None], (edges.shape[1], *shape)).reshape(-1, lanes)
-    rows = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), (windows.slope, windows.vmax, windows.vmin))
-    length = jnp.broadcast_to(windows.length[:, None, None], shape).reshape(lanes)
-    dtype = windows.slope.dtype
 
     def wide(leaf: Array) -> Array:
-        return jnp.broadcast_to(leaf[..., None], shape).reshape(lanes)
+        """Values ``[..., recording, axis]`` for every lane."""
+        every = jnp.broadcast_to(leaf[..., None], (*leaf.shape, limits.shape[2]))
+        return every.reshape(*leaf.shape[:-2], lanes)
 
-    def body(held: _Held, index: Array) -> tuple[_Held, Array]:
+    length = wide(jnp.broadcast_to(signal.length[:, None], shape[:2]))
+    if isinstance(config, FitConfig):
+        assert isinstance(signal, Samples)
+        chain = _fit_chain(config, lane_limits, signal, length, wide)
+    else:
+        assert isinstance(signal, Windows)
+        chain = _paper_chain(config, lane_limits, signal, length, wide)
+
+    def block(index: Array, carry: tuple[Any, Array]) -> tuple[Any, Array]:
+        held, times = carry
+        held, published = jax.lax.scan(chain.step, held, index * _BLOCK + jnp.arange(_BLOCK, dtype=jnp.int32))
+        return held, _spend(times, published, lane_edges)
+
+    times = jnp.zeros((edges.shape[1] - 1, LABELS, lanes), jnp.int32)
+    blocks = -(-jnp.max(signal.length) // (config.window * _BLOCK))
+    held, times = jax.lax.fori_loop(jnp.int32(0), blocks, block, (chain.held, times))
+    times = _spend(times, _rest(chain.rest(held)), lane_edges)
+    return times.reshape(*times.shape[:2], *shape)
+
+
+class _Chain(NamedTuple):
+    """A rule as the loop over windows runs it, over lanes."""
+
+    held: Any  # before the first window
+    step: Callable[[Any, Array], tuple[Any, Array]]  # (held, number of the window) -> (held, published [9, lane])
+    rest: Callable[[Any], Sequence[Segment]]  # held -> what the end of a recording publishes, [slot, lane] per layer
+
+
+def _paper_chain(
+    config: EncoderConfig, limits: Array, windows: Windows, length: Array, wide: Callable[[Array], Array]
+) -> _Chain:
+    rows = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), (windows.slope, windows.vmax, windows.vmin))
+    lanes, dtype = length.shape[0], windows.slope.dtype
+
+    def step(held: _Held, index: Array) -> tuple[_Held, Array]:
         slope, vmax, vmin = (wide(jax.lax.dynamic_index_in_dim(row, index, keepdims=False)) for row in rows)
         start = jnp.full(lanes, index * config.window)
         size = jnp.clip(length - start, 0, config.window)
-        label = jnp.where(size >= 2, gradient_label(slope, lane_limits), 0)
+        label = jnp.where(size >= 2, gradient_label(slope, limits), 0)
         none = jnp.zeros_like(slope)
         x = Segment(label, start, start + size, vmax, vmin, none, none)
         items, published = encoder.chain(config, _unpack(held), x)
         return _pack(items), _labels(published)
 
-    def block(index: Array, carry: tuple[_Held, Array]) -> tuple[_Held, Array]:
-        held, times = carry
-        held, published = jax.lax.scan(body, held, index * _BLOCK + jnp.arange(_BLOCK, dtype=jnp.int32))
-        return held, _spend(times, published, lane_edges)
-
     held = jnp.zeros((_ITEMS * _INTS, lanes), jnp.int32), jnp.zeros((_ITEMS * _REALS, lanes), dtype)
-    times = jnp.zeros((edges.shape[1] - 1, LABELS, lanes), jnp.int32)
-    blocks = -(-jnp.max(windows.length) // (config.window * _BLOCK))
-    held, times = jax.lax.fori_loop(jnp.int32(0), blocks, block, (held, times))
-    times = _spend(times, _rest(config, held), lane_edges)
-    return times.reshape(*times.shape[:2], *shape)
+    return _Chain(held, step, lambda held: encoder.drain_segments(config, _unpack(held)))
 
 
-def _rest(config: EncoderConfig, held: _Held) -> Array:
+def _fit_chain(
+    config: FitConfig, limits: Array, samples: Samples, length: Array, wide: Callable[[Array], Array]
+) -> _Chain:
+    window, kept = config.window, config.kept
+    short = -samples.wrench.shape[1] % window
+    line = jnp.pad(jnp.swapaxes(samples.wrench, 0, 1), ((kept, short), (0, 0), (0, 0)))  # [time, recording, axis]
+
+    def step(state: EncoderState, index: Array) -> tuple[EncoderState, Array]:
+        recent = jax.lax.dynamic_slice_in_dim(line, index * window, kept + window)
+        counts = jnp.clip(samples.length - index * window, 0, window)
+        after = residuals_after(recent, jnp.broadcast_to(kept + counts[:, None], recent.shape[1:]))
+        count = jnp.clip(length - index * window, 0, window)
+        state, stages = fit.advance(config, limits, state, wide(recent), wide(after), count)
+        return state, _labels(stages[::2])
+
+    def rest(state: EncoderState) -> Sequence[Segment]:
+        return [jax.tree.map(lambda *leaves: jnp.stack(leaves), *stage)
+                for stage in list(zip(*fit.drain_stages(config, limits, state), strict=True))[::2]]  # fmt: skip
+
+    return _Chain(fit.init(config, length.shape, line.dtype), step, rest)
+
+
+def _rest(layers: Sequence[Segment]) -> Array:
     """What the end of a recording publishes, int32 ``[slot, 9, lane]`` like a block."""
-    layers = encoder.drain_segments(config, _unpack(held))
     slots = -(-max(items.label.shape[0] for items in layers) // _UNROLLED) * _UNROLLED
     short = ((0, slots - items.label.shape[0]) for items in layers)
     padded = [jax.tree.map(lambda leaf, s=s: jnp.pad(leaf, (s, (0, 0))), x) for x, s in zip(layers, short, strict=True)]
@@ -154,7 +202,7 @@ def _per_label(label: Array, duration: Array, size: int) -> Array:
     return jax.lax.fori_loop(0, label.shape[0] // _UNROLLED, some, jnp.zeros((size, label.shape[1]), jnp.int32))
 
 
-def _labels(items: list[Segment]) -> Array:
+def _labels(items: Sequence[Segment]) -> Array:
     return jnp.stack([leaf for x in items for leaf in (x.label, x.t0, x.t1)])
 
 
@@ -191,7 +239,16 @@ class Windows:
         return chosen
 
 
-def fit_windows(config: EncoderConfig, wrench: NDArray[np.floating], length: NDArray[np.integer[Any]]) -> Windows:
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Samples:
+    """The signal itself, as the fit rule reads it."""
+
+    wrench: Float[Array, "recording time 6"]  # N and Nm, finite, in the precision of the labels
+    length: Int[Array, " recording"]  # int32, samples
+
+
+def fit_windows(config: AnyConfig, wrench: NDArray[np.floating], length: NDArray[np.integer[Any]]) -> Windows:
     """Fit a line to every window, the last partial one of each recording included.
 
     Args:
@@ -225,7 +282,7 @@ def fit_windows(config: EncoderConfig, wrench: NDArray[np.floating], length: NDA
 
 @partial(jax.jit, static_argnums=0)
 def device_lines(
-    config: EncoderConfig, wrench: Float[jax.Array, "recording time 6"], length: Int[jax.Array, " recording"]
+    config: AnyConfig, wrench: Float[jax.Array, "recording time 6"], length: Int[jax.Array, " recording"]
 ) -> tuple[Float[jax.Array, "recording window 6"], ...]:
     """Slopes, larger and smaller ends of the lines; the wrench is made of whole windows."""
     recordings, samples, axes = wrench.shape

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, Recordings
 
@@ -113,14 +113,19 @@ class RestSlopes:
             np.stack([np.quantile(steep[rest[..., axis], axis], levels) for axis in range(steep.shape[2])]), weight
         )
 
-    def penalty(self, limits: Float[Array, "*candidate axis 4"]) -> Float[Array, "*candidate"]:
+    def penalty(self, limits: Thresholds) -> Float[Array, "*candidate"]:
         """Weighted share of the windows at rest that are steeper than the constant limit, mean of the axes."""
-        return self.weight * (self.steep > limits[..., 3, None]).mean((-1, -2))
+        return self.weight * (self.steep > np.asarray(limits_of(limits))[..., 3, None]).mean((-1, -2))
 
-    def soft_penalty(self, limits: Float[Array, "axis 4"]) -> Float[Array, ""]:
+    def soft_penalty(self, limits: Thresholds) -> Float[Array, ""]:
         """Mean logarithm by which windows at rest exceed the constant limit, with a gradient however far they do."""
-        ratio = jnp.log(jnp.maximum(jnp.asarray(self.steep, limits.dtype), 1e-12)) - jnp.log(limits[..., 3, None])
-        return self.weight * SOFTNESS * jax.nn.softplus(ratio / SOFTNESS).mean()
+        return self.weight * excess(self.steep, limits_of(limits)[..., 3, None]).mean()
+
+
+def excess(steep: Array, small: Array) -> Array:
+    """Logarithm by which slopes exceed the constant limit, softly 0 where they do not."""
+    ratio = jnp.log(jnp.maximum(jnp.asarray(steep, small.dtype), 1e-12)) - jnp.log(small)
+    return SOFTNESS * jax.nn.softplus(ratio / SOFTNESS)
 
 
 def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThresholds:

@@ -25,11 +25,14 @@ from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
 from rcbht_jax.calibration.objective import SCORES, Objective, scores
 from rcbht_jax.calibration.rest import RestSlopes
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset, validate
+from rcbht_jax.calibration.rest_runs import RestRuns
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, gradients_of
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 
 Floats = NDArray[np.float64]
+TOLERANCES = (1 / 16, 4.0)  # smallest and largest tolerance of a search, in tolerances of its base
 # Candidates x recordings encoded at once, which fit the cache of a core or fill a GPU, ...
 _TOGETHER = {"cpu": (128, 1), "gpu": (4096, 8)}
 _MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and the memory limit for the times of a chunk of candidates, bytes
@@ -39,6 +42,8 @@ _MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and the memory limit for the times o
 class SearchSpace:
     """Ordered limits between multiples of a base, per axis or group of axes.
 
+    By the fit rule, whose base is FitLimits, tolerances as well: between multiples (:data:`TOLERANCES`) of the base's.
+
     Raises:
         InputError: the groups are not six numbers counted from 0, the base is not ``[6, 4]`` and ordered, or not
             0 < low < high.
@@ -47,9 +52,12 @@ class SearchSpace:
         >>> space = SearchSpace(groups=(0, 0, 0, 1, 1, 1))
         >>> space.thresholds(np.full((2, space.dimensions), 0.5)).limits.shape
         (2, 6, 4)
+        >>> space = SearchSpace(FitLimits(preset().limits, np.full(6, 0.5)), (0,) * 6)
+        >>> space.dimensions, space.thresholds(np.full((2, 5), 0.5)).tolerance.shape
+        (5, (2, 6))
     """
 
-    base: Thresholds = field(default_factory=preset)  # [6, 4]
+    base: AnyLimits = field(default_factory=preset)  # [6, 4]
     groups: tuple[int, ...] = (0, 1, 2, 3, 4, 5)  # axes with the same number share their position
     low: float = 0.05  # smallest limit / the base's small limit
     high: float = 4.0  # largest limit / the base's impulse limit
@@ -64,27 +72,45 @@ class SearchSpace:
 
     @property
     def base_limits(self) -> Float[np.ndarray, "6 4"]:
-        """Limits of the base, float64."""
-        return np.asarray(limits_of(self.base), np.float64)
+        """Gradient limits of the base, float64."""
+        return np.asarray(gradients_of(self.base), np.float64)
 
     @property
     def dimensions(self) -> int:
-        """Four for each group."""
-        return 4 * (max(self.groups) + 1)
+        """Four for each group, by the fit rule five."""
+        return self._each * (max(self.groups) + 1)
 
-    def thresholds(self, points: Float[np.ndarray, "candidate dimension"]) -> GradientThresholds:
+    @property
+    def _each(self) -> int:
+        return 5 if isinstance(self.base, FitLimits) else 4
+
+    def thresholds(self, points: Float[np.ndarray, "candidate dimension"]) -> AnyLimits:
         """Candidates ``[candidate, 6, 4]`` at points of the unit cube."""
-        position = -np.sort(-points.reshape(len(points), -1, 4), axis=-1)[:, self.groups]
+        place = points.reshape(len(points), -1, self._each)[:, self.groups]
+        position = -np.sort(-place[..., :4], axis=-1)
         bottom, top = self._logarithms()
-        return GradientThresholds(np.asarray(np.exp(bottom + position * (top - bottom)), np.float64))
+        limits = np.asarray(np.exp(bottom + position * (top - bottom)), np.float64)
+        if not isinstance(self.base, FitLimits):
+            return GradientThresholds(limits)
+        low, high = self._tolerances()
+        return FitLimits(limits, np.asarray(np.exp(low + place[..., 4] * (high - low)), np.float64))
 
-    def point(self, thresholds: Thresholds) -> Float[np.ndarray, " dimension"]:
-        """The point nearest to thresholds ``[6, 4]``: the mean over the axes of a group."""
+    def point(self, thresholds: AnyLimits) -> Float[np.ndarray, " dimension"]:
+        """The point nearest to limits of six axes: the mean over the axes of a group."""
         bottom, top = self._logarithms()
-        position = np.clip((np.log(limits_of(thresholds)) - bottom) / (top - bottom), 0, 1)
+        position = (np.log(gradients_of(thresholds)) - bottom) / (top - bottom)
+        if isinstance(thresholds, FitLimits):
+            low, high = self._tolerances()
+            position = np.concatenate([position, ((np.log(thresholds.tolerance) - low) / (high - low))[:, None]], 1)
+        position = np.clip(position, 0, 1)
         return np.concatenate(
             [position[np.array(self.groups) == group].mean(0) for group in range(max(self.groups) + 1)]
         )
+
+    def _tolerances(self) -> list[Floats]:
+        """Logarithms of the smallest and of the largest tolerance, ``[6]``."""
+        assert isinstance(self.base, FitLimits)
+        return [np.log(np.broadcast_to(self.base.tolerance, 6) * factor) for factor in TOLERANCES]
 
     def _logarithms(self) -> list[Floats]:
         """Of the lowest and of the highest limit, ``[6, 1]``."""
@@ -124,7 +150,7 @@ class SearchOptions:
 class SearchResult:
     """The best thresholds of a search."""
 
-    thresholds: GradientThresholds  # [6, 4]
+    thresholds: AnyLimits  # [6, 4]
     value: float  # weighted sum of the scores, less the penalty of rest
     scores: dict[str, float]  # by name, see SCORES
     start_value: float  # value of the base
@@ -134,8 +160,8 @@ class SearchResult:
 
 def score_candidates(
     data: CalibrationData,
-    config: EncoderConfig,
-    thresholds: Thresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits,
     *,
     chunk: int | None = None,
     group: int | None = None,
@@ -145,8 +171,8 @@ def score_candidates(
 
     Args:
         data: sentences and their classes.
-        config: static configuration of the encoder.
-        thresholds: candidates ``[candidate, 6, 4]``.
+        config: static configuration of the encoder; its type chooses the rule.
+        thresholds: candidates ``[candidate, 6, 4]``, of the fit rule FitLimits.
         chunk: candidates encoded at once, which bounds memory; the result does not depend on it.
         group: recordings encoded at once; the result does not depend on it.
         progress: called after each chunk with the index of its first candidate and its scores.
@@ -154,19 +180,18 @@ def score_candidates(
     Raises:
         InputError: a candidate is not ordered, positive and finite.
     """
-    limits = np.asarray(limits_of(thresholds))
-    validate(limits)
+    limits = checked_limits(config, thresholds)
     backend = "cpu" if jax.default_backend() == "cpu" else "gpu"
     # a power of two, so that few sizes are compiled
     chunk = min(chunk or _chunk(backend, data), 1 << (len(limits) - 1).bit_length())
     group = group or min(max(1, math.prod(_TOGETHER[backend]) // chunk), len(data))
-    windows, edges, y = jax.device_put((data.windows, data.edges, data.y))
+    signal, edges, y = jax.device_put((data.signal(config), data.edges, data.y))
     dtype = data.windows.slope.dtype
     out = []
     for start in range(0, len(limits), chunk):
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
-        times = label_durations(config, jax.device_put(padded), windows, edges, group=group)
+        times = label_durations(config, jax.device_put(padded), signal, edges, group=group)
         out.append(scores(times, y, len(data.classes))[: len(some)])
         if progress is not None:
             progress(start, out[-1])
@@ -185,11 +210,11 @@ class _Run:
     def __init__(
         self,
         data: CalibrationData,
-        config: EncoderConfig,
+        config: AnyConfig,
         options: SearchOptions,
         stored: ScoreCheckpoint,
         chunk: int | None,
-        rest: RestSlopes | None,
+        rest: RestSlopes | RestRuns | None,
     ):
         self.rest = rest
         self.data, self.config, self.options, self.stored, self.chunk = data, config, options, stored, chunk
@@ -226,7 +251,7 @@ class _Run:
         """Weighted sum less the penalty, rounded so that ties do not depend on the last bit of a device."""
         value = scores.astype(np.float64) @ self.weights
         if self.rest is not None:
-            value = value - self.rest.penalty(np.asarray(self.options.space.thresholds(points).limits))
+            value = value - self.rest.penalty(self.options.space.thresholds(points))
         return np.asarray(value.round(6))
 
     def note(self, best: float) -> None:
@@ -236,13 +261,13 @@ class _Run:
 
 def search(
     data: CalibrationData,
-    config: EncoderConfig,
+    config: AnyConfig,
     options: SearchOptions,
     *,
     chunk: int | None = None,
     checkpoint: Path | None = None,
     progress: Callable[[int], None] | None = None,
-    rest: RestSlopes | None = None,
+    rest: RestSlopes | RestRuns | None = None,
 ) -> SearchResult:
     """The thresholds with the highest objective; ties go to the candidate evaluated first.
 
@@ -283,7 +308,7 @@ def search(
             best = points[index], scores[index], values[index]
         run.note(float(best[2]))
     return SearchResult(
-        thresholds=GradientThresholds(options.space.thresholds(best[0][None]).limits[0]),
+        thresholds=jax.tree.map(lambda leaf: leaf[0], options.space.thresholds(best[0][None])),
         value=float(best[2]),
         scores=dict(zip(SCORES, best[1].tolist(), strict=True)),
         start_value=start_value,
@@ -292,10 +317,11 @@ def search(
     )
 
 
-def _made_by(data: CalibrationData, config: EncoderConfig, options: SearchOptions) -> dict[str, Any]:
+def _made_by(data: CalibrationData, config: AnyConfig, options: SearchOptions) -> dict[str, Any]:
     """Everything that the scores depend on."""
     plain: dict[str, Any] = asdict(options)
-    plain["space"]["base"] = options.space.base_limits.tolist()
+    base = options.space.base
+    plain["space"]["base"] = checked_limits(config, base).tolist()
     return {"data": data.fingerprint(), "encoder": asdict(config), "options": plain}
 
 

@@ -10,27 +10,39 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Boundaries, EncodingCommand, Flag, Sessions, Sources, Store, Task, progress_bar
+from rcbht_jax.cli.command import (
+    Arm,
+    Boundaries,
+    Flag,
+    RuleCommand,
+    Sessions,
+    Sources,
+    Store,
+    Task,
+    checked_tolerance,
+    progress_bar,
+)
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.calibration.dataset import CalibrationData
     from rcbht_jax.calibration.rest import RestSlopes
-    from rcbht_jax.encoding.encoder import EncoderConfig
-    from rcbht_jax.encoding.thresholds import GradientThresholds
+    from rcbht_jax.calibration.rest_runs import RestRuns
+    from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
     from rcbht_jax.types import Recordings
 
 _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
 
 
 @dataclass(frozen=True)
-class Calibrate(EncodingCommand):
+class Calibrate(RuleCommand):
     """Find gradient thresholds on trials of a store and write them to a file.
 
     The context method is the authors' rule: the impulse limit comes from the insertion, the constant limit from the
     rotation. The search method scores thousands of thresholds and returns those whose labels separate the classes
-    best. The gradient method trains thresholds and a linear classifier together by gradient descent. Pass training
-    trials only: scores on the trials that chose the thresholds are optimistic.
+    best. The gradient method trains thresholds and a linear classifier together by gradient descent. With --rule fit,
+    rest, search and gradient find the tolerances of that rule as well. Pass training trials only: scores on the trials
+    that chose the thresholds are optimistic.
 
     Example: rcbht calibrate hiro.zarr --method search --session B -o thresholds.json
     """
@@ -78,15 +90,24 @@ class Calibrate(EncodingCommand):
     FORMER: ClassVar[dict[str, str]] = {"--ledger": "--checkpoint"}
 
     def run(self) -> dict[str, Any]:
+        import jax
+
         from rcbht_jax._util.digest import data_hash
         from rcbht_jax.calibration.dataset import calibration_data
         from rcbht_jax.calibration.objective import SCORES, Objective
         from rcbht_jax.calibration.search import score_candidates
-        from rcbht_jax.encoding.encoder import EncoderConfig
-        from rcbht_jax.encoding.thresholds import write_thresholds
+        from rcbht_jax.encoding.limit_files import write_limits
+        from rcbht_jax.encoding.rules import config_fields, gradients_of
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
+        checked_tolerance(self.rule, self.tolerance)
+        if self.rule == "fit" and self.method == "context":
+            raise InputError(
+                "The method context is for the paper's rule; with --rule fit choose rest, search or gradient."
+            )
+        if self.rule == "fit" and self.plot is not None:
+            raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
         if self.method == "context" and self.thresholds is not None:
             raise InputError("--thresholds is for the methods search and gradient; the method context reads --robot.")
         if not self.out.parent.is_dir():
@@ -95,14 +116,15 @@ class Calibrate(EncodingCommand):
         if self.method == "rest":
             return self._rest(recordings)
         spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
-        config = EncoderConfig(self.window, recordings.dt)
+        config = self.config(recordings.dt)
         data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
         start = time.perf_counter()
-        base, _ = self.read_limits(recordings, self.store)
+        teachers = recordings.take(np.flatnonzero(np.isin(recordings.trial, data.trial)))
+        base = self.limits(config, self.read_limits(recordings, self.store)[0], teachers)
         thresholds, details = getattr(self, f"_{self.method}")(recordings, data, config, base)
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
-        both = score_candidates(data, config, np.stack([np.asarray(base.limits), np.asarray(thresholds.limits)]))
+        both = score_candidates(data, config, jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds))
         result = {
             "method": self.method,
             "trials": len(data),
@@ -116,42 +138,54 @@ class Calibrate(EncodingCommand):
         provenance = {
             **result,
             "task": asdict(spec),
-            "config": asdict(config),
+            "config": config_fields(config),
             "robot": self.robot or "",
             **({"thresholds_from": str(self.thresholds)} if self.thresholds else {}),
             "seed": self.seed,
             "data_hash": data_hash(recordings),
             "trial_names": data.trial.tolist(),
         }
-        write_thresholds(self.out, thresholds, provenance, recordings.axes)
+        write_limits(self.out, thresholds, provenance, recordings.axes)
         if self.plot is not None:
+            from rcbht_jax.encoding.thresholds import GradientThresholds
             from rcbht_jax.plots import save
             from rcbht_jax.plots.thresholds import threshold_figure
 
-            save(threshold_figure(data, thresholds, base), self.plot)
-        limits = np.asarray(thresholds.limits).tolist()
-        axes = list(recordings.axes)
-        return {"thresholds": str(self.out), "axes": axes, "limits": limits, "seconds": seconds, **result}
+            save(threshold_figure(data, *(GradientThresholds(gradients_of(x)) for x in (thresholds, base))), self.plot)
+        return self._said(thresholds, recordings, seconds) | result
+
+    def _said(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
+        from rcbht_jax.encoding.rules import gradients_of
+        from rcbht_jax.encoding.tolerance import FitLimits
+
+        said = {"thresholds": str(self.out), "rule": self.rule, "axes": list(recordings.axes)}
+        tolerance = {"tolerance": np.asarray(limits.tolerance).tolist()} if isinstance(limits, FitLimits) else {}
+        return {**said, "limits": np.asarray(gradients_of(limits)).tolist(), **tolerance, "seconds": seconds}
 
     def text(self, result: dict[str, Any]) -> str:
-        from rcbht_jax.encoding.thresholds import LIMITS
+        from rcbht_jax.encoding.thresholds import LIMITS, TOLERANCE
 
+        names, rows = list(LIMITS), result["limits"]
+        if "tolerance" in result:
+            names, rows = [*names, TOLERANCE], [[*row, one] for row, one in zip(rows, result["tolerance"], strict=True)]
         lines = [
             f"{result['thresholds']}: {result['method']} on {result['trials']} trials in {result['seconds']:.1f} s"
         ]
         if "value" in result:
             lines[0] += f"; objective {result['value']:.3f}, with the initial thresholds {result['preset_value']:.3f}"
-        lines.append("      " + "".join(f"{name:>10}" for name in LIMITS))
+        lines.append("      " + "".join(f"{name:>10}" for name in names))
         lines += [
             f"{axis:6}" + "".join(f"{limit:10.3f}" for limit in row)
-            for axis, row in zip(result["axes"], result["limits"], strict=True)
+            for axis, row in zip(result["axes"], rows, strict=True)
         ]
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
 
     def _rest(self, recordings: Recordings) -> dict[str, Any]:
         from rcbht_jax._util.digest import data_hash
         from rcbht_jax.calibration.rest import rest_thresholds
-        from rcbht_jax.encoding.thresholds import write_thresholds
+        from rcbht_jax.calibration.rest_runs import fit_rest_limits
+        from rcbht_jax.encoding.fit import FitConfig
+        from rcbht_jax.encoding.limit_files import write_limits
         from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings
 
         start = time.perf_counter()
@@ -159,43 +193,57 @@ class Calibrate(EncodingCommand):
         chosen = chosen_recordings(recordings, spec)
         if not chosen.any():
             raise InputError("No recording passes the filters.")
-        thresholds = rest_thresholds(recordings.take(chosen), self.window).thresholds
-        result = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen]))}
+        if self.tolerance:
+            raise InputError("The method rest finds the tolerances; leave out --tolerance.")
+        result: dict[str, Any] = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen]))}
+        config, some = self.config(recordings.dt), recordings.take(chosen)
+        limits: AnyLimits
+        if isinstance(config, FitConfig):
+            found = fit_rest_limits(some, config)
+            limits = found.limits
+            result["rest_constant"] = dict(zip(recordings.axes, found.constant.round(4).tolist(), strict=True))
+        else:
+            limits = rest_thresholds(some, self.window).thresholds
         provenance = {**result, "window": self.window, "data_hash": data_hash(recordings)}
-        write_thresholds(self.out, thresholds, provenance, recordings.axes)
-        limits = np.asarray(thresholds.limits).tolist()
-        seconds, axes = time.perf_counter() - start, list(recordings.axes)
-        return {"thresholds": str(self.out), "axes": axes, "limits": limits, "seconds": seconds, **result}
+        write_limits(self.out, limits, provenance, recordings.axes)
+        return self._said(limits, recordings, time.perf_counter() - start) | result
 
-    def _slopes(self, recordings: Recordings, data: CalibrationData) -> RestSlopes | None:
+    def _slopes(self, recordings: Recordings, data: CalibrationData) -> RestSlopes | RestRuns | None:
         from rcbht_jax.calibration.rest import RestSlopes
+        from rcbht_jax.calibration.rest_runs import RestRuns
+        from rcbht_jax.encoding.fit import FitConfig
 
         if self.rest_weight == 0:
             return None
         rows = np.flatnonzero(np.isin(recordings.trial, data.trial))
-        return RestSlopes.of(recordings.take(rows), self.window, self.rest_weight)
+        config, some = self.config(recordings.dt), recordings.take(rows)
+        if isinstance(config, FitConfig):
+            return RestRuns.of(some, config, self.rest_weight)
+        return RestSlopes.of(some, self.window, self.rest_weight)
 
     def _context(
-        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig, base: GradientThresholds
-    ) -> tuple[GradientThresholds, dict[str, Any]]:
+        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+    ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration import contextual
-        from rcbht_jax.calibration.rest import QUIET
+        from rcbht_jax.calibration.rest import QUIET, RestSlopes
+        from rcbht_jax.encoding.encoder import EncoderConfig
 
         rows = np.flatnonzero(np.isin(recordings.trial, data.trial) & (recordings.arm == self.arm))
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
         slopes = self._slopes(recordings, data)
-        least = 0.0 if slopes is None else np.quantile(slopes.steep, QUIET, axis=1)
+        least = np.quantile(slopes.steep, QUIET, axis=1) if isinstance(slopes, RestSlopes) else 0.0
+        assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
         context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _search(
-        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig, base: GradientThresholds
-    ) -> tuple[GradientThresholds, dict[str, Any]]:
+        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+    ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.objective import Objective
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
 
         options = SearchOptions(
-            space=SearchSpace(np.asarray(base.limits, np.float64), _GROUPS[self.groups]),
+            space=SearchSpace(base, _GROUPS[self.groups]),
             objective=Objective.of(dict.fromkeys(self.objective, 1.0)),
             candidates=self.candidates,
             rungs=self.rungs,
@@ -209,12 +257,16 @@ class Calibrate(EncodingCommand):
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 
     def _gradient(
-        self, recordings: Recordings, data: CalibrationData, config: EncoderConfig, base: GradientThresholds
-    ) -> tuple[GradientThresholds, dict[str, Any]]:
-        from rcbht_jax.calibration.gradient import GradientOptions, calibrate
+        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+    ) -> tuple[AnyLimits, dict[str, Any]]:
+        from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate
 
         options = GradientOptions(
-            steps=self.steps, loss=self.loss, straight_through=self.straight_through, seed=self.seed
+            steps=self.steps,
+            loss=self.loss,
+            straight_through=self.straight_through,
+            seed=self.seed,
+            temperature=FIT_TEMPERATURE if self.rule == "fit" else GradientOptions.temperature,
         )
         with progress_bar("train", "steps", self.steps) as bar:
             trained = calibrate(data, config, base, options, progress=bar.update, rest=self._slopes(recordings, data))

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
 import tyro
 
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
-    from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds
     from rcbht_jax.types import Recordings
 
 
@@ -81,7 +79,7 @@ Tolerance = Annotated[
     option(
         "Difference of line and signal, root mean square, that --rule fit allows: one number in the unit of the axes, "
         "or one for each axis.",
-        "1.5 % of an axis's usual range, or what its noise asks for",
+        "those of --thresholds; else 1.5 % of an axis's usual range, or what its noise asks for",
     ),
 ]
 Weighing = Annotated[
@@ -150,27 +148,36 @@ class EncodingCommand(Command):
     ] = None
     thresholds: Annotated[
         Path | None,
-        option('File of "rcbht calibrate" with gradient thresholds, in place of the preset.', "", metavar="FILE.json"),
+        option(
+            'File of "rcbht calibrate" with gradient thresholds, and tolerances if it is for --rule fit, in place of '
+            "the preset.",
+            "",
+            metavar="FILE.json",
+        ),
         MadeBy('"rcbht calibrate STORE.zarr -o {path}"'),
     ] = None
 
-    def read_limits(
-        self, recordings: Recordings, store: Path, scale: float = 1.0
-    ) -> tuple[GradientThresholds, dict[str, Any]]:
-        """The gradient thresholds of the file, of a robot's preset or of these recordings, and where they come from.
+    def read_limits(self, recordings: Recordings, store: Path, scale: float = 1.0) -> tuple[AnyLimits, dict[str, Any]]:
+        """The limits of the file, of a robot's preset or of these recordings, and where they come from.
 
         Args:
             recordings: what is encoded.
             store: where they are stored.
-            scale: factor on all limits.
+            scale: factor on all gradient limits.
+
+        Returns:
+            gradient thresholds, or FitLimits of a file for the fit rule.
 
         Raises:
             InputError: the file is missing or damaged, or has no limits for an axis.
         """
-        from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds
+        from rcbht_jax.encoding.limit_files import read_limits
+        from rcbht_jax.encoding.rules import scaled
+        from rcbht_jax.encoding.thresholds import preset
 
+        thresholds: AnyLimits
         if self.thresholds:
-            thresholds, source = read_thresholds(self.thresholds, recordings.axes)
+            thresholds, source = read_limits(self.thresholds, recordings.axes)
         elif (robot := self.robot or _robot(recordings, store)) == "auto":
             from rcbht_jax.calibration.rest import auto_thresholds
 
@@ -179,7 +186,7 @@ class EncodingCommand(Command):
             thresholds, source = preset(robot, recordings.axes), {"method": "preset", "robot": robot}
         if scale == 1:
             return thresholds, source
-        return GradientThresholds(np.asarray(thresholds.limits) * scale), {**source, "scale": scale}
+        return scaled(thresholds, scale), {**source, "scale": scale}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +202,7 @@ class RuleCommand(EncodingCommand):
 
         return config_of(self.rule, self.window, dt)
 
-    def limits(self, config: AnyConfig, thresholds: Thresholds, teachers: Recordings) -> AnyLimits:
+    def limits(self, config: AnyConfig, thresholds: AnyLimits, teachers: Recordings) -> AnyLimits:
         """The thresholds and, by the fit rule, the tolerances: those of the option, or of these recordings."""
         from rcbht_jax.encoding.rules import limits_for
 

@@ -118,6 +118,7 @@ class Source(RuleCommand):
 
     def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[AnyIntrospector, Messages]:
         """What reports words without a model, with the thresholds of the options, and the messages for it."""
+        from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import live_thresholds, read_opening
         from rcbht_jax.introspection.words import WordIntrospector
         from rcbht_jax.io.rosbags import is_bag
@@ -132,6 +133,7 @@ class Source(RuleCommand):
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"
             measured = self.rule == "fit" and not self.tolerance
+            measured &= self.thresholds is None or not has_tolerances(self.thresholds)
             if learns or measured:
                 what = " and ".join(["thresholds"] * learns + ["tolerances"] * measured)
                 say(f"taking the {what} from the first {self.lead:g} s")

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
-from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
+from rcbht_jax.encoding.thresholds import GradientThresholds, limits_of, preset
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
@@ -24,7 +25,7 @@ def encode(
     rate: float = 200.0,
     *,
     window: int = 5,
-    thresholds: Thresholds | ArrayLike | str | None = None,
+    thresholds: AnyLimits | ArrayLike | str | None = None,
     lengths: ArrayLike | None = None,
     config: AnyConfig | None = None,
     rule: Literal["paper", "fit"] = "paper",
@@ -39,7 +40,8 @@ def encode(
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
-            robot; None = the preset of HIRO, moments being axes whose names begin with M or T.
+            robot; None = the preset of HIRO, moments being axes whose names begin with M or T. By the fit rule also
+            FitLimits, whose tolerance counts unless another one is given.
         lengths: samples that count of each recording, where ``[recording, time, axis]`` is padded.
         config: all choices of the encoder at once, in place of ``rate``, ``window`` and ``rule``.
         rule: "paper", or "fit": words are runs of windows that one straight line explains (docs/fit_rule.md).
@@ -141,9 +143,11 @@ def _padded(
     return padded(signals)
 
 
-def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> GradientThresholds:
+def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> AnyLimits:
     if thresholds is None or isinstance(thresholds, str):
         return preset(thresholds or "hiro", axes)
+    if isinstance(thresholds, FitLimits):
+        return thresholds
     return GradientThresholds(np.asarray(limits_of(thresholds), np.float64))
 
 

@@ -9,7 +9,9 @@ bit for bit. The state has a fixed size, whatever the length of the stream.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +36,7 @@ from rcbht_jax.types import Array, LabelTracks, Segment
 _ABOVE = 4  # segments held above the run: composer and accumulator of compositions, the same of behaviours
 _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
 _INTS, _REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
-_SHORTEST = 2  # samples of a word
+SHORTEST = 2  # samples of a word
 DRAIN_STEPS = 5  # the run, then each of the held segments in turn
 
 
@@ -88,7 +90,7 @@ class FitConfig:
     @property
     def needed(self) -> int:
         """Squared tolerances that two lines in place of one must save."""
-        return max(_SHORTEST, round(self.evidence / self.dt))
+        return max(SHORTEST, round(self.evidence / self.dt))
 
     @property
     def kept(self) -> int:
@@ -155,7 +157,8 @@ def step_partial(
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
     samples = jnp.concatenate([state.reals[_REALS:], window])
     after = residuals_after(samples, config.kept + count)
-    return _advance(config, _by_lane(limits, window), state, samples, after, count)
+    state, out = advance(config, _by_lane(limits, window), state, samples, after, count)
+    return state, _published(out, state.time)
 
 
 def flush(
@@ -203,6 +206,32 @@ def scan_lanes(
     Returns:
         the new state, and labels ``[lane, slot]`` with one slot per window.
     """
+    state, out = _scan(config, limits, state, samples, count, _published)
+    return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
+
+
+def scan_stages(
+    config: FitConfig, limits: Float[Array, "5 lane"], samples: Float[Array, "time lane"], count: Int[Array, " lane"]
+) -> tuple[Segment, ...]:
+    """What every stage says of whole recordings: primitives, pairs of them, compositions, pairs of them, behaviours.
+
+    Arguments as of :func:`scan_lanes`; segments ``[slot, lane]`` in order of time, unused ones with the label 0.
+    """
+    state = init(config, (samples.shape[1],), samples.dtype)
+    state, out = _scan(config, limits, state, samples, count, lambda stages, _: tuple(stages))
+    rest = _stacked(drain_stages(config, limits, state), 0)
+    return tuple(jax.tree.map(lambda a, b: jnp.concatenate([a, b]), *both) for both in zip(out, rest, strict=True))
+
+
+def _scan(
+    config: FitConfig,
+    limits: Array,
+    state: EncoderState,
+    samples: Array,
+    count: Array,
+    kept_of: Callable[[list[Segment], Array], Any],
+) -> tuple[EncoderState, Any]:
+    """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` tells what to stack."""
     window, kept = config.window, config.kept
     windows = -(-samples.shape[0] // window)
     samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
@@ -213,19 +242,26 @@ def scan_lanes(
     seen = jnp.stack([line[at : at + windows * window : window] for at in range(kept + window)])
     after = residuals_after(seen, kept + counts)
 
-    def body(state: EncoderState, row: tuple[Array, Array]) -> tuple[EncoderState, PackedLabels]:
+    def body(state: EncoderState, row: tuple[Array, Array]) -> tuple[EncoderState, Any]:
         number, count = row
         recent = jax.lax.dynamic_slice_in_dim(line, number * window, kept + window)
         rest = jax.lax.dynamic_index_in_dim(after, number, axis=1, keepdims=False)
-        return _advance(config, limits, state, recent, rest, count)
+        state, out = advance(config, limits, state, recent, rest, count)
+        return state, kept_of(out, state.time)
 
-    rows = (jnp.arange(windows, dtype=jnp.int32), counts)
-    state, out = jax.lax.scan(body, state, rows)
-    return state, unpack(jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out))
+    state, out = jax.lax.scan(body, state, (jnp.arange(windows, dtype=jnp.int32), counts))
+    return state, out
 
 
 def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderState) -> LabelTracks:
     """The run, then all held words, each layer drained into the next: labels ``[*lanes, 5]``."""
+    layers = _stacked(drain_stages(config, limits, state), -1)[::2]
+    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
+    return LabelTracks(*(track_of(layer, emit) for layer in layers))
+
+
+def drain_stages(config: FitConfig, limits: Array, state: EncoderState) -> list[list[Segment]]:
+    """What the five stages say in each step of a drain."""
     t0, t1, line, held = _opened(state)
     end = jnp.full_like(t0, config.kept)
     line = join(line, span_line(state.reals[_REALS:], end - (t1 - t0 - line.count), end))
@@ -235,9 +271,17 @@ def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderSta
         held, out = _above(config, held, arrival, state.time, force=number)
         arrival = pipe.keep(jnp.zeros_like(t0, bool), arrival)
         rounds.append(out)
-    layers = [jax.tree.map(lambda *leaves: jnp.stack(leaves, -1), *layer) for layer in zip(*rounds, strict=True)]
-    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
-    return LabelTracks(*(track_of(layer, emit) for layer in layers))
+    return rounds
+
+
+def _stacked(rounds: list[list[Segment]], axis: int) -> list[Segment]:
+    """The segments of each stage, from those of each step."""
+    return [jax.tree.map(lambda *leaves: jnp.stack(leaves, axis), *stage) for stage in zip(*rounds, strict=True)]
+
+
+def _published(stages: list[Segment], now: Array) -> PackedLabels:
+    """The layers among five stages: what a composer says stays inside until an accumulator lets it go."""
+    return PackedLabels(*pack_segments(stages[::2]), now)
 
 
 def _by_lane(limits: Array, like: Array) -> Array:
@@ -253,10 +297,10 @@ def _opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
     return t0, t1, line, unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:_REALS])
 
 
-def _advance(
+def advance(
     config: FitConfig, limits: Array, state: EncoderState, samples: Array, after: Array, count: Array
-) -> tuple[EncoderState, PackedLabels]:
-    """A window of ``count`` new samples: the run goes on, or ends at the break that saves most.
+) -> tuple[EncoderState, list[Segment]]:
+    """A window of ``count`` new samples: the run goes on, or ends at the break that saves most; what each stage says.
 
     Args:
         config: static configuration.
@@ -271,7 +315,7 @@ def _advance(
     count = jnp.where(state.time < 0, 0, count)  # never negative, but no compiler knows: no constant
     now, there = state.time + count, count > 0
     start, stop = kept - (t1 - t0 - line.count), kept + count  # the run's own samples among these
-    found, saved = best_break(line, samples, after, start, stop, _SHORTEST)
+    found, saved = best_break(line, samples, after, start, stop, SHORTEST)
     breaks = there & (saved > limits[4] * limits[4] * config.needed)
     word = pipe.once(pipe.packed(there, breaks) + 4 * found, now)
     there, breaks, found = word & 1 > 0, word >> 1 & 1 > 0, word >> 2
@@ -287,8 +331,7 @@ def _advance(
     ints, reals = pack_segments(held)
     ints = jnp.concatenate([jnp.stack([first, now, run.count]), ints])
     recent = jnp.where(there, samples[window:], state.reals[_REALS:])
-    state = EncoderState(now, ints, jnp.concatenate([jnp.stack([run.mean, run.slope]), reals, recent]))
-    return state, PackedLabels(*pack_segments(out), now)
+    return EncoderState(now, ints, jnp.concatenate([jnp.stack([run.mean, run.slope]), reals, recent])), out
 
 
 def _primitive(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:
@@ -318,7 +361,7 @@ def _above(
         force: at the end of the stream nothing is late; number 1 to 4 of the held segments leaves.
 
     Returns:
-        the four segments held afterwards and one published segment per layer.
+        the four segments held afterwards and one segment of each stage: primitive, composer, accumulator, twice.
     """
     hm, bm, hl, bl = held
 
@@ -327,13 +370,13 @@ def _above(
             return jnp.full_like(h.label, force == number, bool)
         return jnp.zeros_like(h.label, bool) if config.cap is None else now - h.t1 > config.cap
 
-    hm, m = _overdue(now, late(hm, 1), composition.single_composition(hm), x,
-                     *composition.push_primitive(hm, x, config.gate, config.contact_first))  # fmt: skip
-    bm, m = _accumulate(now, late(bm, 2), bm, m, int(MC.A) if config.adj_exempt else None)
-    hl, l = _overdue(now, late(hl, 3), composition.single_behaviour(hl, config.short), m,
-                     *composition.push_composition(hl, m, config.short))  # fmt: skip
-    bl, l = _accumulate(now, late(bl, 4), bl, l, None)
-    return [hm, bm, hl, bl], [x, m, l]
+    hm, pair = _overdue(now, late(hm, 1), composition.single_composition(hm), x,
+                        *composition.push_primitive(hm, x, config.gate, config.contact_first))  # fmt: skip
+    bm, m = _accumulate(now, late(bm, 2), bm, pair, int(MC.A) if config.adj_exempt else None)
+    hl, joint = _overdue(now, late(hl, 3), composition.single_behaviour(hl, config.short), m,
+                         *composition.push_composition(hl, m, config.short))  # fmt: skip
+    bl, l = _accumulate(now, late(bl, 4), bl, joint, None)
+    return [hm, bm, hl, bl], [x, pair, m, joint, l]
 
 
 def _overdue(now: Array, late: Array, alone: Segment, x: Segment, h: Segment, out: Segment) -> tuple[Segment, Segment]:

@@ -6,16 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding import encoder, fit
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of, validate
+from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, validate
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LabelTracks
+from rcbht_jax.types import Array, LabelTracks
 
 AnyConfig = EncoderConfig | FitConfig
 AnyLimits = Thresholds | FitLimits
@@ -69,7 +70,7 @@ def config_of(rule: str, window: int, dt: float) -> AnyConfig:
 
 def limits_for(
     config: AnyConfig,
-    thresholds: Thresholds,
+    thresholds: AnyLimits,
     tolerance: ArrayLike | Sequence[float] | None,
     wrench: NDArray[np.floating],
     length: NDArray[np.integer],
@@ -78,8 +79,9 @@ def limits_for(
 
     Args:
         config: its type chooses the rule.
-        thresholds: gradient limits ``[..., axis, 4]``.
-        tolerance: a number, or one for each axis; None or "auto" = from the recordings. The paper's rule has none.
+        thresholds: gradient limits ``[..., axis, 4]``; by the fit rule also FitLimits, as calibration finds them.
+        tolerance: a number, or one for each axis; None or "auto" = that of FitLimits, else from the recordings. The
+            paper's rule has none.
         wrench: recordings ``[recording, time, axis]`` that tell the tolerance, N and Nm.
         length: their samples that count ``[recording]``.
 
@@ -95,7 +97,14 @@ def limits_for(
     if not isinstance(config, FitConfig):
         if not learned:
             raise InputError('A tolerance belongs to the fit rule; add rule="fit", or leave it out.')
+        if isinstance(thresholds, FitLimits):
+            raise InputError('These limits have tolerances and belong to the fit rule; add rule="fit" (--rule fit).')
         return thresholds
+    if isinstance(thresholds, FitLimits):
+        if learned:
+            thresholds.stacked()
+            return thresholds
+        thresholds = GradientThresholds(thresholds.gradients)
     gradients = np.asarray(limits_of(thresholds), np.float64)
     found = auto_tolerance(wrench, length, config.needed) if learned else _numbers(tolerance)
     try:
@@ -135,6 +144,32 @@ def checked_limits(config: AnyConfig, limits: AnyLimits) -> NDArray[np.floating]
     values = np.asarray(limits_of(limits))
     validate(values)
     return values
+
+
+def gradients_of(limits: AnyLimits) -> Any:
+    """The gradient limits ``[..., axis, 4]`` of either rule."""
+    return limits.gradients if isinstance(limits, FitLimits) else limits_of(limits)
+
+
+def scaled(limits: AnyLimits, factor: float) -> AnyLimits:
+    """Gradient limits times a factor; tolerances stay.
+
+    >>> scaled(FitLimits(np.array([[8.0, 4.0, 2.0, 1.0]]), np.array([0.5])), 0.5).stacked().tolist()
+    [[4.0, 2.0, 1.0, 0.5, 0.5]]
+    """
+    gradients = np.asarray(gradients_of(limits)) * factor
+    return FitLimits(gradients, limits.tolerance) if isinstance(limits, FitLimits) else GradientThresholds(gradients)
+
+
+def limit_values(limits: AnyLimits | Array) -> Array:
+    """The numbers of every axis, unchecked: ``[..., axis, 4]``, or ``[..., axis, 5]`` with the tolerance last.
+
+    Safe inside jit, vmap and grad; an array stays as it is.
+    """
+    if isinstance(limits, FitLimits):
+        wide = jnp.broadcast_to(limits.tolerance, limits.gradients.shape[:-1])
+        return jnp.concatenate([jnp.asarray(limits.gradients), wide[..., None]], axis=-1)
+    return limits.limits if isinstance(limits, GradientThresholds) else limits
 
 
 # --- as files have them -----------------------------------------------------------------------------------------------

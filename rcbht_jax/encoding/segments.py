@@ -10,6 +10,8 @@ from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array, Segment
 
 _UNROLLED = 64  # windows up to this many samples become straight-line code
+_TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
+_SURE = 40.0  # logit of the sign of a slope far above the small limit
 
 
 def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Segment:
@@ -85,3 +87,25 @@ def gradient_label(slope: Array, limits: Array) -> Array:
     impulse = jnp.where(up, jnp.int32(Primitive.PIMP), jnp.int32(Primitive.NIMP))
     constant = jnp.int32(Primitive.CONS)
     return jnp.where(rank == 4, constant, jnp.where(rank == 0, impulse, ramp))
+
+
+def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Array:
+    """Distribution over the nine primitives of windows.
+
+    Args:
+        slope: float ``[...]``, N/s or Nm/s.
+        limits: float ``[..., 4]``, largest first, broadcastable against ``slope``.
+        temperature: width of the boundaries in units of the logarithm of the slope, > 0.
+
+    Returns:
+        float ``[..., 9]`` that sums to 1.
+    """
+    size, tiny = jnp.abs(slope)[..., None], _TINY * limits[..., 3:]
+    distance = jnp.log(size + tiny) - jnp.log(limits + tiny)
+    above = jax.nn.sigmoid(distance / temperature)  # impulse, big, medium, small or more
+    some = jnp.diff(above, axis=-1)  # big, medium, small
+    # The sign turns where the slope is far below the small limit, and is certain at that limit.
+    up = jax.nn.sigmoid(_SURE * slope / (jnp.abs(slope) + limits[..., 3] * temperature))[..., None]
+    constant, impulse = 1 - above[..., 3:], above[..., :1]
+    parts = [some * up, some * (1 - up), constant, impulse * up, impulse * (1 - up)]
+    return jnp.concatenate(parts, -1)

@@ -1,12 +1,16 @@
-"""Soft labels: the streaming encoder as a differentiable function of thresholds and wrench.
+"""Soft labels: the streaming encoder as a differentiable function of its limits.
 
-What is soft: the label of every window, by sigmoid boundaries on the logarithm of its slope; and with it every
-pair of the tables, as the expected label of two soft partners. What stays hard: which windows form an item and
-which segments pair or merge. The hard encoder decides that, and its decisions are held fixed for the derivative. A
-merged segment says what those of its parts say that carry its label: what was absorbed does not vote.
+By the paper's rule the label of every window is soft, by sigmoid boundaries on the logarithm of its slope. A merged
+segment says what those of its parts say that carry its label: what was absorbed does not vote. By the fit rule the
+breaks between runs are soft as well (:mod:`rcbht_jax.encoding.soft_runs`); a run of the hard encoder says what the soft
+runs say on average over its samples.
+
+Pairs of the tables are soft by both rules: the expected label of two soft partners. What stays hard is which segments
+pair or merge, and by the paper's rule which windows form an item: the hard encoder decides that, and its decisions are
+held fixed for the derivative.
 
 So the soft labels are the hard ones at temperature 0, are smooth wherever the hard decisions do not change, and
-jump where they do. Gradients reach all four thresholds of every axis through the windows.
+jump where they do. Gradients reach all limits of every axis; by the paper's rule the wrench as well.
 """
 
 from __future__ import annotations
@@ -17,26 +21,26 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from rcbht_jax.encoding import composition, encoder, segments
+from rcbht_jax.encoding import composition, encoder, fit, segments, soft_runs
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.segments import gradient_label
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, limit_values
+from rcbht_jax.encoding.segments import gradient_label, soft_windows
 from rcbht_jax.labels import LAYER_SIZES, LLB, MC, MC_PAIR, MC_SINGLE, PRIMITIVE_GROUP, Group
 from rcbht_jax.types import Array, LabelTrack, Segment
-
-_TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
-
-_SURE = 40.0  # logit of the sign of a slope far above the small limit
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SoftLabels:
-    """Distribution of the published label over time; windows beyond a recording have all zeros."""
+    """Distribution of the published label over time; all zeros beyond a recording.
 
-    primitive: Float[Array, "trial axis window 9"]
-    mc: Float[Array, "trial axis window 8"]
-    llb: Float[Array, "trial axis window 8"]
+    A cell of time is a window by the paper's rule and a sample by the fit rule, see :func:`cell`.
+    """
+
+    primitive: Float[Array, "trial axis cell 9"]
+    mc: Float[Array, "trial axis cell 8"]
+    llb: Float[Array, "trial axis cell 8"]
 
 
 @jax.tree_util.register_dataclass
@@ -49,31 +53,14 @@ class _Spans:
     end: Array  # last window of the segment
 
 
-def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Array:
-    """Distribution over the nine primitives of windows.
-
-    Args:
-        slope: float ``[...]``, N/s or Nm/s.
-        limits: float ``[..., 4]``, largest first, broadcastable against ``slope``.
-        temperature: width of the boundaries in units of the logarithm of the slope, > 0.
-
-    Returns:
-        float ``[..., 9]`` that sums to 1.
-    """
-    size, tiny = jnp.abs(slope)[..., None], _TINY * limits[..., 3:]
-    distance = jnp.log(size + tiny) - jnp.log(limits + tiny)
-    above = jax.nn.sigmoid(distance / temperature)  # impulse, big, medium, small or more
-    some = jnp.diff(above, axis=-1)  # big, medium, small
-    # The sign turns where the slope is far below the small limit, and is certain at that limit.
-    up = jax.nn.sigmoid(_SURE * slope / (jnp.abs(slope) + limits[..., 3] * temperature))[..., None]
-    constant, impulse = 1 - above[..., 3:], above[..., :1]
-    parts = [some * up, some * (1 - up), constant, impulse * up, impulse * (1 - up)]
-    return jnp.concatenate(parts, -1)
+def cell(config: AnyConfig) -> int:
+    """Samples for which soft labels have one distribution: a window by the paper's rule, one by the fit rule."""
+    return 1 if isinstance(config, FitConfig) else config.window
 
 
 def soft_encode(
-    config: EncoderConfig,
-    thresholds: Thresholds,
+    config: AnyConfig,
+    thresholds: AnyLimits | Float[Array, "axis 5"],
     wrench: Float[Array, "trial time axis"],
     length: Int[Array, " trial"],
     temperature: Array | float,
@@ -82,28 +69,34 @@ def soft_encode(
     """Soft labels of whole recordings.
 
     Args:
-        config: static configuration.
-        thresholds: limits ``[axis, 4]``.
+        config: static configuration; its type chooses the rule.
+        thresholds: limits ``[axis, 4]``; by the fit rule FitLimits, or their numbers ``[axis, 5]``, the tolerance last.
         wrench: N and Nm, padded with anything finite.
         length: samples that count.
-        temperature: see :func:`soft_windows`.
+        temperature: see :func:`rcbht_jax.encoding.segments.soft_windows` and :mod:`rcbht_jax.encoding.soft_runs`.
         straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape
-    windows, limits = -(-samples // config.window), limits_of(thresholds)
-    stages = jax.lax.stop_gradient(_hard_spans(config, limits, wrench, length))
-    slope, counts = _slopes(config, wrench, length)
-    lane_limits = jnp.broadcast_to(limits[None], (trials, axes, 4)).reshape(-1, 1, 4)
-    soft = soft_windows(slope, lane_limits, temperature) * counts[..., None].astype(slope.dtype)
-    voted = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits, -1, 0)), 0)
-
+    limits = limit_values(thresholds)
+    lane_limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype)[None], (trials, *limits.shape))
+    lane_limits = lane_limits.reshape(trials * axes, limits.shape[1])
+    if isinstance(config, FitConfig):
+        lanes = jnp.swapaxes(wrench, 0, 1).reshape(samples, trials * axes)
+        stages = jax.lax.stop_gradient(_fit_spans(config, lane_limits, lanes, jnp.repeat(length, axes)))
+        p, _ = soft_runs.soft_primitives(config, lane_limits, lanes, jnp.repeat(length, axes), temperature)
+        parts = _vote(p, stages[0].label, stages[0])
+    else:
+        stages = jax.lax.stop_gradient(_hard_spans(config, limits, wrench, length))
+        slope, counts = _slopes(config, wrench, length)
+        soft = soft_windows(slope, lane_limits[:, None], temperature) * counts[..., None].astype(slope.dtype)
+        voted = jnp.where(counts, gradient_label(slope, jnp.moveaxis(lane_limits[:, None], -1, 0)), 0)
+        p = parts = _vote(soft, voted, stages[0])
     primitive, pairs, mc, joints, llb = stages
-    p = _vote(soft, voted, primitive)
-    m = _vote(_composition(p, pairs, primitive), pairs.label, mc)
+    m = _vote(_composition(parts, pairs, primitive), pairs.label, mc)
     l = _vote(_behaviour(m, joints, mc), joints.label, llb)
     if straight_through:
         p, m, l = (_straight(x, hard.label) for x, hard in ((p, primitive), (m, mc), (l, llb)))
-    return SoftLabels(*(x.reshape(trials, axes, windows, -1) for x in (p, m, l)))
+    return SoftLabels(*(x.reshape(trials, axes, *x.shape[1:]) for x in (p, m, l)))
 
 
 def soft_shares(labels: SoftLabels, weights: Array) -> Array:
@@ -111,7 +104,7 @@ def soft_shares(labels: SoftLabels, weights: Array) -> Array:
 
     Args:
         labels: of :func:`soft_encode`.
-        weights: float ``[trial, sentence, window]``, samples of the window in the sentence (:func:`overlaps`).
+        weights: float ``[trial, sentence, cell]``, samples of the cell in the sentence (:func:`overlaps`).
 
     Returns:
         float ``[trial, sentence, axis * 25]``, in the order of :func:`rcbht_jax.calibration.objective.shares`.
@@ -124,11 +117,11 @@ def soft_shares(labels: SoftLabels, weights: Array) -> Array:
     return joined.reshape(*joined.shape[:2], -1)
 
 
-def overlaps(edges: Array, windows: int, window: int) -> Array:
-    """Samples that window and sentence share, float32 ``[trial, sentence, window]``; edges int32 ``[trial, edge]``."""
-    start = jnp.arange(windows, dtype=jnp.int32) * window
+def overlaps(edges: Array, cells: int, size: int) -> Array:
+    """Samples that cell and sentence share, float32 ``[trial, sentence, cell]``; edges int32 ``[trial, edge]``."""
+    start = jnp.arange(cells, dtype=jnp.int32) * size
     first = jnp.maximum(edges[:, :-1, None], start[None, None])
-    last = jnp.minimum(edges[:, 1:, None], start[None, None] + window)
+    last = jnp.minimum(edges[:, 1:, None], start[None, None] + size)
     return jnp.maximum(last - first, 0).astype(jnp.float32)
 
 
@@ -171,6 +164,12 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
     held, joints = jax.lax.scan(push_composition, empty, m)
     joints = _append(joints, composition.single_behaviour(held, config.short))
     return tuple(_on_grid(stage, windows, config.window) for stage in (p, pairs, m, joints, l))
+
+
+def _fit_spans(config: FitConfig, limits: Array, samples: Array, count: Array) -> tuple[_Spans, ...]:
+    """The same stages by the fit rule, on the grid of samples; limits ``[lane, 5]``, samples ``[time, lane]``."""
+    stages = fit.scan_stages(config, limits.T, samples, count.astype(jnp.int32))
+    return tuple(_on_grid(stage, samples.shape[0], 1) for stage in stages)
 
 
 def _append(spans: Segment, last: Segment) -> Segment:

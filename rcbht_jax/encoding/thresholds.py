@@ -121,7 +121,10 @@ def to_free(thresholds: GradientThresholds) -> Array:
 
 
 FORMAT, FORMAT_VERSION = "rcbht-thresholds", 1
+FIT_VERSION = 2  # with tolerances: a program that knows only the paper's rule must not take the limits alone
 LIMITS = ("impulse", "big", "medium", "small")
+TOLERANCE = "tolerance"
+COLUMNS = {FORMAT_VERSION: LIMITS, FIT_VERSION: (*LIMITS, TOLERANCE)}
 
 
 def write_thresholds(
@@ -146,13 +149,31 @@ def write_thresholds(
         {'from': 'the authors'}
     """
     limits = np.asarray(thresholds.limits, np.float64)
-    _check(limits, path, axes)
+    check_rows(limits, path, axes)
+    write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance)
+
+
+def write_rows(
+    path: Path,
+    version: int,
+    axes: Sequence[str],
+    columns: Mapping[str, NDArray[np.float64]],
+    provenance: Mapping[str, Any],
+    **more: Any,
+) -> None:
+    """Write numbers ``[axis]`` by name as a file of thresholds; ``more`` are entries at its top.
+
+    Raises:
+        InputError: the folder does not exist.
+    """
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
-    rows = {axis: dict(zip(LIMITS, row, strict=True)) for axis, row in zip(axes, limits.tolist(), strict=True)}
+    lists = {name: values.tolist() for name, values in columns.items()}
+    rows = {axis: {name: values[row] for name, values in lists.items()} for row, axis in enumerate(axes)}
     content = {
         "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format_version": version,
+        **more,
         "units": "unit of the axis per second; of a wrench N/s (forces), Nm/s (moments)",
         "limits": rows,
         "rcbht_jax_version": rcbht_jax.__version__,
@@ -167,7 +188,8 @@ def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThr
     """Thresholds ``[axis, 4]`` of some axes, by name, and their provenance.
 
     Raises:
-        InputError: not such a file, or its limits are not ordered positive numbers for each of the axes.
+        InputError: not such a file, one of the fit rule (see :func:`rcbht_jax.encoding.limit_files.read_limits`), or
+            its limits are not ordered positive numbers for each of the axes.
 
     Example:
         >>> import tempfile
@@ -176,25 +198,44 @@ def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThr
         ...     read_thresholds(Path(folder) / "hiro.json")[0].limits[0].tolist()
         [70.0, 46.0, 23.0, 1.0]
     """
+    version, columns, provenance = read_rows(path, axes)
+    if version != FORMAT_VERSION:
+        raise InputError(f"{path} holds limits of the fit rule, with tolerances; the paper's rule cannot use them.")
+    limits = np.stack([columns[name] for name in LIMITS], axis=-1)
+    check_rows(limits, path, axes)
+    return GradientThresholds(limits), provenance
+
+
+def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
+    """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
+
+    Raises:
+        InputError: not such a file, or it has nothing for one of the axes.
+    """
     try:
         content = load_json(path)
-        if content["format"] != FORMAT or content["format_version"] != FORMAT_VERSION:
-            raise InputError(f"{path} is not a file of thresholds of version {FORMAT_VERSION}.")
+        version = content["format_version"]
+        if content["format"] != FORMAT or version not in COLUMNS:
+            raise InputError(f"{path} is not a file of thresholds of version {' or '.join(map(str, COLUMNS))}.")
         rows, provenance = content["limits"], dict(content["provenance"])
         if missing := [axis for axis in axes if axis not in rows]:
             raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
-        limits = np.array([[float(rows[axis][name]) for name in LIMITS] for axis in axes])
+        columns = {name: np.array([float(rows[axis][name]) for axis in axes]) for name in COLUMNS[version]}
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; expected a file of thresholds.") from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
-    _check(limits, path, axes)
-    return GradientThresholds(limits), provenance
+    return version, columns, provenance
 
 
-def _check(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path, axes: Sequence[str]) -> None:
+def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path, axes: Sequence[str]) -> None:
+    """Refuse limits ``[axis, 4]`` of a file that are of another shape or out of order.
+
+    Raises:
+        InputError: says which, with the name of the file.
+    """
     if limits.shape != (len(axes), len(LIMITS)):
         raise InputError(f"Thresholds for {path} have shape {limits.shape}; expected [{len(axes)}, 4].")
     try:

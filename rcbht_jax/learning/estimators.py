@@ -62,7 +62,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         window: samples per straight-line fit, at least 2.
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
             limits ``[4]`` of every axis, N/s or Nm/s. Unless there are six axes, a robot's name stands for its limits
-            of forces.
+            of forces. By the fit rule also :class:`FitLimits`, whose tolerance stands for "auto".
         features: which features; None = ``FeatureSpec()``.
         config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig by
             the fit rule; None = its defaults.
@@ -99,8 +99,10 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         """
         wrench, length = _padded(X, self.layout)
         axes = wrench.shape[2]
-        self.thresholds_ = _limits(self.thresholds, axes)
-        self._encoding = limits_for(self._encoder_config(), self.thresholds_, self.tolerance, wrench, length)
+        fitted = isinstance(self.thresholds, FitLimits)
+        self.thresholds_ = _limits(self.thresholds.gradients if fitted else self.thresholds, axes)
+        limits = FitLimits(self.thresholds_, self.thresholds.tolerance) if fitted else self.thresholds_
+        self._encoding = limits_for(self._encoder_config(), limits, self.tolerance, wrench, length)
         self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
         described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features)
         self.n_features_in_ = axes

@@ -10,11 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rcbht_jax as rj
 from rcbht_jax.cli.main import main
+from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.model import load
 from rcbht_jax.io.label_store import read_tracks
-from rcbht_jax.io.store import write_recordings
+from rcbht_jax.io.store import read_recordings, write_recordings
 from tests.calibration.test_contextual import recordings
 
 
@@ -52,11 +56,102 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
     assert attrs["thresholds_from"]["method"] == method
 
 
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("rest", []),
+        ("search", ["--candidates", "2", "--generations", "0"]),
+        ("gradient", ["--steps", "1"]),
+    ],
+)
+def test_the_fit_rule_is_calibrated_with_its_tolerance(store, tmp_path, capsys, method, options):
+    out = tmp_path / f"fit-{method}.json"
+    words = ["calibrate", str(store), "-o", str(out), "--rule", "fit", "--method", method, *options, "--json"]
+    assert main(words) == 0
+    said = json.loads(capsys.readouterr().out)
+    limits, provenance = read_limits(out)
+    np.testing.assert_allclose(limits.gradients, said["limits"])
+    np.testing.assert_allclose(limits.tolerance, said["tolerance"])
+    assert provenance["method"] == method
+    assert said["rule"] == "fit"
+    if method == "rest":
+        assert min(said["rest_constant"].values()) >= 0.95
+    else:
+        assert provenance["config"]["rule"] == "fit"
+    if method == "search":
+        assert said["value"] >= said["preset_value"] - 1e-5
+    assert main(["encode", str(store), "--rule", "fit", "--thresholds", str(out)]) == 0
+    _, attrs = read_tracks(store, f"online-W5-fit-fit-{method}")
+    np.testing.assert_allclose(attrs["thresholds"], said["limits"])
+    np.testing.assert_allclose(attrs["config"]["tolerance"], said["tolerance"])
+    capsys.readouterr()
+    assert main(["encode", str(store), "--thresholds", str(out)]) == 2  # the paper's rule
+    assert "--rule fit" in capsys.readouterr().err
+
+
+def test_limits_of_the_fit_rule_go_wherever_limits_go(store, tmp_path, capsys):
+    limits, path = FitLimits(preset().limits * 0.7, np.linspace(0.1, 0.6, 6)), tmp_path / "fit.json"
+    write_limits(path, limits, {"method": "hand"})
+    model, name = tmp_path / "m.model", str(tmp_path / "events.jsonl")
+    fit = ["--rule", "fit", "--thresholds", str(path)]
+    assert main(["train-online", str(store), "-o", str(model), *fit]) == 0
+    encoding = load(model)
+    np.testing.assert_array_equal(encoding.limits.tolerance, limits.tolerance)
+    np.testing.assert_array_equal(encoding.limits.gradients, limits.gradients)
+    assert main(["stream", str(store), "--trial", "t0", "--speed", "0", "-o", name, *fit]) == 0
+    streamed = {
+        event["label"] for line in Path(name).read_text().splitlines() if "label" in (event := json.loads(line))
+    }
+    assert streamed
+    assert main(["calibrate", str(store), "-o", str(tmp_path / "next.json"), "--method", "search", *fit,
+                 "--candidates", "2", "--generations", "0", "--rest-weight", "0"]) == 0  # fmt: skip
+    capsys.readouterr()
+    for command in (["train-online", str(store), "-o", str(model)], ["stream", str(store), "--trial", "t0"]):
+        assert main([*command, "--thresholds", str(path)]) == 2
+        assert "belong to the fit rule" in capsys.readouterr().err
+    wrench = read_recordings(store).wrench[0]
+    ours = rj.encode(wrench, rule="fit", thresholds=limits)
+    other = rj.encode(wrench, rule="fit", thresholds=limits, tolerance=0.9)
+    assert (ours.primitive.label > 0).sum() > (other.primitive.label > 0).sum()
+    with pytest.raises(InputError, match="fit rule"):
+        rj.encode(wrench, thresholds=limits)
+    features = rj.WrenchFeatures(rule="fit", thresholds=limits).fit(wrench[None])
+    np.testing.assert_array_equal(features.tolerance_, limits.tolerance)
+
+
+def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_used(tmp_path):
+    limits, path = FitLimits(preset().limits * 0.7, np.linspace(0.1, 0.6, 6)), tmp_path / "fit.json"
+    write_limits(path, limits, {"seed": 1})
+    found, provenance = read_limits(path, ("Mz", "Fx"))
+    np.testing.assert_array_equal(found.tolerance, limits.tolerance[[5, 0]])
+    np.testing.assert_array_equal(found.gradients, limits.gradients[[5, 0]])
+    assert provenance == {"seed": 1}
+    assert has_tolerances(path)
+    with pytest.raises(InputError, match="fit rule"):
+        read_thresholds(path)
+    content = json.loads(path.read_text())
+    content["limits"]["Fz"]["tolerance"] = -1
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="positive"):
+        read_limits(path)
+    del content["limits"]["Fz"]["tolerance"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="is not a file of thresholds"):
+        read_limits(path)
+    write_limits(path, preset(), {})
+    assert not has_tolerances(path)
+    np.testing.assert_array_equal(read_limits(path)[0].limits, preset().limits)
+
+
 def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
     for words, expected in (
         (["-o", str(tmp_path / "no" / "x.json")], "is not a folder"),
         (["-o", str(tmp_path / "x.json"), "--session", "Q"], "no recording has the session Q"),
         (["-o", str(tmp_path / "x.json"), "--rungs", "0.5"], "increase to 1"),
+        (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "context"], "paper's rule"),
+        (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--plot", "x.png"], "leave it out"),
+        (["-o", str(tmp_path / "x.json"), "--tolerance", "0.1"], "--rule fit"),
+        (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "rest", "--tolerance", "1"], "leave out"),
     ):
         assert main(["calibrate", str(store), *words]) == 2
         assert expected in capsys.readouterr().err

@@ -38,6 +38,8 @@ CELLS = [
     ("fit-running", "fit", "primitives revised", ".2f fit_latency > rows > fit > revised > primitive"),
     ("fit-classes", "plain words, fit", "SIM1 states",
      ".3f fit_classification > rows > SIM1 states | plain words, fit > accuracy > mean"),
+    ("fit-calibration", "rest", "REAL states, A to B",
+     ".3f fit_calibration > rows > REAL states, A to B | rest > accuracy > mean"),
     ("words-rate", "optimum", "SIM1",
      ".2f rate_distortion > rows > rate | SIM1 | optimum > words per second at residual > 0.01"),
     ("words-defaults", "SIM1 | 5", "residual of fit",

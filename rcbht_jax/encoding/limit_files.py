@@ -1,0 +1,84 @@
+"""Files of limits of either rule: the paper's, or of the fit rule with a tolerance for every axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.encoding.rules import AnyLimits
+from rcbht_jax.encoding.thresholds import (
+    FIT_VERSION,
+    FORMAT_VERSION,
+    LIMITS,
+    TOLERANCE,
+    GradientThresholds,
+    check_rows,
+    limits_of,
+    read_rows,
+    write_rows,
+    write_thresholds,
+)
+from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.errors import InputError
+from rcbht_jax.labels import AXES
+
+
+def write_limits(path: Path, limits: AnyLimits, provenance: Mapping[str, Any], axes: Sequence[str] = AXES) -> None:
+    """Write limits ``[axis, 4]``, and the tolerances ``[axis]`` of the fit rule, as a whole file or not at all.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        limits: of either rule.
+        provenance: how they were found; JSON values.
+        axes: their names.
+
+    Raises:
+        InputError: wrong shape, not in order, not positive, or the folder does not exist.
+
+    Example:
+        >>> import tempfile
+        >>> limits = FitLimits(np.array([[70.0, 46.0, 23.0, 1.0]]), np.array([0.5]))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_limits(Path(folder) / "fit.json", limits, {"method": "rest"}, ["Fz"])
+        ...     found, provenance = read_limits(Path(folder) / "fit.json", ["Fz"])
+        >>> found.tolerance.tolist(), provenance
+        ([0.5], {'method': 'rest'})
+    """
+    if not isinstance(limits, FitLimits):
+        write_thresholds(path, GradientThresholds(limits_of(limits)), provenance, axes)
+        return
+    gradients = np.asarray(limits.gradients, np.float64)
+    check_rows(gradients, path, axes)
+    columns = dict(zip((*LIMITS, TOLERANCE), limits.stacked().T, strict=True))
+    write_rows(path, FIT_VERSION, axes, columns, provenance, rule="fit")
+
+
+def read_limits(path: Path, axes: Sequence[str] = AXES) -> tuple[AnyLimits, dict[str, Any]]:
+    """Limits of some axes, by name, and their provenance: GradientThresholds, or FitLimits of a file of the fit rule.
+
+    Raises:
+        InputError: not such a file, or its numbers are not positive and in order for each of the axes.
+    """
+    version, columns, provenance = read_rows(path, axes)
+    limits = np.stack([columns[name] for name in LIMITS], axis=-1)
+    check_rows(limits, path, axes)
+    if version == FORMAT_VERSION:
+        return GradientThresholds(limits), provenance
+    found = FitLimits(limits, columns[TOLERANCE])
+    try:
+        found.stacked()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return found, provenance
+
+
+def has_tolerances(path: Path) -> bool:
+    """Whether a file of limits is for the fit rule.
+
+    Raises:
+        InputError: not such a file.
+    """
+    return read_rows(path, ())[0] == FIT_VERSION
