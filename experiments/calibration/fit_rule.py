@@ -144,7 +144,8 @@ class Experiment:
             "steps": STEPS,
             "choices": (
                 "rows and settings were fixed before the first score; what rest takes for noise was changed after its "
-                "tolerances on session A had been seen (with second differences they were about a fiftieth of the default)"
+                "tolerances on session A had been seen (with second differences they were about a fiftieth of the "
+                "default)"
             ),
             "benchmarks": {
                 name: BENCHMARKS[name].about(items_of(self.recordings, BENCHMARKS[name])) for name in SCORED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -204,17 +203,20 @@ def test_a_step_is_pure_keeps_its_size_and_can_be_mapped_over_limits():
     lanes, five = jnp.asarray(signal()[1, :60], jnp.float32), jnp.full(3, 5, jnp.int32)
     limits = jnp.asarray(STACKED[None] * np.array([1.0, 0.5, 2.0])[:, None, None], jnp.float32)
 
-    def run(one, steps):
-        state = soft_runs.init(CONFIG, (3,))
-        for k in range(steps):
-            state, runs = soft_runs.step(CONFIG, one, state, lanes[5 * k : 5 * k + 5], five, 0.2)
-        return state, runs
+    @jax.jit
+    def step(one, state, window):
+        return soft_runs.step(CONFIG, one, state, window, five, 0.2)
 
-    short, long = (jax.eval_shape(partial(run, steps=steps), limits[0]) for steps in (1, 12))
-    assert short == long  # shapes and types
-    assert sum(leaf.size for leaf in jax.tree.leaves(short[0])) < 400
-    together = jax.jit(jax.vmap(lambda one: run(one, 12)))(limits)
-    for k in range(3):
-        alone = run(limits[k], 12)
-        np.testing.assert_allclose(together[0].weight[k].sum(0), 1, atol=1e-5)
-        np.testing.assert_allclose(together[1].weight[k], alone[1].weight, atol=1e-4)
+    mapped = jax.jit(jax.vmap(step, in_axes=(0, 0, None)))
+    alone = [soft_runs.init(CONFIG, (3,)) for _ in limits]
+    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alone)
+    sizes = jax.eval_shape(lambda: alone[0])
+    for first in range(0, 60, 5):
+        together, runs = mapped(limits, together, lanes[first : first + 5])
+        single = [step(one, state, lanes[first : first + 5]) for one, state in zip(limits, alone, strict=True)]
+        alone = [state for state, _ in single]
+        for k in range(3):
+            np.testing.assert_allclose(runs.weight[k], single[k][1].weight, atol=1e-4)
+            np.testing.assert_allclose(together.weight[k].sum(0), 1, atol=1e-5)
+    assert jax.eval_shape(lambda: alone[0]) == sizes  # shapes and types
+    assert sum(leaf.size for leaf in jax.tree.leaves(alone[0])) < 400
