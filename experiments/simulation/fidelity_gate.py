@@ -17,14 +17,12 @@ import tyro
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.assembly.scene import one_arm
-from sim_mjx.engines import native
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import SessionPreset
-from sim_mjx.validation import gate, sessions, signature, snaps
-from sim_mjx.validation.dynamics import Dynamics, dynamics
+from sim_mjx.validation import gate, sessions, signature
+from sim_mjx.validation.dynamics import Dynamics
+from sim_mjx.validation.fidelity import rerun, snap_shares
 from sim_mjx.validation.gate import Check
-from sim_mjx.validation.replay import Recorder, seated_snaps
 
 SEED = 0
 OTHER = {"A": "B", "B": "A", "C": "A", "openhrp": "A"}  # whose parts a session is given
@@ -43,26 +41,16 @@ def parts_of(name: str, preset: SessionPreset) -> PartParams:
     return replace(other, position=parts.position, roll=parts.roll)
 
 
-def simulated(preset: SessionPreset) -> tuple[np.ndarray, Dynamics, dict[str, Any]]:
-    """Profiles, quick events, and snaps of the seated trials."""
-    params = sessions.trials_of(preset, seed=SEED)
-    recorder = Recorder(one_arm(), len(params.command_delay))
-    run = native.simulate(one_arm(), params, watch=recorder.watch)
-    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
-    return sessions.profiles(run), events, seated_snaps(run, recorder)
-
-
 def of_session(preset: SessionPreset, recordings: Recordings) -> dict[str, Any]:
     """Every row of a session."""
     target = sessions.recorded(recordings, preset.name)
-    reference, known = target.profiles, target.snaps if target.snaps and target.snaps["trials"] else None
+    reference = target.profiles
     out = {}
     for name in ("the preset", "no tabs", "soft springs", "another session's parts"):
         model = preset if name == "the preset" else replace(preset, parts=parts_of(name, preset))
-        profiles, events, found = simulated(model)
+        run, events, found = rerun(model, seed=SEED)
         pair = None if target.dynamics is None else (target.dynamics, events)
-        shares = None if known is None else (snaps.share(known), snaps.share(found))
-        out[name] = row(preset, reference, profiles, pair, shares)
+        out[name] = row(preset, reference, sessions.profiles(run), pair, snap_shares(target, found))
     rng = np.random.default_rng(SEED)
     mean = np.broadcast_to(reference.mean((0, 2), keepdims=True), reference.shape)
     out["a constant per state and axis"] = row(preset, reference, mean + 1e-9 * rng.normal(size=mean.shape))

@@ -25,7 +25,7 @@ from rcbht_jax.types import Array, LabelTrack, Recordings
 
 CONSTANT = 0.95  # share of the time at rest that shall be constant
 STEPS = 2.0 ** (np.arange(13) / 2)  # tolerances to try, in the least one
-RANGE = 2.0 ** (np.arange(-8, 5) / 2)  # tolerances of a penalty, in automatic ones: those of a search
+RANGE = 2.0 ** (np.arange(-8, 5) / 2)  # tolerances of a penalty and of a search, in automatic ones
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def fit_rest_limits(recordings: Recordings, config: FitConfig) -> FitRestCalibra
     """
     calibrated = rest_thresholds(recordings, config.window)
     least = _rest_noise(recordings, calibrated.rest, config)
-    runs = RestRuns.of(recordings, config, tolerances=least * STEPS[:, None], rest=calibrated.rest)
+    runs = _runs(recordings, config, least * STEPS[:, None], calibrated.rest)
     share = 1 - runs.moving(np.asarray(calibrated.thresholds.limits)[:, 3])
     enough = share >= CONSTANT
     chosen = np.where(enough.any(0), enough.argmax(0), share.argmax(0))
@@ -92,31 +92,15 @@ class RestRuns:
     weight: float | Array = 1.0
 
     @staticmethod
-    def of(
-        recordings: Recordings,
-        config: FitConfig,
-        weight: float = 1.0,
-        tolerances: Float[np.ndarray, "tolerance axis"] | None = None,
-        rest: Bool[np.ndarray, "recording window axis"] | None = None,
-    ) -> RestRuns:
-        """The runs of recordings by tolerances; None = a sixteenth to four times the automatic ones.
+    def of(recordings: Recordings, config: FitConfig, weight: float = 1.0) -> RestRuns:
+        """The runs of recordings by a sixteenth to four times the automatic tolerances.
 
         Raises:
             InputError: no recording is as long as two windows, an axis never changes, or one has no rest.
         """
-        calibrated = None if rest is not None else rest_thresholds(recordings, config.window)
-        calm = calibrated.rest if calibrated is not None else rest
-        assert calm is not None
-        if tolerances is None:
-            usual = auto_tolerance(recordings.wrench, recordings.length, config.needed)
-            tolerances = usual * RANGE[:, None]
-        any_limits = np.ones((len(recordings.axes), 4))  # lines do not depend on them
-        steep = []
-        for tolerance in tolerances:
-            limits = FitLimits(any_limits, tolerance)
-            tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
-            steep.append(_steepness(config, tracks.primitive, calm, tolerance))
-        return RestRuns(np.asarray(tolerances, np.float64), np.stack(steep), weight)
+        rest = rest_thresholds(recordings, config.window).rest
+        usual = auto_tolerance(recordings.wrench, recordings.length, config.needed)
+        return _runs(recordings, config, usual * RANGE[:, None], rest, weight)
 
     def moving(self, small: Float[np.ndarray, " axis"]) -> Float[np.ndarray, "tolerance axis"]:
         """Share of the time at rest that is not constant, by each tolerance, with these small limits."""
@@ -158,6 +142,22 @@ class RestRuns:
         axis = jnp.arange(grid.shape[1])
         part = (place - grid[low, axis]) / (grid[low + 1, axis] - grid[low, axis])
         return low, low + 1, jnp.clip(part, 0, 1)
+
+
+def _runs(
+    recordings: Recordings,
+    config: FitConfig,
+    tolerances: Float[np.ndarray, "tolerance axis"],
+    rest: Bool[np.ndarray, "recording window axis"],
+    weight: float = 1.0,
+) -> RestRuns:
+    """The runs of recordings by these tolerances."""
+    any_limits = np.ones((len(recordings.axes), 4))  # lines do not depend on them
+    steep = []
+    for tolerance in tolerances:
+        tracks = encode_batch(config, FitLimits(any_limits, tolerance), recordings.wrench, recordings.length)
+        steep.append(_steepness(config, tracks.primitive, rest, tolerance))
+    return RestRuns(np.asarray(tolerances, np.float64), np.stack(steep), weight)
 
 
 def _with_tolerances(limits: AnyLimits) -> FitLimits:

@@ -25,14 +25,14 @@ from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
 from rcbht_jax.calibration.objective import SCORES, Objective, scores
 from rcbht_jax.calibration.rest import RestSlopes
-from rcbht_jax.calibration.rest_runs import RestRuns
+from rcbht_jax.calibration.rest_runs import RANGE, RestRuns
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, gradients_of
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 
 Floats = NDArray[np.float64]
-TOLERANCES = (1 / 16, 4.0)  # smallest and largest tolerance of a search, in tolerances of its base
+TOLERANCES = (float(RANGE[0]), float(RANGE[-1]))  # least and largest of a search, in tolerances of its base
 # Candidates x recordings encoded at once, which fit the cache of a core or fill a GPU, ...
 _TOGETHER = {"cpu": (128, 1), "gpu": (4096, 8)}
 _MOST = {"cpu": 2**28, "gpu": 2**31}  # ... and the memory limit for the times of a chunk of candidates, bytes

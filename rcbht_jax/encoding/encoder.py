@@ -245,11 +245,10 @@ def scan_lanes(
         the new state, and labels ``[lane, slot]`` with one slot per window.
     """
     window, lanes = config.window, samples.shape[1]
-    windows = -(-samples.shape[0] // window)
-    samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
+    samples, size = segments.whole_windows(samples, count, window)
+    windows = len(size)
     start = jnp.broadcast_to(jnp.arange(windows, dtype=jnp.int32)[:, None] * window, (windows, lanes))
     full = jnp.swapaxes(samples.reshape(windows, window, lanes), 0, 1)
-    size = jnp.clip(count[None] - start, 0, window)
     x = segments.fit(full, size, limits[:, None], config.dt, start)
 
     def body(state: EncoderState, row: tuple[Array, ...]) -> tuple[EncoderState, PackedLabels]:

@@ -28,7 +28,7 @@ from rcbht_jax.encoding.encoder import (
     unpack_segments,
 )
 from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
-from rcbht_jax.encoding.segments import gradient_label
+from rcbht_jax.encoding.segments import gradient_label, whole_windows
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC, Primitive
 from rcbht_jax.types import Array, LabelTracks, Segment
@@ -233,10 +233,8 @@ def _scan(
 ) -> tuple[EncoderState, Any]:
     """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` tells what to stack."""
     window, kept = config.window, config.kept
-    windows = -(-samples.shape[0] // window)
-    samples = jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0)))
-    start = jnp.arange(windows, dtype=jnp.int32)[:, None] * window
-    counts = jnp.clip(count[None] - start, 0, window)
+    samples, counts = whole_windows(samples, count, window)
+    windows = len(counts)
     # Every window with the samples before it; what follows a break does not depend on the state.
     line = jnp.concatenate([state.reals[_REALS:], samples])
     seen = jnp.stack([line[at : at + windows * window : window] for at in range(kept + window)])

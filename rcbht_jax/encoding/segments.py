@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array, Segment
@@ -109,3 +110,14 @@ def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Arr
     constant, impulse = 1 - above[..., 3:], above[..., :1]
     parts = [some * up, some * (1 - up), constant, impulse * up, impulse * (1 - up)]
     return jnp.concatenate(parts, -1)
+
+
+def whole_windows(
+    samples: Float[Array, "time lane"], count: Int[Array, " lane"], window: int
+) -> tuple[Float[Array, "padded lane"], Int[Array, "window lane"]]:
+    """Samples with zeros up to a whole number of windows, and how many samples of each window count."""
+    windows = -(-samples.shape[0] // window)
+    start = jnp.arange(windows, dtype=jnp.int32)[:, None] * window
+    return jnp.pad(samples, ((0, windows * window - samples.shape[0]), (0, 0))), jnp.clip(
+        count[None] - start, 0, window
+    )

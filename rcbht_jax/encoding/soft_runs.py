@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.fit import SHORTEST, FitConfig
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
-from rcbht_jax.encoding.segments import soft_windows
+from rcbht_jax.encoding.segments import soft_windows, whole_windows
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array
@@ -192,16 +192,13 @@ def soft_primitives(
     """
     total, lanes = samples.shape
     samples = jax.lax.stop_gradient(samples)
-    windows = -(-total // config.window)
-    padded = jnp.pad(samples, ((0, windows * config.window - total), (0, 0)))
-    begin = jnp.arange(windows, dtype=jnp.int32)[:, None] * config.window
-    counts = jnp.clip(length.astype(jnp.int32)[None] - begin, 0, config.window)
+    padded, counts = whole_windows(samples, length.astype(jnp.int32), config.window)
 
     def body(state: SoftState, row: tuple[Array, Array]) -> tuple[SoftState, SoftRuns]:
         return step(config, limits, state, *row, temperature)
 
     state = init(config, (lanes,), candidates, samples.dtype)
-    rows = (padded.reshape(windows, config.window, lanes), counts)
+    rows = (padded.reshape(-1, config.window, lanes), counts)
     state, ended = jax.lax.scan(body, state, rows)
     last = drain(config, limits, state, temperature)
     runs: SoftRuns = jax.tree.map(lambda some, one: jnp.concatenate([some, one[None]]), ended, last)

@@ -17,6 +17,7 @@ from rcbht_jax.encoding.rules import (
     checked_limits,
     config_fields,
     config_from,
+    gradients_of,
     limit_arrays,
     limits_from,
 )
@@ -108,8 +109,7 @@ class IntrospectionModel:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes."""
-        gradients = self.limits.gradients if isinstance(self.limits, FitLimits) else limits_of(self.limits)
-        return tuple(self.extra.get("axes") or axis_names(len(gradients)))
+        return tuple(self.extra.get("axes") or axis_names(len(gradients_of(self.limits))))
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.trial import data_file
 from rcbht_jax.robots.kinematics import rotation_from_rpy
 from sim_mjx import engines
-from sim_mjx.assembly.rollout import TrialParams, stack
+from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import ONE_ARM
@@ -160,9 +160,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
         the result and the figure of the bands; no figure where no simulated trial mated for a second.
     """
     recorded = target.session
-    params = sessions.trials_of(recorded, count, seed=seed)
-    recorder = Recorder(one_arm(), len(params.command_delay))
-    run = native.simulate(one_arm(), params, watch=recorder.watch)
+    run, events, found = rerun(recorded, count, seed)
     seated = run.seated.all(1)
     onset = np.nanmedian(sessions.harmonised(run)[:, 1:], axis=0) if np.isfinite(run.onset[:, 3]).any() else None
     result: dict[str, Any] = {
@@ -174,8 +172,6 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
     }
     if recorded.placements:
         result["outcomes_as_recorded"] = [sessions.agreement(recorded, run), len(run.length)]
-    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
-    found = seated_snaps(run, recorder)
     known = target.dynamics
     result |= {"ring": _ring(events), "recorded_ring": None if known is None else _ring(known)}
     result |= {"snaps": found, "recorded_snaps": target.snaps}
@@ -189,12 +185,28 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
             target.profiles,
             simulated,
             None if known is None else (known, events),
-            None if not target.snaps or not target.snaps["trials"] else (snaps.share(target.snaps), snaps.share(found)),
+            snap_shares(target, found),
             float(np.abs(onset - target.onset).max()),
         )
         result |= {"gate": gate.as_json(checks), "holds": all(check.holds for check in checks.values())}
     title = f"Session {recorded.name}: recorded and simulated"
     return result, signature.signature_figure(target.profiles, simulated, title, ("recorded", "simulated"))
+
+
+def rerun(session: SessionPreset, count: int | None = None, seed: int = 0) -> tuple[Rollouts, Dynamics, dict[str, Any]]:
+    """A session simulated as it was done, its quick events, and the snaps of its seated trials."""
+    params = sessions.trials_of(session, count, seed=seed)
+    recorder = Recorder(one_arm(), len(params.command_delay))
+    run = native.simulate(one_arm(), params, watch=recorder.watch)
+    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    return run, events, seated_snaps(run, recorder)
+
+
+def snap_shares(target: Target, found: dict[str, Any]) -> tuple[float, float] | None:
+    """Shares of seated trials with a snap, recorded and simulated; None where no recorded trial seated."""
+    if not target.snaps or not target.snaps["trials"]:
+        return None
+    return snaps.share(target.snaps), snaps.share(found)
 
 
 def _ring(events: Dynamics) -> dict[str, float] | None:
