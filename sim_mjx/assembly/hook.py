@@ -11,6 +11,7 @@ Source: the formulas of such guides for a cantilever of constant rectangular sec
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,7 +19,7 @@ from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
 
-FACE, DEPTH = 1.5e-3, 0.5e-3  # m, half the length of a lip's faces, and of what is behind them
+FACE, DEPTH = 2.2e-3, 0.5e-3  # m, half the length of a lip's faces, and of what is behind them
 UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion
 WIDTH = 3.1e-3  # m, half the width of a lip
 ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step
@@ -124,10 +125,15 @@ def broken(hook: Hook) -> Hook:
     return replace(hook, overlap=-hook.tip_radius)
 
 
-def first_touch(hook: Hook) -> float:
-    """Height of the tip's centre above the lower end of the lip's edge, m, as it first meets the lead-in."""
-    a, reach = hook.lead_angle, hook.overlap - hook.tip_radius  # the centre, from the edge outwards
-    return hook.edge + float((reach + hook.tip_radius / np.cos(a)) / np.tan(a))
+def first_touch(hook: Hook, overlap: Any = None) -> Any:
+    """Height of the tip's centre above the lower end of the lip's edge, m, as it first meets the lead-in.
+
+    Args:
+        hook: its angles, tip and edge.
+        overlap: m, of any shape; default the hook's.
+    """
+    a, reach = hook.lead_angle, (hook.overlap if overlap is None else overlap) - hook.tip_radius
+    return hook.edge + (reach + hook.tip_radius / np.cos(a)) / np.tan(a)
 
 
 def lip_boxes(hook: Hook) -> dict[str, Box]:

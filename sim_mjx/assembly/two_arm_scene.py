@@ -39,7 +39,7 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     model = spec.compile()
     joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
     forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
-    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "LIP_"))
+    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "EDGE_"))
     return Scene(
         model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), np.array(tips, np.int32),
         np.array(lips, np.int32), partial(model_fields, model), substeps,

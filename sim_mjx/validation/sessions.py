@@ -42,7 +42,13 @@ SLACK = 4.0  # s after the recorded start of mating, at which a shortened trial 
 
 
 def trials_of(
-    session: SessionPreset, count: int | None = None, *, seed: int = 0, physical: Physical = (), whole: bool = True
+    session: SessionPreset,
+    count: int | None = None,
+    *,
+    seed: int = 0,
+    physical: Physical = (),
+    whole: bool = True,
+    placements: tuple[tuple[int, int], ...] | None = None,
 ) -> TrialParams:
     """Trials like those of a recorded session.
 
@@ -52,12 +58,13 @@ def trials_of(
         seed: of noise, bias and mild differences.
         physical: parameters that replace the nominal ones.
         whole: to the session's end; otherwise just past the first second of mating, which the signature needs.
+        placements: mm, of a session with a grid, one trial each; default all of the session.
 
     Raises:
         InputError: unknown parameter, or more trials than the session's grid has cells.
     """
     longest = None if whole else session.mating_begins + SLACK
-    cells = session.placements
+    cells = session.placements if placements is None else placements
     count = count or len(cells) or REPEATS
     if cells and count > len(cells):
         raise InputError(f"Session {session.name} has {len(cells)} cells; {count} trials are too many.")
@@ -128,17 +135,19 @@ class Target:
     snaps: dict[str, Any] | None  # in the unfiltered force of seated trials; see snaps.summary
 
 
-def recorded(recordings: Recordings, session: str) -> Target:
+def recorded(recordings: Recordings, session: str, rows: Rows = None) -> Target:
     """The recorded trials of a session that reached every state.
 
     Args:
         recordings: of the imported data sets.
         session: name of a one-arm preset.
+        rows: some of those of :func:`recorded_rows`; default all.
 
     Raises:
         InputError: unknown preset, or no such trials.
     """
-    constants, rows = preset(session), recorded_rows(recordings, session)
+    constants = preset(session)
+    rows = recorded_rows(recordings, session) if rows is None else np.asarray(rows, int)
     onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
     starts = recordings.starts(RECORDED)[rows]
     events = dynamics(recordings.wrench[rows, :, 2], recordings.length[rows], starts[:, 1], starts[:, 3])
@@ -233,13 +242,14 @@ class SessionObjective:
         run = native.simulate(one_arm(), together, watch=recorder.watch if self.snaps else None)
         for place, row in enumerate(possible):
             rows = slice(place * self.count, (place + 1) * self.count)
-            losses[row] = loss(self.target, _part(run, rows), outcomes=self.outcomes)
+            losses[row] = loss(self.target, part_of(run, rows), outcomes=self.outcomes)
             if self.snaps:
                 losses[row] += SNAP_WEIGHT * missing_snaps(self.target, seated_snaps(run, recorder, rows))
         return losses
 
 
-def _part(run: Rollouts, rows: slice) -> Rollouts:
+def part_of(run: Rollouts, rows: slice) -> Rollouts:
+    """Some trials of a batch."""
     return Rollouts(
         run.wrench[rows], run.joints[rows], run.length[rows], run.onset[rows], run.seated[rows], run.diverged[rows]
     )

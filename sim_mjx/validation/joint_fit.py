@@ -1,0 +1,151 @@
+"""One set of parts for several sessions: the loss of shared and of each session's own parameters.
+
+A name such as ``parts.friction`` holds for all sessions, ``B:parts.roll`` for one. Beside the similarity of the wrench
+the loss counts what the hooks do: which trials seat, and whether a tab gives way while the hand presses. Without that
+a search finds parts whose feet slide over the seat and whose hooks touch nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from rcbht_jax.errors import InputError
+from sim_mjx import engines
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
+from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets.session_a import SESSION_A
+from sim_mjx.randomization.overrides import Physical
+from sim_mjx.validation import gate, sessions, snaps
+from sim_mjx.validation.dynamics import dynamics
+from sim_mjx.validation.sessions import Target
+from sim_mjx.validation.system_id import Losses, Values
+
+CELL_WEIGHT, WORST_CELL, SIGN_WEIGHT, EVENT_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT = 0.25, 4.0, 0.05, 0.3, 1.0, 0.5
+SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
+IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or told
+
+
+class Share(NamedTuple):
+    """What a session contributes to a joint fit."""
+
+    target: Target  # of the recorded trials that may be seen
+    placements: tuple[tuple[int, int], ...]  # of a session with a grid: the cells that may be seen
+    trials: int  # simulated per candidate
+
+
+def physical(values: Values, session: str) -> Physical:
+    """The parameters of one session among those of all.
+
+    Example:
+        >>> physical({"parts.friction": 0.3, "A:parts.roll": 0.01, "B:parts.roll": 0.02}, "B")
+        (('parts.friction', 0.3), ('parts.roll', 0.02))
+    """
+    named = [(name.rpartition(":"), value) for name, value in values.items()]
+    return tuple((name, value) for (owner, _, name), value in named if owner in ("", session))
+
+
+@dataclass(frozen=True)
+class JointObjective:
+    """Loss of a population of candidates, the sum over sessions; all trials of all candidates are one batch."""
+
+    scene: Scene
+    shares: dict[str, Share]
+    engine: str = "native"
+    seed: int = 0
+
+    def __call__(self, candidates: list[Values]) -> Losses:
+        losses = np.zeros(len(candidates))
+        batches: list[TrialParams] = []
+        spans: list[tuple[int, str, slice]] = []
+        for row, values in enumerate(candidates):
+            for name, share in self.shares.items():
+                try:
+                    batch = self._trials(share, physical(values, name))
+                except InputError:  # impossible parts
+                    losses[row] += IMPOSSIBLE
+                    continue
+                start = spans[-1][2].stop if spans else 0
+                batches.append(batch)
+                spans.append((row, name, slice(start, start + share.trials)))
+        together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+        run = engines.simulate(self.scene, together, self.engine)
+        for row, name, rows in spans:
+            losses[row] += session_loss(self.shares[name], sessions.part_of(run, rows))
+        return losses
+
+    def _trials(self, share: Share, values: Physical) -> TrialParams:
+        session = share.target.session
+        return sessions.trials_of(
+            session, share.trials, seed=self.seed, physical=values, placements=share.placements or None
+        )
+
+
+def session_loss(share: Share, run: Rollouts) -> float:
+    """Distance of simulated whole trials from a session: that of :func:`sessions.loss` and, weighted, the mean distance
+    of the 48 means and deviations of the gate's classifier in recorded deviations, wrong signs, logarithms of the
+    ratios of first impact and ring, wrong outcomes, and snaps that are missing.
+    """
+    target = share.target
+    simulated = sessions.profiles(run)
+    total = sessions.loss(target, run, outcomes=False) + outcome_loss(share, run)
+    if len(simulated) < gate.LEAST:
+        return total + IMPOSSIBLE / 3
+    recorded, found = gate.cells(target.profiles), gate.cells(simulated)
+    unit = np.maximum(recorded.std(0), 0.15 * np.abs(recorded).mean(0) + 0.01)
+    away = np.minimum(np.abs(found.mean(0) - recorded.mean(0)) / unit, WORST_CELL).mean()
+    signs = gate.wrong_signs(target.profiles, simulated).sum()
+    total += CELL_WEIGHT * away + SIGN_WEIGHT * signs + EVENT_WEIGHT * _events(target, run)
+    if target.snaps is not None and snaps.share(target.snaps) > 0:
+        total += SNAP_WEIGHT * _missing_snaps(share, run)
+    return float(total)
+
+
+def outcome_loss(share: Share, run: Rollouts) -> float:
+    """Share of the tabs that are out where a trial should seat, and of the trials that seat where they should not."""
+    expected = seats(share)
+    wrong = np.where(expected, 1.0 - run.seated.mean(1), run.seated.all(1))
+    return OUTCOME_WEIGHT * float(wrong.mean())
+
+
+def seats(share: Share) -> Bool[np.ndarray, " trial"]:
+    """Which of the simulated trials should seat: all, but for the placements that were recorded off the seat."""
+    off = share.target.session.off_seat
+    if not share.placements:
+        return np.ones(share.trials, np.bool_)
+    return np.array([cell not in off for cell in share.placements[: share.trials]])
+
+
+def _events(target: Target, run: Rollouts) -> float:
+    """Logarithms of the ratios of first impact, ring frequency and ring peak, each at most 1."""
+    if target.dynamics is None:
+        return 0.0
+    ours = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    pairs = [(np.median(ours.impact) if len(ours.impact) else np.nan, np.median(target.dynamics.impact))]
+    if target.dynamics.ring is not None:
+        ring = ours.ring or target.dynamics.ring._replace(hertz=np.nan, peak=np.nan)
+        pairs += [(ring.hertz, target.dynamics.ring.hertz), (ring.peak, target.dynamics.ring.peak)]
+    ratios = np.abs([np.log(max(a, 1e-6) / b) if np.isfinite(a) else 1.0 for a, b in pairs])
+    return float(np.minimum(ratios, 1.0).sum())
+
+
+def _missing_snaps(share: Share, run: Rollouts) -> float:
+    """Mean shortfall, from a recorded snap, of the quickest fall of the unfiltered force while the hand presses."""
+    force = snaps.unfiltered(run.wrench[..., 2], SESSION_A.sensor)
+    fall = quickest_fall(force, run.onset[:, 3] + RUNG, run.length * CONTROL_PERIOD)
+    return float((1.0 - np.clip(fall / SNAP, 0.0, 1.0))[seats(share)].mean())
+
+
+def quickest_fall(
+    force: Float64[np.ndarray, "trial time"], begin: Float64[np.ndarray, " trial"], end: Float64[np.ndarray, " trial"]
+) -> Float64[np.ndarray, " trial"]:
+    """Largest fall of a force within the time that a snap takes, N, between two times, s; 0 where there is none."""
+    fall = force[:, : -snaps.FALL] - force[:, snaps.FALL :]
+    time = np.arange(fall.shape[1]) * CONTROL_PERIOD
+    inside = (time >= begin[:, None]) & (time < end[:, None] - (snaps.FALL + 1) * CONTROL_PERIOD)  # false for NaN
+    return np.where(inside, fall, 0.0).max(1, initial=0.0)
