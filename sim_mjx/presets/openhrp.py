@@ -31,23 +31,23 @@ TASK = replace(
 )
 # Stiff parts with hardly a hook, as in the authors' rigid simulation.
 PARTS = PartParams(
-    tab_stiffness=np.full(4, 10.1e3),
-    tab_damping=np.full(4, 80.0),
-    hook_overlap=np.full(4, 0.3e-3),
+    tab_stiffness=np.full(4, 3423.0),
+    tab_damping=np.full(4, 37.0),
+    hook_overlap=np.array([0.0005385, 0.0005385, 0.0005327, 0.0005327]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    shank_play=np.array(0.1e-3),
-    slot_play=np.array(1.9e-3),
-    seat_depth=np.array(2.626e-3),
-    foot_spread=np.array(2e-3),
-    foot_offset=np.zeros(2),
-    rear_rise=np.zeros(2),
-    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
-    friction=np.array(0.216),
-    mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
-    mount_damping=np.array([120.0, 120.0, 98.5]),
-    position=np.array([0.004, 0.0, 0.0492]),
-    roll=np.array(0.0079),
+    shank_play=np.array(0.0004686),
+    slot_play=np.array(0.001246),
+    seat_depth=np.array(0.004148),
+    foot_spread=np.array(0.001484),
+    foot_offset=np.array([-0.008475, 0.0009399]),
+    rear_rise=np.array([0.001388, -0.001493]),
+    foot_contact=np.array([0.01573, 0.8976, 0.96, 0.0008657]),
+    friction=np.array(0.3727),
+    mount_stiffness=np.array([5373.0, 2835.0, 14850.0]),
+    mount_damping=np.array([119.4, 35.14, 8.937]),
+    position=np.array([0.003297, -0.002987, 0.0489]),
+    roll=np.array(0.0231),
 )
 
 OPENHRP = SessionPreset(

@@ -30,10 +30,10 @@ TASK = TaskParams(
     rest=np.array(0.0),
 )
 PARTS = on_stand(
-    mount_stiffness=(6.4e3, 10.08e3, 6.713e3),
-    mount_damping=(10.0, 120.0, 52.1),
-    position=(-1.95e-3, 1.937e-3, 1.1e-3),
-    roll=0.01017,
+    mount_stiffness=(3017.0, 3938.0, 6616.0),
+    mount_damping=(14.54, 248.4, 61.1),
+    position=(-0.001731, 0.002413, 0.0009954),
+    roll=0.01758,
 )
 EQUAL = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")
 # Only noise, a small drift of the bias and 0.04 mm (sd) of placement differ from trial to trial.

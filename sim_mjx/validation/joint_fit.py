@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float64
+from joblib import Parallel, delayed
 
 from rcbht_jax.errors import InputError
 from sim_mjx import engines
@@ -28,6 +29,7 @@ from sim_mjx.validation.system_id import Losses, Values
 
 CELL_WEIGHT, WORST_CELL, SIGN_WEIGHT, EVENT_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT = 0.25, 4.0, 0.05, 0.3, 1.0, 0.5
 SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
+LONGEST = 13.0  # s of mating that are simulated: by then nearly all recorded tabs are in
 IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or told
 
 
@@ -75,14 +77,17 @@ class JointObjective:
                 spans.append((row, name, slice(start, start + share.trials)))
         together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
         run = engines.simulate(self.scene, together, self.engine)
-        for row, name, rows in spans:
-            losses[row] += session_loss(self.shares[name], sessions.part_of(run, rows))
+        parts = [(row, self.shares[name], sessions.part_of(run, rows)) for row, name, rows in spans]
+        # a score takes as long as a trial on a GPU
+        scores = Parallel(n_jobs=-1)(delayed(session_loss)(share, part) for _, share, part in parts)
+        for (row, _, _), score in zip(parts, scores, strict=True):
+            losses[row] += score
         return losses
 
     def _trials(self, share: Share, values: Physical) -> TrialParams:
         session = share.target.session
         return sessions.trials_of(
-            session, share.trials, seed=self.seed, physical=values, placements=share.placements or None
+            session, share.trials, seed=self.seed, physical=values, placements=share.placements or None, longest=LONGEST
         )
 
 

@@ -49,6 +49,7 @@ def trials_of(
     physical: Physical = (),
     whole: bool = True,
     placements: tuple[tuple[int, int], ...] | None = None,
+    longest: float = np.inf,
 ) -> TrialParams:
     """Trials like those of a recorded session.
 
@@ -59,23 +60,24 @@ def trials_of(
         physical: parameters that replace the nominal ones.
         whole: to the session's end; otherwise just past the first second of mating, which the signature needs.
         placements: mm, of a session with a grid, one trial each; default all of the session.
+        longest: s, of mating; a trial that has not begun to mate in good time is cut, too.
 
     Raises:
         InputError: unknown parameter, or more trials than the session's grid has cells.
     """
-    longest = None if whole else session.mating_begins + SLACK
+    mating = min(float(session.task.mating_time), longest if whole else signature.MATING + 0.1)
+    in_time = session.mating_begins + SLACK
+    limit = in_time + mating if whole and np.isfinite(longest) else None if whole else in_time
     cells = session.placements if placements is None else placements
     count = count or len(cells) or REPEATS
     if cells and count > len(cells):
         raise InputError(f"Session {session.name} has {len(cells)} cells; {count} trials are too many.")
     repeats: dict[str, Any] = session.repeats
-    spec = DomainRandomization(nominal_share=1.0, longest=longest, physical=physical, **repeats)
+    spec = DomainRandomization(nominal_share=1.0, longest=limit, physical=physical, **repeats)
     drawn = [trials.sample(session, seed, index, spec)[0] for index in range(count)]
     if cells:
         drawn = [_moved(one, dx * 1e-3, dy * 1e-3) for one, (dx, dy) in zip(drawn, cells, strict=False)]
-    if not whole:
-        short = np.array(min(float(session.task.mating_time), signature.MATING + 0.1))
-        drawn = [replace(one, task=replace(one.task, mating_time=short)) for one in drawn]
+    drawn = [replace(one, task=replace(one.task, mating_time=np.array(mating))) for one in drawn]
     return stack(drawn)
 
 
