@@ -36,10 +36,7 @@ FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips
 HOOK = Hook(8540.0, 0.79e-3, np.radians(40.0), np.radians(50.0), friction=0.3)
 TIP_RADIUS, FOOT_RADIUS = HOOK.tip_radius, 0.002  # m
 ROOT = 0.005  # m, from the body of a tab down to its tip
-SHANK_RADIUS, SHANK_HEIGHT = (
-    0.001,
-    0.0011,
-)  # m, half the thickness of a tab; above its tip, where it meets the lip's edge
+SHANK_RADIUS, SHANK_HEIGHT = 0.003, 0.0016  # m, so round that it stops at any depth of the seat; above the tip
 WIDEST_OVERLAP = 2.8e-3  # m, width of a lip's lead-in
 LIP_WIDTH = 0.0045  # m, half the width of a slot, in which a tip is beneath its lip
 DEEPEST = 0.012  # m beneath its lip's edge, where the floor of a slot is
@@ -127,14 +124,11 @@ def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> N
             name=f"{arm}TIP_{name}", size=(TIP_RADIUS, 0.0, 0.0), pos=(-ROOT, 0.0, 0.0), mass=0.002,
             contype=0, conaffinity=0, rgba=(0.9, 0.5, 0.1, 1.0),
         )  # fmt: skip
-        tab.add_geom(
-            name=f"{arm}SHANK_{name}", size=(SHANK_RADIUS, 0.0, 0.0), pos=(-ROOT, 0.0, 0.0), mass=0.0,
-            contype=0, conaffinity=0, rgba=(0.9, 0.5, 0.1, 1.0),
-        )  # fmt: skip
-        tool.add_geom(
-            name=f"{arm}FOOT_{name}", size=(FOOT_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
-            pos=(up + FOOT_HEIGHT, left + aside, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
-        )  # fmt: skip
+        for kind, radius in (("FOOT", FOOT_RADIUS), ("SHANK", SHANK_RADIUS)):
+            tool.add_geom(
+                name=f"{arm}{kind}_{name}", size=(radius, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
+                pos=(up + FOOT_HEIGHT, left + aside, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
+            )  # fmt: skip
 
 
 def add_female(
@@ -201,13 +195,16 @@ def _add_pair(
     pair.solref, pair.solimp = solref, solimp
 
 
-def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> Fields:
+def model_fields(
+    model: mujoco.MjModel, params: PartParams, arm: str = "R", grip: Vector = (0.0, 0.0, 0.0)
+) -> Fields:
     """Fields of the compiled model that hold these parameters.
 
     Args:
         model: of a scene with both parts.
         params: of one trial, or of a batch whose leaves and fields lead with the trial.
         arm: that holds the male part.
+        grip: m, wrist frame, as of :func:`add_male`.
     """
     lead = np.shape(params.roll)
     out = {name: np.broadcast_to(getattr(model, name), lead + getattr(model, name).shape).copy() for name in (
@@ -220,9 +217,9 @@ def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> F
         out["dof_damping"][..., joint.dofadr[0]] = params.tab_damping[..., index]
         for kind, place in _boxes(index, params).items():
             out["geom_pos"][..., model.geom(f"{kind}_{name}").id, :] = place
-        for kind, place in _tab(index, params).items():
-            out["geom_pos"][..., model.geom(f"{arm}{kind}_{name}").id, :] = place
-        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, :] = _foot(index, params)
+        out["geom_pos"][..., model.geom(f"{arm}TIP_{name}").id, :] = _tip(index, params)
+        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, :] = np.asarray(grip) + _foot(index, params)
+        out["geom_pos"][..., model.geom(f"{arm}SHANK_{name}").id, :] = np.asarray(grip) + _shank(index, params)
     for axis, name in enumerate("XYZ"):
         joint = model.joint(f"MOUNT_{name}")
         out["jnt_stiffness"][..., joint.id] = params.mount_stiffness[..., axis]
@@ -257,14 +254,20 @@ def _outward(index: int) -> float:
     return 1.0 if index < 2 else -1.0
 
 
-def _tab(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
-    """Places [..., 3] of a tip and its shank in the tab's frame, x up the hand and z backwards."""
-    inward, up = _outward(index), params.tab_cut[..., index] - ROOT
+def _tip(index: int, params: PartParams) -> NDArray[np.float64]:
+    """Place of a tip [..., 3] in its tab's frame, x up the hand and z backwards."""
+    return _place(params.tab_cut[..., index] - ROOT, 0.0, _outward(index) * params.hook_wear[..., index])
+
+
+def _shank(index: int, params: PartParams) -> NDArray[np.float64]:
+    """Place [..., 3] of what keeps the hand from moving on once a hook is beneath its lip, in the wrist's frame.
+
+    It is part of the hand's body, near the root of the tab, where the tab does not bend.
+    """
+    aft, left = _tab_place(index)
     behind = params.hook_overlap[..., index] + params.shank_play + SHANK_RADIUS - TIP_RADIUS
-    return {
-        "TIP": _place(up, 0.0, inward * params.hook_wear[..., index]),
-        "SHANK": _place(up + SHANK_HEIGHT, 0.0, inward * behind),
-    }
+    back = -TAB_SPACING[0] / 2 - aft + _outward(index) * behind
+    return _place(TIP_HEIGHT + SHANK_HEIGHT + params.tab_cut[..., index], left, back)
 
 
 # of the nominal hook: kind -> place from the lower end of the lip's edge, turn, half sizes

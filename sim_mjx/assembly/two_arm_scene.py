@@ -53,9 +53,7 @@ def model_fields(model: mujoco.MjModel, params: PartParams) -> Fields:
         model: of this scene.
         params: of one trial or a batch; ``position`` and ``roll`` are in the mount's axes, as in the one-arm scene.
     """
-    out = parts.model_fields(model, params)
-    for name in parts.TABS:
-        out["geom_pos"][..., model.geom(f"RFOOT_{name}").id, :] += GRIP
+    out = parts.model_fields(model, params, "R", GRIP)
     half = np.asarray(params.roll)[..., None] / 2
     mount = model.body("MOUNT").id
     out["body_pos"][..., mount, :] = FIRST_TOUCH + params.position @ TURN.T

@@ -14,19 +14,19 @@ import numpy as np
 from sim_mjx.assembly.parts import PartParams
 
 CAMERA = PartParams(
-    tab_stiffness=np.full(4, 9903.0),
-    tab_damping=np.full(4, 62.9),  # critical, with the armature of a tab
-    hook_overlap=np.array([0.0007307, 0.0007307, 0.0008031, 0.0008031]),
+    tab_stiffness=np.full(4, 10240.0),
+    tab_damping=np.full(4, 64.0),  # critical, with the armature of a tab
+    hook_overlap=np.array([0.000833, 0.000833, 0.0007513, 0.0007513]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    shank_play=np.array(0.0001902),
-    slot_play=np.array(0.001368),
-    seat_depth=np.array(0.002513),
-    foot_spread=np.array(0.01111),
-    foot_offset=np.array([-0.005528, -0.001303]),
-    rear_rise=np.array([-0.0005361, -0.0006219]),
-    foot_contact=np.array([0.02397, 0.9429, 0.96, 0.0002281]),
-    friction=np.array(0.2909),  # plastic on plastic: 0.2 to 0.4
+    shank_play=np.array(0.0001),
+    slot_play=np.array(0.001358),
+    seat_depth=np.array(0.002392),
+    foot_spread=np.array(0.0109),
+    foot_offset=np.array([-0.007915, -0.006705]),
+    rear_rise=np.array([-0.001075, -0.0003738]),
+    foot_contact=np.array([0.02452, 0.9175, 0.96, 0.0002741]),
+    friction=np.array(0.308),  # plastic on plastic: 0.2 to 0.4
     mount_stiffness=np.full(3, 5e3),
     mount_damping=np.full(3, 60.0),
     position=np.zeros(3),

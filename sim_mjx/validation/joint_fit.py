@@ -127,22 +127,26 @@ def seats(share: Share) -> Bool[np.ndarray, " trial"]:
 
 
 def _events(target: Target, run: Rollouts) -> float:
-    """Logarithms of the ratios of first impact, ring frequency and ring peak, each at most 1."""
+    """Logarithms of the ratios of first impact and of the ring's frequency, peak and damping, each at most 1."""
     if target.dynamics is None:
         return 0.0
     ours = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
     pairs = [(np.median(ours.impact) if len(ours.impact) else np.nan, np.median(target.dynamics.impact))]
     if target.dynamics.ring is not None:
-        ring = ours.ring or target.dynamics.ring._replace(hertz=np.nan, peak=np.nan)
-        pairs += [(ring.hertz, target.dynamics.ring.hertz), (ring.peak, target.dynamics.ring.peak)]
+        ring = ours.ring or target.dynamics.ring._replace(hertz=np.nan, peak=np.nan, damping=np.nan)
+        pairs += list(zip(ring, target.dynamics.ring, strict=True))
     ratios = np.abs([np.log(max(a, 1e-6) / b) if np.isfinite(a) else 1.0 for a, b in pairs])
     return float(np.minimum(ratios, 1.0).sum())
 
 
 def _missing_snaps(share: Share, run: Rollouts) -> float:
-    """Mean shortfall, from a recorded snap, of the quickest fall of the unfiltered force while the hand presses."""
+    """Mean shortfall, from a recorded snap, of the quickest fall of the unfiltered force while the hand presses.
+
+    A ringing force falls as quickly as it rises; a tab that gives way only falls.
+    """
     force = snaps.unfiltered(run.wrench[..., 2], SESSION_A.sensor)
-    fall = quickest_fall(force, run.onset[:, 3] + RUNG, run.length * CONTROL_PERIOD)
+    begin, end = run.onset[:, 3] + RUNG, run.length * CONTROL_PERIOD
+    fall = quickest_fall(force, begin, end) - quickest_fall(-force, begin, end)
     return float((1.0 - np.clip(fall / SNAP, 0.0, 1.0))[seats(share)].mean())
 
 
