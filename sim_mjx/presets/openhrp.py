@@ -31,23 +31,23 @@ TASK = replace(
 )
 # Stiff parts with hardly a hook, as in the authors' rigid simulation.
 PARTS = PartParams(
-    tab_stiffness=np.full(4, 3423.0),
-    tab_damping=np.full(4, 37.0),
-    hook_overlap=np.array([0.0005385, 0.0005385, 0.0005327, 0.0005327]),
+    tab_stiffness=np.full(4, 5849.0),
+    tab_damping=np.full(4, 48.4),
+    hook_overlap=np.array([0.0009036, 0.0009036, 0.0003691, 0.0003691]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    shank_play=np.array(0.0004686),
-    slot_play=np.array(0.001246),
-    seat_depth=np.array(0.004148),
-    foot_spread=np.array(0.001484),
-    foot_offset=np.array([-0.008475, 0.0009399]),
-    rear_rise=np.array([0.001388, -0.001493]),
-    foot_contact=np.array([0.01573, 0.8976, 0.96, 0.0008657]),
-    friction=np.array(0.3727),
-    mount_stiffness=np.array([5373.0, 2835.0, 14850.0]),
-    mount_damping=np.array([119.4, 35.14, 8.937]),
-    position=np.array([0.003297, -0.002987, 0.0489]),
-    roll=np.array(0.0231),
+    shank_play=np.array(0.0002785),
+    slot_play=np.array(0.001298),
+    seat_depth=np.array(0.00379),
+    foot_spread=np.array(0.001745),
+    foot_offset=np.array([-0.006723, 0.001335]),
+    rear_rise=np.array([0.0002307, -0.001212]),
+    foot_contact=np.array([0.003903, 0.9216, 0.96, 0.000207]),
+    friction=np.array(0.1973),
+    mount_stiffness=np.array([4426.0, 2304.0, 13770.0]),
+    mount_damping=np.array([20.27, 7.534, 37.84]),
+    position=np.array([0.005646, -0.003392, 0.04903]),
+    roll=np.array(0.005974),
 )
 
 OPENHRP = SessionPreset(

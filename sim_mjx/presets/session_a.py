@@ -32,7 +32,7 @@ TASK = TaskParams(
 PARTS = on_stand(
     mount_stiffness=(3914.0, 5718.0, 6481.0),
     mount_damping=(19.31, 200.2, 55.8),
-    position=(-0.001123, 0.002345, 0.0009669),
+    position=(-0.001123, 0.002345, 0.00137),
     roll=0.01158,
 )
 EQUAL = ("stiffness", "overlap", "friction", "mount", "gain", "goal", "speed", "tare")

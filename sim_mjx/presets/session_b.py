@@ -26,8 +26,8 @@ TASK = replace(
 )
 PARTS = on_stand(
     mount_stiffness=(4139.0, 3184.0, 8139.0),
-    mount_damping=(127.2, 39.65, 110.0),
-    position=(0.000174, -0.001641, 0.002354),
+    mount_damping=(127.2, 39.65, 200.0),
+    position=(0.000174, -0.001641, 0.00275),
     roll=0.01435,
 )
 # The coarse 3 x 3 grid first, so that the first trials stand for all.
