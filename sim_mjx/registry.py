@@ -20,8 +20,7 @@ PARAMETERS = (
     ("task", "force_gain"), ("task", "moment_gain"), ("task", "force"), ("task", "moment"), ("task", "way_time"),
     ("task", "way_position"), ("task", "way_rpy"), ("task", "timeout"), ("task", "stop"),
     ("sensor", "noise"), ("sensor", "bias"), ("sensor", "tared"),
-    ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "hook_wear"), ("parts", "tab_cut"),
-    ("parts", "friction"), ("parts", "mount_stiffness"),
+    ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
     ("parts", "position"), ("parts", "roll"),
 )  # fmt: skip
 TWO_ARM_PARAMETERS = (

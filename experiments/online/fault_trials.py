@@ -119,7 +119,7 @@ def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
     touched = np.isfinite(recordings.starts(RECORDED)[:, 1])
     if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
         touched &= False  # the part stands beyond the reach of the hand's
-    gone = np.array(TABS)[truth["tab_cut"].argmax(1)]
+    gone = np.array(TABS)[truth["hook_overlap"].argmin(1)]
     cause = np.char.add(f"{kind} ", gone) if kind == "missing-tab" else np.full(len(recordings), kind)
     session = preset_of(preset)
     mating = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]

@@ -19,7 +19,6 @@ from experiments._lib.results_io import write_result
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import SessionPreset
-from sim_mjx.randomization.trials import BROKEN_OFF
 from sim_mjx.validation import gate, sessions, signature
 from sim_mjx.validation.dynamics import Dynamics
 from sim_mjx.validation.fidelity import rerun, snap_shares
@@ -35,7 +34,7 @@ def parts_of(name: str, preset: SessionPreset) -> PartParams:
     """The parts of a null model, in the session's place."""
     parts = preset.parts
     if name == "no tabs":
-        return replace(parts, tab_cut=np.full(4, BROKEN_OFF))
+        return replace(parts, hook_overlap=np.full(4, -1e-3))
     if name == "soft springs":
         return replace(parts, tab_stiffness=SOFT * np.asarray(parts.tab_stiffness))
     other = ONE_ARM[OTHER[preset.name]].parts

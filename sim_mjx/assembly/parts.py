@@ -1,9 +1,9 @@
-"""Male and female camera parts: four snap hooks, the lips that catch them, the blocks beside the slots, the seat.
+"""Male and female camera parts: four snap tabs, the lips they must pass, the blocks beside the slots, the seat.
 
 The male part hangs in the hand, its tabs at the corners of a rectangle around the wrist's axis, 117 mm below the
 wrist; the female part stands on a compliant mount.
-A tab is a cantilever whose rounded tip is deflected by the lead-in of its lip, springs back beneath the edge and is
-held there by the retention face (:mod:`sim_mjx.assembly.hook`); then the feet meet the seat.
+A tab is a spring-loaded sphere that slides along the hand's fore-aft direction; a lip is a box whose edge it must
+pass: force rises with the tab's deflection, drops when the tip is past the edge, rises again at the seat.
 Only spheres against boxes touch, through explicit pairs, because every engine agrees on those.
 Sources: the CAD model, and the recordings: the point of the hand that stays still while session A rotates, and the
 centre of pressure, which visits the four corners.
@@ -11,8 +11,8 @@ centre of pressure, which visits the four corners.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
 
 import jax
 import mujoco
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
-from sim_mjx.assembly.hook import SOLIMP, SOLREF, UNTURNED, Hook, first_touch, lip_boxes
 
 Vector = tuple[float, float, float]
 Fields = dict[str, Float64[np.ndarray, "..."]]  # of a compiled model, by MjModel attribute name
@@ -30,16 +29,11 @@ TABS = ("FR", "FL", "RR", "RL")  # front/rear, right/left
 TAB_SPACING = (0.0397, 0.0321)  # m, front to rear and right to left
 TIP_HEIGHT = -0.117  # m, tips below the wrist along the hand; identified from the pivot, to 0.3 mm
 FIRST_TOUCH = np.array([0.3091, -0.1727, 0.4247])  # m, world, midway between the front tips as they meet the lips
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion
 TAB_ARMATURE = 0.1  # kg, makes the tab slow enough for a 2.5 ms step; its settling stays below 10 ms
+TIP_RADIUS = 0.002  # m, of tips and feet
 FOOT_HEIGHT = 0.004  # m, centres of the feet above the tips
-# The camera's tab from its drawing: a cantilever of ABS; both faces of a lip belong to one wedge of a right angle.
-HOOK = Hook(8540.0, 0.79e-3, np.radians(40.0), np.radians(50.0), friction=0.3)
-TIP_RADIUS, FOOT_RADIUS = HOOK.tip_radius, 0.002  # m
-ROOT = 0.005  # m, from the body of a tab down to its tip
-SHANK_RADIUS, SHANK_HEIGHT = 0.003, 0.0016  # m, so round that it stops at any depth of the seat; above the tip
-WIDEST_OVERLAP = 2.8e-3  # m, width of a lip's lead-in
-LIP_WIDTH = 0.0045  # m, half the width of a slot, in which a tip is beneath its lip
-DEEPEST = 0.012  # m beneath its lip's edge, where the floor of a slot is
+LIP = (0.004, 0.0045, 0.003)  # m, half sizes of a lip
 BLOCK = (0.006, 0.006, 0.003)  # m, half sizes of a block beside a slot
 
 
@@ -50,10 +44,7 @@ class PartParams:
 
     tab_stiffness: Float[Array, "*batch 4"]  # N/m, order of TABS
     tab_damping: Float[Array, "*batch 4"]  # Ns/m
-    hook_overlap: Float[Array, "*batch 4"]  # m, how far a whole tab reaches beneath its lip
-    hook_wear: Float[Array, "*batch 4"]  # m, rubbed off each hook's head, which then reaches less far
-    tab_cut: Float[Array, "*batch 4"]  # m, broken off each tab's end; more than the depth of the seat = no hook is left
-    shank_play: Float[Array, "*batch"]  # m, between the shank of a whole hook and the edge of its lip
+    hook_overlap: Float[Array, "*batch 4"]  # m, how far a lip reaches over its tab; negative = the tab is missing
     slot_play: Float[Array, "*batch"]  # m, between a tip and the blocks on each side
     seat_depth: Float[Array, "*batch"]  # m, below first touch, where the part sits on the seat
     foot_spread: Float[Array, "*batch"]  # m, from the middle of the male part to its feet on the right and on the left
@@ -66,6 +57,13 @@ class PartParams:
     position: Float[Array, "*batch 3"]  # m, shift of the female part from its nominal place, world
     roll: Float[Array, "*batch"]  # rad, turn of the female part about the vertical
 
+    widest: ClassVar[float] = TIP_RADIUS  # m, overlap that no tab passes
+    positive: ClassVar[tuple[str, ...]] = ("tab_stiffness", "mount_stiffness", "friction", "slot_play", "seat_depth")
+
+    def with_overlap(self, overlap: Float64[np.ndarray, "*batch 4"]) -> PartParams:
+        """The parts with other overlaps, m; a negative one = the tab is missing."""
+        return replace(self, hook_overlap=overlap)
+
 
 MOUNT_MASS = 0.3  # kg
 
@@ -76,21 +74,17 @@ def check(params: PartParams) -> None:
     Raises:
         InputError: a value is not finite or out of its range.
     """
-    for field in fields(PartParams):
+    for field in fields(params):
         if not np.isfinite(np.asarray(getattr(params, field.name))).all():
             raise InputError(f"The part's {field.name} holds a value that is not a finite number.")
-    positive = ("tab_stiffness", "hook_overlap", "shank_play", "mount_stiffness", "friction", "slot_play", "seat_depth")
-    for name in positive:
+    for name in params.positive:
         if not (np.asarray(getattr(params, name)) > 0).all():
             raise InputError(f"The part's {name} must be positive.")
-    for name in ("hook_wear", "tab_cut"):
-        if (np.asarray(getattr(params, name)) < 0).any():
-            raise InputError(f"The part's {name} must not be negative.")
-    if (np.asarray(params.hook_overlap) > WIDEST_OVERLAP).any():
-        raise InputError(f"A hook overlap of more than {WIDEST_OVERLAP * 1e3:g} mm is wider than the lip's lead-in.")
+    if (np.asarray(params.hook_overlap) >= params.widest).any():
+        raise InputError(f"A hook overlap of {params.widest * 1e3:g} mm or more cannot be passed by its tab.")
 
 
-def _tab_place(index: int) -> tuple[float, float]:
+def tab_place(index: int) -> tuple[float, float]:
     """Fore-aft and left offset of a tab's tip from the middle of the front tips, m."""
     aft = -TAB_SPACING[0] if index >= 2 else 0.0
     left = TAB_SPACING[1] / 2 * (1 if index % 2 else -1)
@@ -114,21 +108,20 @@ def add_male(spec: mujoco.MjSpec, arm: str, grip: Vector = (0.0, 0.0, 0.0)) -> N
         contype=0, conaffinity=0, mass=0.0, group=2, rgba=(0.25, 0.45, 0.75, 1.0),
     )  # fmt: skip
     for index, name in enumerate(TABS):
-        aft, aside = _tab_place(index)
-        tab = tool.add_body(name=f"{arm}TAB_{name}", pos=(up + ROOT, left + aside, back - aft))
+        aft, aside = tab_place(index)
+        tab = tool.add_body(name=f"{arm}TAB_{name}", pos=(up, left + aside, back - aft))
         tab.add_joint(
             name=f"{arm}TAB_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0.0, 0.0, 1.0), armature=TAB_ARMATURE,
             stiffness=[1e4, 0.0, 0.0], damping=[80.0, 0.0, 0.0], range=(-0.003, 0.003),
         )  # fmt: skip
         tab.add_geom(
-            name=f"{arm}TIP_{name}", size=(TIP_RADIUS, 0.0, 0.0), pos=(-ROOT, 0.0, 0.0), mass=0.002,
-            contype=0, conaffinity=0, rgba=(0.9, 0.5, 0.1, 1.0),
+            name=f"{arm}TIP_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.002, contype=0, conaffinity=0,
+            rgba=(0.9, 0.5, 0.1, 1.0),
         )  # fmt: skip
-        for kind, radius in (("FOOT", FOOT_RADIUS), ("SHANK", SHANK_RADIUS)):
-            tool.add_geom(
-                name=f"{arm}{kind}_{name}", size=(radius, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
-                pos=(up + FOOT_HEIGHT, left + aside, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
-            )  # fmt: skip
+        tool.add_geom(
+            name=f"{arm}FOOT_{name}", size=(TIP_RADIUS, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0,
+            pos=(up + FOOT_HEIGHT, left + aside, back - aft), rgba=(0.25, 0.45, 0.75, 1.0),
+        )  # fmt: skip
 
 
 def add_female(
@@ -138,10 +131,7 @@ def add_female(
     place: Float64[np.ndarray, " 3"] = FIRST_TOUCH,
     turn: Float64[np.ndarray, " 4"] = UNTURNED,
 ) -> None:
-    """Put the female part on its mount: per tab a lip of two boxes and two blocks, and one seat for all feet.
-
-    Tab by tab, ``LIP`` is the lead-in, ``BACK`` the retention face; ``EDGE`` marks the lower end of the lip's edge,
-    its x axis pointing into the lip and z against the insertion.
+    """Put the female part on its mount: per tab a lip and two blocks, and one seat for all feet.
 
     Args:
         spec: of the scene. arm: that holds the male part.
@@ -158,53 +148,36 @@ def add_female(
             stiffness=[1e4, 0.0, 0.0], damping=[60.0, 0.0, 0.0],
         )  # fmt: skip
     for index, name in enumerate(TABS):
-        aft, aside = _tab_place(index)
-        half_turn = UNTURNED if _outward(index) > 0 else np.array([0.0, 0.0, 0.0, 1.0])
-        for kind, (_, turn, size) in _LIP_BOXES.items():
-            quat = np.zeros(4)
-            mujoco.mju_mulQuat(quat, half_turn, turn)
-            _add_box(mount, f"{kind}_{name}", size, (aft, aside, -DEEPEST), quat)
-            _add_pair(spec, f"{arm}TIP_{name}", f"{kind}_{name}", SOLREF, SOLIMP)
-        _add_pair(spec, f"{arm}SHANK_{name}", f"LIP_{name}", SOLREF, SOLIMP)
-        _add_box(mount, f"EDGE_{name}", (1e-4, 1e-4, 1e-4), (aft, aside, -DEEPEST), half_turn)
-        for kind in ("BLOCK1", "BLOCK2"):
-            _add_box(mount, f"{kind}_{name}", BLOCK, (aft, aside, -BLOCK[2]))
-            _add_pair(spec, f"{arm}TIP_{name}", f"{kind}_{name}")
-        _add_pair(spec, f"{arm}FOOT_{name}", "SEAT")
-    _add_box(mount, "SEAT", (0.035, 0.045, 0.004), (-TAB_SPACING[0] / 2, 0.0, -0.005))
+        aft, aside = tab_place(index)
+        for kind, size in (("LIP", LIP), ("BLOCK1", BLOCK), ("BLOCK2", BLOCK)):
+            add_box(mount, f"{kind}_{name}", size, (aft, aside, -size[2]))
+            add_pair(spec, f"{arm}TIP_{name}", f"{kind}_{name}")
+        add_pair(spec, f"{arm}FOOT_{name}", "SEAT")
+    add_box(mount, "SEAT", (0.035, 0.045, 0.004), (-TAB_SPACING[0] / 2, 0.0, -0.005))
 
 
-def _add_box(
-    body: mujoco.MjsBody, name: str, size: tuple[float, ...], place: Vector, turn: Float64[np.ndarray, " 4"] = UNTURNED
-) -> None:
+def add_box(body: mujoco.MjsBody, name: str, size: Vector, place: Vector) -> None:
+    """Add a box that nothing touches but by a pair, m; a trial sets its place."""
     # never at the body's origin: MuJoCo would then ignore the position that a trial sets
     body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, quat=turn, mass=0.0, contype=0, conaffinity=0,
+        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place, mass=0.0, contype=0, conaffinity=0,
         rgba=(0.3, 0.3, 0.3, 1.0),
     )  # fmt: skip
 
 
-def _add_pair(
-    spec: mujoco.MjSpec,
-    first: str,
-    second: str,
-    solref: tuple[float, float] = (0.005, 1.0),
-    solimp: tuple[float, ...] = (0.95, 0.99, 0.0005, 0.5, 2.0),
-) -> None:
+def add_pair(spec: mujoco.MjSpec, first: str, second: str) -> None:
+    """Let two geoms touch."""
     pair = spec.add_pair(name=f"{first}:{second}", geomname1=first, geomname2=second, condim=3)
-    pair.solref, pair.solimp = solref, solimp
+    pair.solref, pair.solimp = (0.005, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
 
 
-def model_fields(
-    model: mujoco.MjModel, params: PartParams, arm: str = "R", grip: Vector = (0.0, 0.0, 0.0)
-) -> Fields:
+def model_fields(model: mujoco.MjModel, params: PartParams, arm: str = "R") -> Fields:
     """Fields of the compiled model that hold these parameters.
 
     Args:
         model: of a scene with both parts.
         params: of one trial, or of a batch whose leaves and fields lead with the trial.
         arm: that holds the male part.
-        grip: m, wrist frame, as of :func:`add_male`.
     """
     lead = np.shape(params.roll)
     out = {name: np.broadcast_to(getattr(model, name), lead + getattr(model, name).shape).copy() for name in (
@@ -217,9 +190,7 @@ def model_fields(
         out["dof_damping"][..., joint.dofadr[0]] = params.tab_damping[..., index]
         for kind, place in _boxes(index, params).items():
             out["geom_pos"][..., model.geom(f"{kind}_{name}").id, :] = place
-        out["geom_pos"][..., model.geom(f"{arm}TIP_{name}").id, :] = _tip(index, params)
-        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, :] = np.asarray(grip) + _foot(index, params)
-        out["geom_pos"][..., model.geom(f"{arm}SHANK_{name}").id, :] = np.asarray(grip) + _shank(index, params)
+        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, :] = _foot(index, params)
     for axis, name in enumerate("XYZ"):
         joint = model.joint(f"MOUNT_{name}")
         out["jnt_stiffness"][..., joint.id] = params.mount_stiffness[..., axis]
@@ -232,64 +203,41 @@ def model_fields(
     mount = model.body("MOUNT").id
     out["body_pos"][..., mount, :] = model.body_pos[mount] + params.position
     half = np.asarray(params.roll) / 2
-    out["body_quat"][..., mount, :] = _place(np.cos(half), 0.0, 0.0, np.sin(half))
+    out["body_quat"][..., mount, :] = placed(np.cos(half), 0.0, 0.0, np.sin(half))
     return out
 
 
-def _place(*coordinates: Any) -> NDArray[np.float64]:
+def placed(*coordinates: Any) -> NDArray[np.float64]:
     """Coordinates of any shape side by side, last."""
     return np.stack(np.broadcast_arrays(*coordinates), axis=-1)
 
 
 def _foot(index: int, params: PartParams) -> NDArray[np.float64]:
     """Place of a foot [..., 3] in the wrist's frame, x up the hand and z backwards."""
-    aft, _ = _tab_place(index)
+    aft, _ = tab_place(index)
     left = params.foot_spread * (1 if index % 2 else -1) + params.foot_offset[..., index // 2]
     rise = params.rear_rise[..., 1] if index >= 2 else 0.0
-    return _place(TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft)
-
-
-def _outward(index: int) -> float:
-    """1 where the hook points forward, as the front ones do, -1 where backward."""
-    return 1.0 if index < 2 else -1.0
-
-
-def _tip(index: int, params: PartParams) -> NDArray[np.float64]:
-    """Place of a tip [..., 3] in its tab's frame, x up the hand and z backwards."""
-    return _place(params.tab_cut[..., index] - ROOT, 0.0, _outward(index) * params.hook_wear[..., index])
-
-
-def _shank(index: int, params: PartParams) -> NDArray[np.float64]:
-    """Place [..., 3] of what keeps the hand from moving on once a hook is beneath its lip, in the wrist's frame.
-
-    It is part of the hand's body, near the root of the tab, where the tab does not bend.
-    """
-    aft, left = _tab_place(index)
-    behind = params.hook_overlap[..., index] + params.shank_play + SHANK_RADIUS - TIP_RADIUS
-    back = -TAB_SPACING[0] / 2 - aft + _outward(index) * behind
-    return _place(TIP_HEIGHT + SHANK_HEIGHT + params.tab_cut[..., index], left, back)
-
-
-# of the nominal hook: kind -> place from the lower end of the lip's edge, turn, half sizes
-_LIP_BOXES = {{"LEAD": "LIP", "BACK": "BACK"}[kind]: box for kind, box in lip_boxes(HOOK).items()}
+    return placed(TIP_HEIGHT + FOOT_HEIGHT + rise, left, -TAB_SPACING[0] / 2 - aft)
 
 
 def _boxes(index: int, params: PartParams) -> dict[str, NDArray[np.float64]]:
-    """Places [..., 3] of a slot's boxes in the mount's frame, whose origin is the front tips' first touch."""
-    (aft, aside), outward = _tab_place(index), _outward(index)
+    """Places [..., 3] of a slot's lip and blocks in the mount's frame, whose origin is the front tips' first touch."""
+    aft, aside = tab_place(index)
+    outward = 1.0 if index < 2 else -1.0
     overlap = params.hook_overlap[..., index]
     edge = aft + outward * (TIP_RADIUS - overlap)
-    # the centre of a whole tip is at the mount's origin height when it meets the lead-in
-    low = (params.rear_rise[..., 0] if index >= 2 else 0.0) - first_touch(HOOK, overlap)
-    out = {kind: _place(edge + outward * off[0], aside, low + off[2]) for kind, (off, _, _) in _LIP_BOXES.items()}
-    reach, top = TIP_RADIUS + params.slot_play + BLOCK[1], low + HOOK.edge
-    return out | {
-        "EDGE": _place(edge, aside, low),
-        "BLOCK1": _place(aft, aside - reach, top - BLOCK[2]),
-        "BLOCK2": _place(aft, aside + reach, top - BLOCK[2]),
+    # the tips' lowest points touch the lips' edges at the mount's origin height
+    top = -np.sqrt(np.maximum(TIP_RADIUS**2 - (TIP_RADIUS - np.maximum(overlap, 0.0)) ** 2, 0.0))
+    top = top + (params.rear_rise[..., 0] if index >= 2 else 0.0)
+    gone = np.where(overlap < 0, -0.05, 0.0)  # a missing tab meets nothing
+    reach = TIP_RADIUS + params.slot_play + BLOCK[1]
+    return {
+        "LIP": placed(edge + outward * LIP[0], aside, top - LIP[2] + gone),
+        "BLOCK1": placed(aft, aside - reach, top - BLOCK[2] + gone),
+        "BLOCK2": placed(aft, aside + reach, top - BLOCK[2] + gone),
     }
 
 
 def _seat(params: PartParams) -> NDArray[np.float64]:
-    top = FOOT_HEIGHT - FOOT_RADIUS - params.seat_depth
-    return _place(-TAB_SPACING[0] / 2, 0.0, top - 0.004)
+    top = FOOT_HEIGHT - TIP_RADIUS - params.seat_depth
+    return placed(-TAB_SPACING[0] / 2, 0.0, top - 0.004)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Int32
 
-from sim_mjx.assembly import parts
+from sim_mjx.assembly import hooked_parts, parts
 from sim_mjx.assembly.parts import Fields
 from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.rollout import ONE_ARM, Program
 from sim_mjx.assembly.task import CONTROL_PERIOD
 
-SUBSTEPS = 4  # physics steps per control period; with 2 the 99th percentile of the error of a force is 1 N
+SUBSTEPS = 2  # physics steps per control period
+HOOK_SUBSTEPS = 4  # of hooks, whose tips are small: with 2, the 99th percentile of the error of a force is 1 N
 ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
 
 
@@ -33,7 +34,7 @@ class Scene:
     joints: Int32[np.ndarray, " joint"]  # addresses in qpos
     forces: Int32[np.ndarray, " wrist"]  # of the wrists' forces in sensordata; each is followed by its torque
     tips: Int32[np.ndarray, " tab"]  # geoms; a tab is seated when its tip is past its lip
-    lips: Int32[np.ndarray, " tab"]  # geoms that mark the lower ends of the lips' edges
+    lips: Int32[np.ndarray, " tab"]  # geoms
     fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
 
@@ -49,13 +50,25 @@ def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     parts.add_male(spec, "R")
     parts.add_female(spec, "R")
     set_solver(spec, substeps, iterations, ls_iterations)
+    return _compiled(spec, "LIP_", parts.model_fields, substeps)
+
+
+def hooked(substeps: int = HOOK_SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
+    """The same with hooks that catch; arguments of :func:`one_arm`."""
+    spec = new_robot(("R",))
+    hooked_parts.add_male(spec, "R")
+    hooked_parts.add_female(spec, "R")
+    set_solver(spec, substeps, iterations, ls_iterations)
+    return replace(_compiled(spec, "EDGE_", hooked_parts.model_fields, substeps), seated=hooked_parts.caught)
+
+
+def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], substeps: int) -> Scene:
+    """The scene of one arm; ``lips`` begins the names of the geoms that mark the lips."""
     model = spec.compile()
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
     forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
-    tips, lips = (
-        np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", "EDGE_")
-    )
-    return Scene(model, ONE_ARM, joints, forces, tips, lips, partial(parts.model_fields, model), substeps)
+    tips, marks = (np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", lips))
+    return Scene(model, ONE_ARM, joints, forces, tips, marks, partial(fields, model), substeps)
 
 
 def set_solver(spec: mujoco.MjSpec, substeps: int, iterations: int, ls_iterations: int) -> None:

@@ -39,7 +39,7 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     model = spec.compile()
     joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
     forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
-    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "EDGE_"))
+    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "LIP_"))
     return Scene(
         model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), np.array(tips, np.int32),
         np.array(lips, np.int32), partial(model_fields, model), substeps,
@@ -53,7 +53,9 @@ def model_fields(model: mujoco.MjModel, params: PartParams) -> Fields:
         model: of this scene.
         params: of one trial or a batch; ``position`` and ``roll`` are in the mount's axes, as in the one-arm scene.
     """
-    out = parts.model_fields(model, params, "R", GRIP)
+    out = parts.model_fields(model, params)
+    for name in parts.TABS:
+        out["geom_pos"][..., model.geom(f"RFOOT_{name}").id, :] += GRIP
     half = np.asarray(params.roll)[..., None] / 2
     mount = model.body("MOUNT").id
     out["body_pos"][..., mount, :] = FIRST_TOUCH + params.position @ TURN.T

@@ -27,7 +27,11 @@ Session = Literal["A", "B", "C", "openhrp"]
 
 # Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
 BOUNDS = {
-    "parts.position[0]": (-5e-3, 5e-3, "linear"),
+    "parts.tab_stiffness": (3e3, 3e4, "log"),
+    "parts.hook_overlap": (2e-4, 1.2e-3, "log"),
+    "parts.seat_depth": (1.5e-3, 3.5e-3, "linear"),
+    "parts.friction": (0.05, 0.6, "linear"),
+    "parts.slot_play": (5e-4, 2.5e-3, "linear"),
     "parts.mount_stiffness[0]": (1.5e3, 1.5e4, "log"),
     "parts.mount_stiffness[1]": (1.5e3, 1.5e4, "log"),
     "parts.mount_stiffness[2]": (3e3, 2e4, "log"),

@@ -43,17 +43,18 @@ def sane(values: Float[np.ndarray, "*batch reading"]) -> Bool[np.ndarray, "*batc
 def past_lips(
     tips: Float[Array, "*tabs 3"], lips: Float[Array, "*tabs 3"], turns: Float[Array, "*tabs 3 3"]
 ) -> Bool[Array, "*tabs"]:
-    """Which tabs are caught: their tips have sprung back beneath the lips and are above the slots' floors.
+    """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
 
     Args:
         tips: centres of the tips, m, world.
-        lips: lower ends of the lips' edges, m, world.
-        turns: of the lips, columns are axes in the world: x into the lip, z against the insertion.
+        lips: centres of their lips, m, world.
+        turns: of the lips, columns are their axes in the world.
     """
     local = (turns * (tips - lips)[..., None]).sum(-2)
-    below = (local[..., 2] < 0.0) & (local[..., 2] > -parts.DEEPEST)
-    beneath = (local[..., 0] > -parts.TIP_RADIUS) & (local[..., 0] < parts.DEEPEST)
-    return below & beneath & (abs(local[..., 1]) < parts.LIP_WIDTH)
+    below = local[..., 2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
+    near = abs(local[..., 0]) < parts.LIP[0] + parts.TIP_RADIUS * 1.5
+    inside = abs(local[..., 1]) < parts.LIP[1]
+    return below & near & inside
 
 
 def collect(

@@ -16,8 +16,7 @@ Floats = NDArray[np.float64]
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 ROUND = np.linspace(0.0, 2.0 * np.pi, 33)
 SEATED, FREE, LIP, SEAT = "#1a9850", "#f28e2b", "#444444", "#d0d0d0"
-LIPS = ("LIP", "BACK")
-HIDDEN = ("BLOCK", "EDGE")  # blocks would hide the tips from the side; edges are marks
+HIDDEN = ("BLOCK",)  # they would hide the tips from the side
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Drawing:
         depth = self._data.geom_xpos[self._geoms, self._view.depth] * self._view.away
         # tips and lips on top: they are what happens
         pairs = zip(self._geoms, self._tips, strict=True)
-        top = np.array([tip is not None or self._name(geom).startswith(LIPS) for geom, tip in pairs])
+        top = np.array([tip is not None or "LIP" in self._name(geom) for geom, tip in pairs])
         order = np.lexsort((-depth, top))
         shapes = [outline(self._model, self._data, self._geoms[i], self._view) for i in order]
         colors = [self._color(self._geoms[i], self._tips[i], past) for i in order]
@@ -110,7 +109,7 @@ class Drawing:
     def _color(self, geom: int, tip: int | None, past: NDArray[np.bool_]) -> Any:
         if tip is not None:
             return SEATED if past[tip] else FREE
-        if self._name(geom).startswith(LIPS):
+        if "LIP" in self._name(geom):
             return LIP
         if self._name(geom).startswith("SEAT"):
             return SEAT

@@ -31,23 +31,20 @@ TASK = replace(
 )
 # Stiff parts with hardly a hook, as in the authors' rigid simulation.
 PARTS = PartParams(
-    tab_stiffness=np.full(4, 5849.0),
-    tab_damping=np.full(4, 48.4),
-    hook_overlap=np.array([0.0009036, 0.0009036, 0.0003691, 0.0003691]),
-    hook_wear=np.zeros(4),
-    tab_cut=np.zeros(4),
-    shank_play=np.array(0.0002785),
-    slot_play=np.array(0.001298),
-    seat_depth=np.array(0.00379),
-    foot_spread=np.array(0.001745),
-    foot_offset=np.array([-0.006723, 0.001335]),
-    rear_rise=np.array([0.0002307, -0.001212]),
-    foot_contact=np.array([0.003903, 0.9216, 0.96, 0.000207]),
-    friction=np.array(0.1973),
-    mount_stiffness=np.array([4426.0, 2304.0, 13770.0]),
-    mount_damping=np.array([20.27, 7.534, 37.84]),
-    position=np.array([0.005646, -0.003392, 0.04903]),
-    roll=np.array(0.005974),
+    tab_stiffness=np.full(4, 10.1e3),
+    tab_damping=np.full(4, 80.0),
+    hook_overlap=np.full(4, 0.3e-3),
+    slot_play=np.array(1.9e-3),
+    seat_depth=np.array(2.626e-3),
+    foot_spread=np.array(2e-3),
+    foot_offset=np.zeros(2),
+    rear_rise=np.zeros(2),
+    foot_contact=np.array([0.005, 0.95, 0.99, 0.0005]),
+    friction=np.array(0.216),
+    mount_stiffness=np.array([4e3, 7.75e3, 8.38e3]),
+    mount_damping=np.array([120.0, 120.0, 98.5]),
+    position=np.array([0.004, 0.0, 0.0492]),
+    roll=np.array(0.0079),
 )
 
 OPENHRP = SessionPreset(

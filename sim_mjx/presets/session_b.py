@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.task import ALWAYS, NEVER, WORLD
 from sim_mjx.presets import session_a
-from sim_mjx.presets.camera import on_stand
 from sim_mjx.presets.session import GateLimits, SessionPreset, jr3_sensor
 
 TASK = replace(
@@ -24,11 +24,22 @@ TASK = replace(
     mating_time=np.array(21.0),
     timeout=np.array(60.0),
 )
-PARTS = on_stand(
-    mount_stiffness=(4139.0, 3184.0, 8139.0),
-    mount_damping=(127.2, 39.65, 200.0),
-    position=(0.000174, -0.001641, 0.00275),
-    roll=0.01435,
+# Fitted to the session's signature, snaps and outcomes over its grid.
+PARTS = PartParams(
+    tab_stiffness=np.array([10.95e3, 10.95e3, 11.92e3, 11.92e3]),
+    tab_damping=np.full(4, 88.95),
+    hook_overlap=np.array([0.372e-3, 0.7132e-3, 0.9852e-3, 0.8226e-3]),
+    slot_play=np.array(1.485e-3),
+    seat_depth=np.array(2.635e-3),
+    foot_spread=np.array(11.01e-3),
+    foot_offset=np.array([-12.77e-3, -16.0e-3]),
+    rear_rise=np.array([1.414e-3, 0.3481e-3]),
+    foot_contact=np.array([0.01503, 0.95, 0.96, 0.3e-3]),
+    friction=np.array(0.2841),
+    mount_stiffness=np.array([8.174e3, 3.71e3, 4.535e3]),
+    mount_damping=np.array([138.5, 120.0, 10.7]),
+    position=np.array([0.8531e-3, -0.2595e-3, 1.106e-3]),
+    roll=np.array(0.02),
 )
 # The coarse 3 x 3 grid first, so that the first trials stand for all.
 COARSE = tuple((dx, dy) for dx in (0, 2, -2) for dy in (0, 2, -2))

@@ -8,7 +8,7 @@ streams never overlap. Deviations are those of the hand from the part, as in the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from sim_mjx.presets.session import Range, SessionPreset
 from sim_mjx.randomization import overrides
 from sim_mjx.randomization.overrides import Physical
 
-BROKEN_OFF = 0.02  # m, of a tab: what is left of it reaches no lip
 # How often the recorded failures deviate in which directions.
 PATTERNS = {"x": 31, "y": 44, "r": 55, "xy": 59, "xr": 58, "yr": 72, "xyr": 79}
 
@@ -40,7 +39,7 @@ class DomainRandomization:
 
     nominal_share: float = 0.5  # of the trials without a fault; chosen
     faults: tuple[str, ...] = (  # equally likely among the others; chosen
-        "pose", "jamming", "wedging", "missing-tab", "worn-hook", "moved-part", "early-stop",
+        "pose", "jamming", "wedging", "missing-tab", "moved-part", "early-stop",
     )  # fmt: skip
     longest: float | None = None  # s, cuts every trial; None = the preset's own timeout
     # s, for which recording continues after the planned end of the trial, the robot keeping still, as by a logger that
@@ -68,9 +67,8 @@ class DomainRandomization:
     fault_x: Range = (0.0, 0.020)  # m, pose fault; recordings: 0-19.7 mm
     fault_y: Range = (-0.0105, 0.0105)  # m, pose fault; recordings: +-10.5 mm
     fault_roll: Range = (-0.5235, 0.5235)  # rad, pose fault; recordings: +-30 degrees
-    jam_friction: Range = (2.0, 4.0)  # factor: rough plastic; the lead-in locks itself at 3.8; chosen
-    jam_overlap: Range = (1.2, 1.8)  # factor, each hook: reaches too far beneath its lip; chosen
-    wear: Range = (0.3, 1.2)  # share of one hook's overlap that is rubbed off; from 1 on nothing holds it; chosen
+    jam_friction: Range = (3.0, 5.0)  # factor: a rough hook; alone it creeps past its lip in time; chosen
+    jam_overlap: Range = (1.65e-3, 1.85e-3)  # m, each hook: nearly the tip's radius, which no tab passes; chosen
     wedge_roll: Range = (0.09, 0.20)  # rad, either sign: more than the slots' play allows; chosen
     wedge_tilt: Range = (0.05, 0.12)  # rad, either sign, of the hand at contact; chosen
     moved_by: Range = (0.021, 0.040)  # m, part along x or y: beyond every pose fault; chosen
@@ -83,7 +81,7 @@ LIMITS: dict[str, Range] = {
     "friction": (0.01, 20.0), "mount": (0.05, 20.0), "gain": (0.0, 10.0), "goal": (0.0, 10.0), "speed": (0.05, 20.0),
     "noise": (0.0, 100.0), "force_bias": (-50.0, 50.0), "moment_bias": (-5.0, 5.0), "tare": (0.0, 1.0),
     "mating": (0.1, 600.0), "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0),
-    "jam_friction": (0.01, 20.0), "jam_overlap": (0.05, 2.0), "wear": (0.0, 5.0),
+    "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
     "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "moved_by": (0.0, 0.1), "stop_at": (0.01, 1.0),
 }  # fmt: skip
 
@@ -104,10 +102,9 @@ class _Values:
     hand: Float64[np.ndarray, " 3"]  # m, m, rad
     part: Float64[np.ndarray, " 2"]  # m
     tilt: float  # rad
-    overlap: Float64[np.ndarray, " 4"]
+    overlap: Float64[np.ndarray, " 4"]  # negative = missing
     friction: float
-    wear: Float64[np.ndarray, " 4"] = field(default_factory=lambda: np.zeros(4))  # share of the overlap
-    cut: Float64[np.ndarray, " 4"] = field(default_factory=lambda: np.zeros(4))  # m, off the ends of the tabs
+    hooks: Float64[np.ndarray, " 4"] | None = None  # m, overlaps in place of the nominal ones
     stop: float | None = None  # share of the time to mating
     failure_type: str = ""
 
@@ -266,12 +263,9 @@ def _with_task(preset: SessionPreset, task: TaskParams, values: _Values, spec: D
 
 
 def _with_parts(part: PartParams, values: _Values) -> PartParams:
-    overlap = np.minimum(part.hook_overlap * values.overlap, parts.WIDEST_OVERLAP)
+    overlap = part.hook_overlap * values.overlap if values.hooks is None else values.hooks
     return replace(
-        part,
-        hook_overlap=overlap,
-        hook_wear=part.hook_wear + overlap * values.wear,
-        tab_cut=part.tab_cut + values.cut,
+        part.with_overlap(overlap),
         friction=np.asarray(part.friction * values.friction),
         position=part.position + np.array([*values.part, 0.0]),
     )
@@ -291,7 +285,7 @@ def _pose(values: _Values, spec: DomainRandomization, rng: np.random.Generator) 
 def _jamming(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
     values.friction *= _draw(rng, spec.jam_friction)
-    values.overlap = values.overlap * _draw(rng, spec.jam_overlap, 4)
+    values.hooks = _draw(rng, spec.jam_overlap, 4)
 
 
 def _wedging(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
@@ -301,13 +295,8 @@ def _wedging(values: _Values, spec: DomainRandomization, rng: np.random.Generato
 
 
 def _missing_tab(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
-    """One tab has broken off at its root."""
-    values.cut[int(rng.integers(len(TABS)))] = BROKEN_OFF
-
-
-def _worn_hook(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
-    """The head of one hook is rubbed off, in part or whole."""
-    values.wear[int(rng.integers(len(TABS)))] = _draw(rng, spec.wear)
+    """One tab has broken off; by convention of PartParams its overlap is negative."""
+    values.overlap[int(rng.integers(len(TABS)))] *= -1.0
 
 
 def _moved_part(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
@@ -328,7 +317,6 @@ FAULTS: dict[str, Callable[[_Values, DomainRandomization, np.random.Generator], 
     "jamming": _jamming,
     "wedging": _wedging,
     "missing-tab": _missing_tab,
-    "worn-hook": _worn_hook,
     "moved-part": _moved_part,
     "early-stop": _early_stop,
 }

@@ -47,7 +47,7 @@ class Replay:
     qpos: Positions
     dt: float  # s between rows
     past: Past
-    height: Float64[np.ndarray, "time tab"]  # m, tips above the lower ends of their lips' edges
+    height: Float64[np.ndarray, "time tab"]  # m, tips above the height at which they count as past their lips
     how: str  # the origin of the motion, one sentence
 
 
@@ -201,7 +201,7 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Positions) -> tuple[Pa
         turns[row] = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
     past = np.asarray(past_lips(places, lips, turns))
     local = ((places - lips)[..., None, :] * np.swapaxes(turns, -1, -2)).sum(-1)
-    return past, local[..., 2]
+    return past, local[..., 2] - (parts.LIP[2] - parts.TIP_RADIUS * 0.2)
 
 
 def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float]:

@@ -28,7 +28,7 @@ def fake_engine(params: TrialParams) -> Rollouts:
         wrench[row, :samples] = rng.normal(0, 5, (samples, 6))
         joints[row, :samples] = rng.normal(0, 0.001, (samples, 6))
     onset = np.array([0.0, 0.01, 0.015, 0.03]) + np.zeros((count, 1))
-    missing = np.asarray(params.parts.tab_cut) > 0
+    missing = np.asarray(params.parts.hook_overlap) < 0
     jammed = np.asarray(params.parts.friction)[:, None] > 1.0
     return Rollouts(wrench, joints, length, onset, ~(missing | jammed), np.zeros(count, np.bool_))
 
