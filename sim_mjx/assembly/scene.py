@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Int32
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import Fields
 from sim_mjx.assembly.robot import new_robot
@@ -36,6 +37,8 @@ class Scene:
     lips: Int32[np.ndarray, " tab"]  # geoms that mark the lower ends of the lips' edges
     fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
+    # places of tips and lips, and the lips' turns -> which tabs are seated; None = ``engines.common.past_lips``
+    seated: Callable[[Array, Array, Array], Array] | None = None
 
 
 def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:

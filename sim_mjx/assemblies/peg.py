@@ -1,0 +1,220 @@
+"""Peg in a hole, round or square: touch, spiral search, compliant insertion.
+
+The peg touches with two rings of small spheres, its rounded lower edge and its guidance above; the hole has flat walls
+and a floor. A round peg has six spheres per ring in a hole of six walls, a square one four in a hole of four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rcbht_jax.types import Array
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Range, Variation
+from sim_mjx.assemblies.draw import COMMON_FAULTS, uniform, with_mount, with_own
+from sim_mjx.assemblies.fields import FEMALE, MALE, FieldWriter, ball, box, mark, touch
+from sim_mjx.controllers import Sense, admittance, go_to, keep_turn, spiral
+
+RADIUS, EDGE = 8e-3, 1.5e-3  # m, of the peg, and of its rounded edge
+GUIDE = 13e-3  # m, of the upper ring above the tip
+DEPTH, WALL = 16e-3, 20e-3  # m, of the hole; half the thickness and the breadth of its walls
+HIGHEST = 1.5e-3  # m, of the tip above the floor when it is in
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PegParts:
+    """The parts' own numbers."""
+
+    clearance: Float[Array, "*batch"]  # m, between peg and hole on each side; negative = it does not fit
+    floor: Float[Array, "*batch"]  # m, how much the floor is raised
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PegTask:
+    """The controller's numbers."""
+
+    approach_speed: Float[Array, "*batch"]  # m/s
+    touch_force: Float[Array, "*batch"]  # N, that ends the approach
+    press: Float[Array, "*batch"]  # N, while searching and inserting
+    gain: Float[Array, "*batch"]  # m/s per N
+    moment_gain: Float[Array, "*batch"]  # rad/s per Nm
+    pitch: Float[Array, "*batch"]  # m, between two turns of the spiral
+    search_speed: Float[Array, "*batch"]  # m/s, along the spiral
+    drop: Float[Array, "*batch"]  # m, below the touch, where the hole is found
+    rest: Float[Array, "*batch"]  # s, recorded after the insertion
+
+
+@dataclass(frozen=True)
+class PegVariation(Variation):
+    """What varies between trials; see :class:`Variation`."""
+
+    shift: Range = (-3.5e-3, 3.5e-3)  # m, where the controller believes the hole to be, x and y; chosen: needs a search
+    clearance: Range = (0.10e-3, 0.20e-3)  # m, on each side; chosen: a loose fit of 16 mm
+    stop_at: Range = (0.5, 2.5)  # s, fault early-stop; chosen: before any peg is in
+    tight: Range = (-0.4e-3, -0.2e-3)  # m, fault tight: the clearance of a peg that is too thick; chosen
+    jam: Range = (1.0, 1.5)  # fault rough: friction that holds the peg in its hole; chosen
+    askew: Range = (0.06, 0.12)  # rad, fault askew: lean of the peg in the hand, any direction; chosen
+    blocked: Range = (5e-3, 10e-3)  # m, fault blocked: how much what lies in the hole raises its floor; chosen
+
+
+def _ring(sides: int) -> list[tuple[float, float]]:
+    """Where the spheres of a ring are, as shares of the distance from the axis to a wall."""
+    if sides == 4:
+        return [(x, y) for x, y in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))]
+    angles = 2 * np.pi * np.arange(sides) / sides
+    return [(float(np.cos(angle)), float(np.sin(angle))) for angle in angles]
+
+
+def _walls(sides: int, index: int) -> list[int]:
+    """Walls that a sphere of the ring may meet: those of its corner, or the one it faces and its neighbours."""
+    if sides == 4:
+        return [index, (index + 1) % 4]
+    return [(index + step) % sides for step in (-1, 0, 1)]
+
+
+def _male(sides: int) -> Callable[[mujoco.MjSpec, mujoco.MjsBody], None]:
+    def add(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        for index, (x, y) in enumerate(_ring(sides)):
+            out = RADIUS - EDGE
+            ball(body, f"EDGE_{index}", (x * out, y * out, EDGE), EDGE)
+            ball(body, f"GUIDE_{index}", (x * out, y * out, GUIDE), EDGE)
+        kind = mujoco.mjtGeom.mjGEOM_BOX if sides == 4 else mujoco.mjtGeom.mjGEOM_CYLINDER
+        size = (RADIUS, RADIUS, 0.02) if sides == 4 else (RADIUS, 0.02, 0.0)
+        body.add_geom(name="PEG", type=kind, size=size, pos=(0.0, 0.0, 0.02 + EDGE), mass=0.05, contype=0,
+                      conaffinity=0, group=2, rgba=MALE)  # fmt: skip
+        mark(body, "PEG_TIP")
+
+    return add
+
+
+def _female(sides: int) -> Callable[[mujoco.MjSpec, mujoco.MjsBody], None]:
+    def add(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        for wall in range(sides):
+            angle = 2 * np.pi * wall / sides
+            far = RADIUS + WALL
+            box(body, f"WALL_{wall}", (far * np.cos(angle), far * np.sin(angle), -DEPTH / 2), (WALL, WALL, DEPTH / 2),
+                angle)  # fmt: skip
+        box(body, "FLOOR", (0.0, 0.0, -DEPTH - 0.002), (0.03, 0.03, 0.002), rgba=FEMALE)
+        mark(body, "HOLE")
+        for index in range(sides):
+            for wall in _walls(sides, index):
+                touch(spec, f"EDGE_{index}", f"WALL_{wall}")
+                if sides == 4 or wall == index:
+                    touch(spec, f"GUIDE_{index}", f"WALL_{wall}")
+            touch(spec, f"EDGE_{index}", "FLOOR")
+
+    return add
+
+
+def _write(sides: int) -> Callable[[FieldWriter, PegParts], None]:
+    def write(writer: FieldWriter, own: PegParts) -> None:
+        clearance = np.asarray(own.clearance)
+        far, height = RADIUS + WALL + clearance, np.full_like(clearance, -DEPTH / 2)
+        for wall in range(sides):
+            angle = 2 * np.pi * wall / sides
+            writer.place(f"WALL_{wall}", np.stack([far * np.cos(angle), far * np.sin(angle), height], -1))
+        nothing = np.zeros_like(clearance)
+        writer.place("FLOOR", np.stack([nothing, nothing, own.floor - DEPTH - 0.002], -1))
+
+    return write
+
+
+def _draw(spec: PegVariation, rng: np.random.Generator) -> tuple[PegTask, PegParts]:
+    gain, goal = uniform(rng, spec.gain), uniform(rng, spec.goal)
+    task = PegTask(
+        approach_speed=np.asarray(0.012), touch_force=np.asarray(3.0), press=12.0 * goal, gain=6e-4 * gain,
+        moment_gain=0.15 * gain, pitch=np.asarray(1.0e-3), search_speed=np.asarray(8e-3), drop=np.asarray(1.5e-3),
+        rest=np.asarray(0.4),
+    )  # fmt: skip
+    return task, PegParts(uniform(rng, spec.clearance), np.asarray(0.0))
+
+
+def _down(press: Any) -> Any:
+    return jnp.stack([jnp.zeros_like(press), jnp.zeros_like(press), press])
+
+
+def _approach(sense: Sense, task: PegTask) -> Array:
+    return go_to(sense, _down(jnp.full_like(task.press, -0.02)), task.approach_speed)
+
+
+def _touched(sense: Sense, task: PegTask) -> Array:
+    return sense.force[2] > task.touch_force
+
+
+def _search(sense: Sense, task: PegTask) -> Array:
+    pressed = admittance(sense, _down(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    return pressed + spiral(sense, task.pitch, task.search_speed) + keep_turn(sense)
+
+
+def _found(sense: Sense, task: PegTask) -> Array:
+    # the second: a peg that met its hole at once has nothing to search for
+    return (sense.place[2] < sense.entered[2] - task.drop) | (sense.place[2] < -2 * task.drop)
+
+
+def _insert(sense: Sense, task: PegTask) -> Array:
+    return admittance(sense, _down(task.press), task.gain, task.moment_gain)
+
+
+def _seated(sense: Sense, task: PegTask) -> Array:
+    return (sense.place[2] < 2 * HIGHEST - DEPTH) & (sense.force[2] > 0.7 * task.press)
+
+
+def _rested(sense: Sense, task: PegTask) -> Array:
+    return sense.time > task.rest
+
+
+def is_in(local: Float[Array, "mark 3"]) -> Bool[Array, " mark"]:
+    """Whether the tip is in the hole and near its floor; ``local`` is its place from the middle of the mouth, m."""
+    return (local[:, 2] < HIGHEST - DEPTH) & (abs(local[:, 0]) < 1e-3) & (abs(local[:, 1]) < 1e-3)
+
+
+def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
+    """The peg is too thick for its hole."""
+    return with_own(trial, clearance=uniform(rng, spec.tight))
+
+
+def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
+    """Peg and hole are so rough that the peg sticks."""
+    return with_mount(trial, friction=uniform(rng, spec.jam))
+
+
+def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
+    """The peg leans in the hand."""
+    angle, lean = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.askew)
+    hand = trial.hand.copy()
+    hand[3:5] = lean * np.cos(angle), lean * np.sin(angle)
+    return AssemblyTrial(**{**vars(trial), "hand": hand})
+
+
+def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
+    """Something lies in the hole."""
+    return with_own(trial, floor=uniform(rng, spec.blocked))
+
+
+PHASES = (
+    Phase("approach", _approach, _touched),
+    Phase("search", _search, _found),
+    Phase("insertion", _insert, _seated),
+    Phase("rest", _insert, _rested),
+)
+FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "blocked": _blocked}
+
+
+def peg(name: str, sides: int) -> Assembly:
+    """A peg of six sides, as good as round, or of four."""
+    return Assembly(
+        name, _male(sides), _female(sides), _write(sides), PHASES, _draw, (("PEG_TIP", "HOLE"),), is_in, FAULTS,
+        PegVariation, timeout=14.0, reach=0.12, start=0.015,
+    )  # fmt: skip
+
+
+ROUND, SQUARE = peg("peg-in-hole", 6), peg("square-peg", 4)
