@@ -7,11 +7,9 @@ and a floor. A round peg has six spheres per ring in a hole of six walls, a squa
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,7 +18,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Range, Variation
 from sim_mjx.assemblies.draw import COMMON_FAULTS, uniform, with_mount, with_own
 from sim_mjx.assemblies.fields import FEMALE, MALE, FieldWriter, ball, box, mark, touch
-from sim_mjx.controllers import Sense, admittance, go_to, keep_turn, spiral
+from sim_mjx.assemblies.pressing import APPROACH, SEARCH, PressTask, at_bottom, draw_task, press, rested
 
 RADIUS, EDGE = 8e-3, 1.5e-3  # m, of the peg, and of its rounded edge
 GUIDE = 13e-3  # m, of the upper ring above the tip
@@ -35,22 +33,6 @@ class PegParts:
 
     clearance: Float[Array, "*batch"]  # m, between peg and hole on each side; negative = it does not fit
     floor: Float[Array, "*batch"]  # m, how much the floor is raised
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class PegTask:
-    """The controller's numbers."""
-
-    approach_speed: Float[Array, "*batch"]  # m/s
-    touch_force: Float[Array, "*batch"]  # N, that ends the approach
-    press: Float[Array, "*batch"]  # N, while searching and inserting
-    gain: Float[Array, "*batch"]  # m/s per N
-    moment_gain: Float[Array, "*batch"]  # rad/s per Nm
-    pitch: Float[Array, "*batch"]  # m, between two turns of the spiral
-    search_speed: Float[Array, "*batch"]  # m/s, along the spiral
-    drop: Float[Array, "*batch"]  # m, below the touch, where the hole is found
-    rest: Float[Array, "*batch"]  # s, recorded after the insertion
 
 
 @dataclass(frozen=True)
@@ -128,48 +110,9 @@ def _write(sides: int) -> Callable[[FieldWriter, PegParts], None]:
     return write
 
 
-def _draw(spec: PegVariation, rng: np.random.Generator) -> tuple[PegTask, PegParts]:
-    gain, goal = uniform(rng, spec.gain), uniform(rng, spec.goal)
-    task = PegTask(
-        approach_speed=np.asarray(0.012), touch_force=np.asarray(3.0), press=12.0 * goal, gain=6e-4 * gain,
-        moment_gain=0.15 * gain, pitch=np.asarray(1.0e-3), search_speed=np.asarray(8e-3), drop=np.asarray(1.5e-3),
-        rest=np.asarray(0.4),
-    )  # fmt: skip
+def _draw(spec: PegVariation, rng: np.random.Generator) -> tuple[PressTask, PegParts]:
+    task = draw_task(spec, rng, press=12.0, bottom=2 * HIGHEST - DEPTH)
     return task, PegParts(uniform(rng, spec.clearance), np.asarray(0.0))
-
-
-def _down(press: Any) -> Any:
-    return jnp.stack([jnp.zeros_like(press), jnp.zeros_like(press), press])
-
-
-def _approach(sense: Sense, task: PegTask) -> Array:
-    return go_to(sense, _down(jnp.full_like(task.press, -0.02)), task.approach_speed)
-
-
-def _touched(sense: Sense, task: PegTask) -> Array:
-    return sense.force[2] > task.touch_force
-
-
-def _search(sense: Sense, task: PegTask) -> Array:
-    pressed = admittance(sense, _down(task.press), task.gain) * jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    return pressed + spiral(sense, task.pitch, task.search_speed) + keep_turn(sense)
-
-
-def _found(sense: Sense, task: PegTask) -> Array:
-    # the second: a peg that met its hole at once has nothing to search for
-    return (sense.place[2] < sense.entered[2] - task.drop) | (sense.place[2] < -2 * task.drop)
-
-
-def _insert(sense: Sense, task: PegTask) -> Array:
-    return admittance(sense, _down(task.press), task.gain, task.moment_gain)
-
-
-def _seated(sense: Sense, task: PegTask) -> Array:
-    return (sense.place[2] < 2 * HIGHEST - DEPTH) & (sense.force[2] > 0.7 * task.press)
-
-
-def _rested(sense: Sense, task: PegTask) -> Array:
-    return sense.time > task.rest
 
 
 def is_in(local: Float[Array, "mark 3"]) -> Bool[Array, " mark"]:
@@ -192,7 +135,7 @@ def _askew(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
     angle, lean = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.askew)
     hand = trial.hand.copy()
     hand[3:5] = lean * np.cos(angle), lean * np.sin(angle)
-    return AssemblyTrial(**{**vars(trial), "hand": hand})
+    return replace(trial, hand=hand)
 
 
 def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
@@ -200,12 +143,7 @@ def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator)
     return with_own(trial, floor=uniform(rng, spec.blocked))
 
 
-PHASES = (
-    Phase("approach", _approach, _touched),
-    Phase("search", _search, _found),
-    Phase("insertion", _insert, _seated),
-    Phase("rest", _insert, _rested),
-)
+PHASES = (APPROACH, SEARCH, Phase("insertion", press, at_bottom), Phase("rest", press, rested))
 FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "blocked": _blocked}
 
 
