@@ -94,8 +94,8 @@ def get_scenario(name: str) -> Scenario:
 @cache
 def _paired(assembly: str, robot: str) -> Scenario:
     """An assembly on a robot."""
-    if assembly == SNAP or robot == HIRO:
-        if (assembly, robot) != (SNAP, HIRO):
+    if assembly == SNAP:
+        if robot != HIRO:
             raise InputError(f"{SNAP} is simulated with the robot {HIRO}, and only with it.")
         return get_scenario("A")
     parts, arm = named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot")
@@ -120,8 +120,8 @@ def named(name: str, known: dict[str, Any], kind: type, what: str) -> Any:
         return known[name]
     path, colon, attribute = name.rpartition(":")
     if not colon:
-        extra = f", {SNAP if what == 'assembly' else HIRO}"
-        raise InputError(f"There is no {what} {name!r}; expected one of {', '.join(known)}{extra}, or FILE.py:NAME.")
+        names = [*known, SNAP] if what == "assembly" else list(known)
+        raise InputError(f"There is no {what} {name!r}; expected one of {', '.join(names)}, or FILE.py:NAME.")
     found = getattr(_module(path), attribute, None)
     if not isinstance(found, kind):
         raise InputError(f"{path} has no {what} named {attribute}.")

@@ -114,7 +114,7 @@ class Assembly:
     draw: Draw
     # pairs of geoms, of the male and of the female part; a trial succeeds when all are seated at its end
     marks: tuple[tuple[str, str], ...]
-    seated: Callable[[Float[Array, "mark 3"]], Bool[Array, " mark"]]  # male marks in their female marks' frames, m
+    seated: Callable[[Array], Array]  # male marks in their female marks' frames, m [..., mark, 3] -> [..., mark]
     faults: Mapping[str, FaultOf]
     variation: type[Variation] = Variation
     timeout: float = 20.0  # s

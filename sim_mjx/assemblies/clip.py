@@ -42,7 +42,7 @@ def _male(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         ball(body, f"CORNER_{index}", (x * (HALF[0] - CORNER), y * (HALF[1] - CORNER), CORNER), CORNER)
     body.add_geom(name="CLIP", type=mujoco.mjtGeom.mjGEOM_BOX, size=(*HALF, 0.01), pos=(0.0, 0.0, 0.01 + CORNER),
                   mass=0.03, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
-    add_hook(body, BEHIND, first_touch(HOOK))
+    add_hook(spec, body, BEHIND, first_touch(HOOK))
 
 
 def _female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:

@@ -79,7 +79,8 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True))
     key = rng.integers(0, 2**32, 2, dtype=np.uint32)
     kinds = spec.faults or tuple(assembly.faults)
-    kind = "none" if rng.random() < spec.nominal_share or not kinds else kinds[int(rng.integers(len(kinds)))]
+    nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
+    kind = "none" if nominal or not kinds else kinds[which]  # all other numbers are those of the nominal trial
     task, own = assembly.draw(spec, rng)
     trial = AssemblyTrial(
         task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),

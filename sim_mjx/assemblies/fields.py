@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import Fields
 
 Vector = tuple[float, float, float]
@@ -69,15 +70,15 @@ class FieldWriter:
         """The compiled value of a field of MjModel, for one "geom", "body" or "joint"."""
         return getattr(self._model, field)[getattr(self._model, kind)(name).id].copy()
 
-    def place(self, geom: str, place: Float[np.ndarray, "*batch 3"]) -> None:
+    def place(self, geom: str, place: Float[Array, "*batch 3"]) -> None:
         """Centre of a geom in its body's frame, m; never the body's origin, which a compiled model cannot move from."""
         self._field("geom_pos")[..., self._model.geom(geom).id, :] = place
 
-    def turn(self, geom: str, quat: Float[np.ndarray, "*batch 4"]) -> None:
+    def turn(self, geom: str, quat: Float[Array, "*batch 4"]) -> None:
         """Quaternion of a geom in its body's frame."""
         self._field("geom_quat")[..., self._model.geom(geom).id, :] = quat
 
-    def body(self, body: str, place: Float[np.ndarray, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
+    def body(self, body: str, place: Float[Array, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
         """Frame of a body in its parent's, m and quaternion."""
         number = self._model.body(body).id
         self._field("body_pos")[..., number, :] = place
@@ -89,6 +90,6 @@ class FieldWriter:
         self._field("jnt_stiffness")[..., row.id] = stiffness
         self._field("dof_damping")[..., row.dofadr[0]] = damping
 
-    def friction(self, sliding: Float[np.ndarray, "*batch"]) -> None:
+    def friction(self, sliding: Float[Array, "*batch"]) -> None:
         """Sliding friction of all pairs."""
         self._field("pair_friction")[..., :2] = np.asarray(sliding)[..., None, None]

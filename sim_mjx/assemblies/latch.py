@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from rcbht_jax.types import Array
 from sim_mjx.assemblies.assembly import AssemblyTrial, FaultOf, Range, Variation
 from sim_mjx.assemblies.draw import uniform, with_own
-from sim_mjx.assemblies.fields import FieldWriter, mark
+from sim_mjx.assemblies.fields import MARK, FieldWriter, mark
 from sim_mjx.assembly.hook import ARMATURE, Hook, add_lip, add_tab, beam_stiffness, first_touch
 
 # An ABS beam of 6 x 1.9 x 14 mm; its separation force is more than twice the pull that tries the latch.
@@ -61,9 +61,13 @@ def draw_latch(spec: LatchVariation, rng: np.random.Generator) -> LatchParts:
     return LatchParts(stiffness, uniform(rng, spec.overlap), uniform(rng, spec.clearance), np.asarray(0.0))
 
 
-def add_hook(body: mujoco.MjsBody, x: float, height: float) -> None:
+def add_hook(spec: mujoco.MjSpec, body: mujoco.MjsBody, x: float, height: float) -> None:
     """Hang the hook on the male part, its edge line at ``x`` and its tip's centre at ``height``, m."""
     add_tab(body, NAME, HOOK, np.array([x + HOOK.overlap - HOOK.tip_radius, 0.0, height]))
+    spec.body(f"TAB_{NAME}").add_geom(
+        name="BEAM", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0.0, 0.0, 0.0, -5e-4, 0.0, 0.014), mass=0.0,
+        size=(HOOK.tip_radius, 0.0, 0.0), contype=0, conaffinity=0, group=2, rgba=MARK,
+    )  # fmt: skip
 
 
 def add_catch(spec: mujoco.MjSpec, body: mujoco.MjsBody, x: float, height: float) -> None:
@@ -82,10 +86,10 @@ def write_latch(writer: FieldWriter, own: LatchParts) -> None:
         writer.place(geom, writer.nominal("geom_pos", "geom", geom) + aside[..., None] * np.array([1.0, 0.0, 0.0]))
 
 
-def is_caught(local: Float[Array, "mark 3"]) -> Bool[Array, " mark"]:
+def is_caught(local: Float[Array, "*mark 3"]) -> Bool[Array, "*mark"]:
     """Whether the hook's tip is beneath the lip; ``local`` is its centre from the lower end of the lip's edge, m."""
-    beneath = (local[:, 0] > -HOOK.tip_radius) & (local[:, 0] < 2e-3)
-    return (local[:, 2] < 0.0) & (local[:, 2] > -3e-3) & beneath
+    beneath = (local[..., 0] > -HOOK.tip_radius) & (local[..., 0] < 2e-3)
+    return (local[..., 2] < 0.0) & (local[..., 2] > -3e-3) & beneath
 
 
 def _broken(trial: AssemblyTrial, spec: Any, rng: np.random.Generator) -> AssemblyTrial:

@@ -115,9 +115,9 @@ def _draw(spec: PegVariation, rng: np.random.Generator) -> tuple[PressTask, PegP
     return task, PegParts(uniform(rng, spec.clearance), np.asarray(0.0))
 
 
-def is_in(local: Float[Array, "mark 3"]) -> Bool[Array, " mark"]:
+def is_in(local: Float[Array, "*mark 3"]) -> Bool[Array, "*mark"]:
     """Whether the tip is in the hole and near its floor; ``local`` is its place from the middle of the mouth, m."""
-    return (local[:, 2] < HIGHEST - DEPTH) & (abs(local[:, 0]) < 1e-3) & (abs(local[:, 1]) < 1e-3)
+    return (local[..., 2] < HIGHEST - DEPTH) & (abs(local[..., 0]) < 1e-3) & (abs(local[..., 1]) < 1e-3)
 
 
 def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:

@@ -66,7 +66,7 @@ def _male(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
                       size=(PIN, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
     body.add_geom(name="PLUG", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.006, 0.015, 0.008), pos=(0.0, 0.0, 0.022),
                   mass=0.04, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
-    add_hook(body, BEHIND, LEAD + first_touch(HOOK))
+    add_hook(spec, body, BEHIND, LEAD + first_touch(HOOK))
 
 
 def _female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
@@ -90,7 +90,7 @@ def _write(writer: FieldWriter, own: LatchParts) -> None:
 
 
 def _draw(spec: PlugVariation, rng: np.random.Generator) -> tuple[PressTask, LatchParts]:
-    task = draw_task(spec, rng, press=25.0, bottom=2e-3 - DEPTH, gain=3e-4, moment_gain=0.1, drop=1e-3)
+    task = draw_task(spec, rng, press=25.0, bottom=2e-3 - DEPTH, gain=3e-4, moment_gain=0.1, drop=1.4e-3)
     return task, draw_latch(spec, rng)
 
 

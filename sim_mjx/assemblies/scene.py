@@ -94,7 +94,7 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
 class seated_marks:  # used as a function; equal ones compile once
     """An assembly's success on the marks' places in the world, as engines ask for it."""
 
-    predicate: Callable[[Float[Array, "mark 3"]], Bool[Array, " mark"]]
+    predicate: Callable[[Array], Array]  # places of the male marks in the female ones' frames -> which are seated
 
     def __call__(
         self, tips: Float[Array, "*batch 3"], lips: Float[Array, "*batch 3"], turns: Float[Array, "*batch 3 3"]

@@ -50,10 +50,9 @@ class View(Command):
         from rcbht_jax.cli.plot import find_recording
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
-        from rcbht_jax.robots.snap_assembly import HARMONISED
         from sim_mjx.plots import animation
         from sim_mjx.plots.trial_overview import trial_overview
-        from sim_mjx.validation.replay import moments
+        from sim_mjx.validation.replay import events
 
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
         if self.out is None and out is not None and out.name != f"{self.trial}.png":
@@ -63,7 +62,7 @@ class View(Command):
         row = find_recording(recordings, self.trial, self.arm, self.source)
         replay = self._replay(recordings, row)
         result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
-        times = moments(replay, recordings.starts(HARMONISED)[row])
+        times = events(replay, recordings, row)
         if out is None:
             show(replay, self.speed)
         elif out.suffix.lower() in animation.SUFFIXES:

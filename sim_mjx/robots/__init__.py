@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from rcbht_jax.errors import InputError
+from sim_mjx.robots.hiro import HIRO
 from sim_mjx.robots.panda import PANDA
 from sim_mjx.robots.robot import Robot, from_mjcf
 from sim_mjx.robots.ur5e import UR5E
 
 __all__ = ["ROBOTS", "Robot", "from_mjcf", "get_robot"]
-ROBOTS = {robot.name: robot for robot in (PANDA, UR5E)}
+ROBOTS = {robot.name: robot for robot in (PANDA, UR5E, HIRO)}
 
 
 def get_robot(name: str) -> Robot:

@@ -89,7 +89,7 @@ def pose(chain: SerialChain, angles: Angles) -> tuple[Vector, Rotation]:
 def jacobian(chain: SerialChain, angles: Angles) -> Float[Array, "6 joint"]:
     """Velocity of the wrist, m/s, above its angular velocity, rad/s, per rad/s of each joint; world axes."""
     place, _, origins, axes = _frames(chain, angles)
-    return jnp.concatenate([jnp.cross(axes, place - origins).T, axes.T])
+    return jnp.concatenate([jnp.cross(axes, place[None, :] - origins).T, axes.T])
 
 
 def _frames(chain: SerialChain, angles: Angles) -> tuple[Vector, Rotation, Array, Array]:
@@ -108,7 +108,7 @@ def _frames(chain: SerialChain, angles: Angles) -> tuple[Vector, Rotation, Array
 def about(axis: Vector, angle: Float[Array, ""]) -> Rotation:
     """Rotation by an angle, rad, about a unit axis."""
     unit = jnp.eye(3, dtype=axis.dtype)
-    cross = jnp.cross(axis[None, :], unit).T  # columns axis x e_i: the matrix of "axis x"
+    cross = jnp.cross(jnp.broadcast_to(axis, (3, 3)), unit).T  # columns axis x e_i: the matrix of "axis x"
     return unit + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * (axis[:, None] * axis[None, :] - unit)
 
 
@@ -123,7 +123,7 @@ def rotation_vector(rotation: Rotation) -> Vector:
 # sums of products, not matrix products: those are rounded to fewer digits on some accelerators
 def along(matrix: Float[Array, "rows columns"], vector: Float[Array, " columns"]) -> Float[Array, " rows"]:
     """A matrix times a vector."""
-    return (matrix * vector).sum(-1)
+    return (matrix * vector[None, :]).sum(-1)
 
 
 def times(first: Float[Array, "rows inner"], second: Float[Array, "inner columns"]) -> Float[Array, "rows columns"]:
