@@ -98,15 +98,20 @@ def _paired(assembly: str, robot: str) -> Scenario:
         if robot != HIRO:
             raise InputError(f"{SNAP} is simulated with the robot {HIRO}, and only with it.")
         return get_scenario("A")
-    parts, arm = named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot")
-    pairing = draw.Pairing(parts, arm)
-    task, own = parts.draw(parts.variation(), trials.stream(0, 0))
+    return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
+
+
+@cache
+def pair(assembly: Assembly, robot: Robot) -> Scenario:
+    """What is simulated of an assembly on a robot."""
+    pairing = draw.Pairing(assembly, robot)
+    task, own = assembly.draw(assembly.variation(), trials.stream(0, 0))
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
     names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
-        pairing, ("R",), partial(scene.scene, parts, arm), draw.sample, tuple(names), parts.name, arm.name,
-        tuple(phase.name for phase in parts.phases), parts.variation,
+        pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample, tuple(names), assembly.name, robot.name,
+        tuple(phase.name for phase in assembly.phases), assembly.variation,
     )  # fmt: skip
 
 
