@@ -1,5 +1,6 @@
 """Peg in a hole, round or square: touch, spiral search, compliant insertion.
 
+The round peg searches upright, the square one leaning in a direction that goes round, so that a corner leads.
 The peg touches with two rings of small spheres, its rounded lower edge and its guidance above; the hole has flat walls
 and a floor. A round peg has six spheres per ring in a hole of six walls, a square one four in a hole of four.
 """
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import mujoco
@@ -18,7 +20,17 @@ from rcbht_jax.types import Array
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, Phase, Range, Variation
 from sim_mjx.assemblies.draw import COMMON_FAULTS, uniform, with_mount, with_own
 from sim_mjx.assemblies.fields import FEMALE, MALE, FieldWriter, ball, box, mark, touch
-from sim_mjx.assemblies.pressing import APPROACH, SEARCH, PressTask, at_bottom, draw_task, press, rested
+from sim_mjx.assemblies.pressing import (
+    APPROACH,
+    SEARCH,
+    PressTask,
+    at_bottom,
+    draw_task,
+    found,
+    press,
+    rested,
+    search_leaning,
+)  # fmt: skip
 
 RADIUS, EDGE = 8e-3, 1.5e-3  # m, of the peg, and of its rounded edge
 GUIDE = 13e-3  # m, of the upper ring above the tip
@@ -110,8 +122,8 @@ def _write(sides: int) -> Callable[[FieldWriter, PegParts], None]:
     return write
 
 
-def _draw(spec: PegVariation, rng: np.random.Generator) -> tuple[PressTask, PegParts]:
-    task = draw_task(spec, rng, press=12.0, bottom=2 * HIGHEST - DEPTH)
+def _draw(lean: float, spec: PegVariation, rng: np.random.Generator) -> tuple[PressTask, PegParts]:
+    task = draw_task(spec, rng, press=12.0, bottom=2 * HIGHEST - DEPTH, lean=lean)
     return task, PegParts(uniform(rng, spec.clearance), np.asarray(0.0))
 
 
@@ -143,16 +155,23 @@ def _blocked(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator)
     return with_own(trial, floor=uniform(rng, spec.blocked))
 
 
-PHASES = (APPROACH, SEARCH, Phase("insertion", press, at_bottom), Phase("rest", press, rested))
 FAULTS = {**COMMON_FAULTS, "tight": _tight, "rough": _rough, "askew": _askew, "blocked": _blocked}
 
 
-def peg(name: str, sides: int) -> Assembly:
-    """A peg of six sides, as good as round, or of four."""
+def peg(name: str, sides: int, search: Phase, lean: float = 0.0) -> Assembly:
+    """A peg of six sides, as good as round, or of four.
+
+    Args:
+        name: of the assembly.
+        sides: of peg and hole.
+        search: how the hole is found. lean: rad, of the hand while it searches.
+    """
+    phases = (APPROACH, search, Phase("insertion", press, at_bottom), Phase("rest", press, rested))
     return Assembly(
-        name, _male(sides), _female(sides), _write(sides), PHASES, _draw, (("PEG_TIP", "HOLE"),), is_in, FAULTS,
-        PegVariation, timeout=14.0, reach=0.12, start=0.015,
+        name, _male(sides), _female(sides), _write(sides), phases, partial(_draw, lean), (("PEG_TIP", "HOLE"),), is_in,
+        FAULTS, PegVariation, timeout=14.0, reach=0.12, start=0.015,
     )  # fmt: skip
 
 
-ROUND, SQUARE = peg("peg-in-hole", 6), peg("square-peg", 4)
+ROUND = peg("peg-in-hole", 6, SEARCH)
+SQUARE = peg("square-peg", 4, Phase("search", search_leaning, found), lean=0.03)

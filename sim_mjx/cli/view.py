@@ -79,16 +79,19 @@ class View(Command):
 
     def _labelled(self, recordings: Recordings, row: int) -> tuple[Recordings, LabelTracks, int]:
         """The labels of the store; if it has none, those of this trial alone."""
+        from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.batch import encode_batch
         from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.encoding.thresholds import preset
         from rcbht_jax.io.label_store import choose_tracks, list_tracks
+        from rcbht_jax.robots.snap_assembly import HARMONISED
 
         if self.tracks or list_tracks(self.store):
             return recordings, choose_tracks(self.store, self.tracks)[1], row
         alone = _only(recordings, row)
         config = EncoderConfig(WINDOW, recordings.dt)
-        return alone, encode_batch(config, preset("hiro"), alone.wrench, alone.length), 0
+        limits = preset("hiro") if HARMONISED in recordings.annotations.labels else auto_thresholds(recordings, WINDOW)
+        return alone, encode_batch(config, limits, alone.wrench, alone.length), 0
 
     def _check(self, out: Path | None) -> None:
         from sim_mjx.plots import animation

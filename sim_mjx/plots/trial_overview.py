@@ -190,7 +190,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
     for state, end in zip(known, ends, strict=True):
         ax.axvspan(onset[state], end, color=SHADES[state % len(SHADES)], zorder=-1)
         if names:
-            where = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
+            where: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
             name, middle = marks.labels[track][state], (onset[state] + end) / 2
             ax.annotate(name, (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", **where)
 

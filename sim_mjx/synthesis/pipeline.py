@@ -277,6 +277,8 @@ def _assemble(
         "simulated": _provenance(manifest),
         "diverged": np.flatnonzero(diverged).tolist(),
     }
+    if not scenario.recorded:
+        attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
     draft = folder / "store.zarr"
     store.write_recordings(
         draft, recordings, attrs, overwrite=True, created=CREATED,
