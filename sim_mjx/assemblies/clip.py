@@ -40,7 +40,7 @@ WALLS = (("FRONT", 0, 1.0), ("LEFT", 1, 1.0), ("BACK", 0, -1.0), ("RIGHT", 1, -1
 def _male(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
     for index, (x, y) in enumerate(CORNERS):
         ball(body, f"CORNER_{index}", (x * (HALF[0] - CORNER), y * (HALF[1] - CORNER), CORNER), CORNER)
-    body.add_geom(name="CLIP", type=mujoco.mjtGeom.mjGEOM_BOX, size=(*HALF, 0.01), pos=(0.0, 0.0, 0.01 + CORNER),
+    body.add_geom(name="BODY", type=mujoco.mjtGeom.mjGEOM_BOX, size=(*HALF, 0.01), pos=(0.0, 0.0, 0.01 + CORNER),
                   mass=0.03, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
     add_hook(spec, body, BEHIND, first_touch(HOOK))
 

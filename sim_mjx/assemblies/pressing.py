@@ -55,7 +55,7 @@ def draw_task(spec: Variation, rng: np.random.Generator, press: float, bottom: f
     values = {
         "approach_speed": 0.012, "touch_force": 3.0, "press": press, "gain": 6e-4, "moment_gain": 0.15,
         "pitch": 1e-3, "search_speed": 8e-3, "lean": 0.0, "drop": 1.5e-3, "bottom": bottom, "pull": 6.0,
-        "pull_time": 0.5, "rest": 0.4, **others,
+        "pull_time": 1.0, "rest": 0.4, **others,
     }  # fmt: skip
     gain, goal = uniform(rng, spec.gain), uniform(rng, spec.goal)
     factors = {"gain": gain, "moment_gain": gain, "press": goal}
