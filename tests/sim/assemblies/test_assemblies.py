@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -14,8 +14,10 @@ from rcbht_jax.errors import InputError
 from sim_mjx import engines
 from sim_mjx.assemblies import ASSEMBLIES
 from sim_mjx.assemblies.assembly import Assembly
+from sim_mjx.assemblies.latch import HOOK
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assemblies.scene import scene as scene_of
+from sim_mjx.assembly.hook import mating_force
 from sim_mjx.assembly.rollout import Rollouts, stack
 from sim_mjx.engines.native import model_of
 from sim_mjx.registry import Scenario, get_scenario
@@ -34,6 +36,16 @@ CHANGES = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Run:
+    """Some nominal trials and one of each fault."""
+
+    scenario: Scenario
+    kinds: list[str]
+    params: Any
+    out: Rollouts
+
+
 def scenario_of(assembly: str) -> Scenario:
     return get_scenario(f"{assembly}@{ON.get(assembly, 'panda')}")
 
@@ -50,17 +62,17 @@ def drawn(scenario: Scenario, fault: str, index: int = 0) -> Any:
 
 
 @pytest.fixture(scope="module", params=list(ON))
-def run(request: pytest.FixtureRequest) -> tuple[Scenario, list[str], Rollouts]:
+def run(request: pytest.FixtureRequest) -> Run:
     """Some nominal trials and one of each fault."""
     scenario = scenario_of(request.param)
     kinds = [*["none"] * NOMINAL, *ASSEMBLIES[request.param].faults]
     params = stack([drawn(scenario, kind, index) for index, kind in enumerate(kinds)])
     params = replace(params, timeout=np.minimum(params.timeout, 6.0))
-    return scenario, kinds, engines.simulate(scenario.scene(), params)
+    return Run(scenario, kinds, params, engines.simulate(scenario.scene(), params))
 
 
-def test_it_is_put_together_and_faults_matter(run: tuple[Scenario, list[str], Rollouts]) -> None:
-    scenario, kinds, out = run
+def test_it_is_put_together_and_faults_matter(run: Run) -> None:
+    scenario, kinds, out = run.scenario, run.kinds, run.out
     seated = out.seated.all(1)
     assert seated[:NOMINAL].all()
     assert not any(seat for seat, kind in zip(seated, kinds, strict=True) if kind in CERTAIN)
@@ -76,6 +88,21 @@ def test_it_is_put_together_and_faults_matter(run: tuple[Scenario, list[str], Ro
     assert ((peaks > 10) & (peaks < 40)).all()
     stopped = kinds.index("early-stop")
     assert out.length[stopped] * 0.005 < 2.6
+    if scenario.assembly == "clip":
+        check_mating_force(run)
+
+
+def check_mating_force(run: Run) -> None:
+    """The force at which the hook snaps is that of the design guides; the wrist feels it, filtered and with noise."""
+    own, mount = run.params.parts.own, run.params.parts.mount
+    for row in range(NOMINAL):
+        press, pull = (int(run.out.onset[row, phase] / 0.005) for phase in (1, 2))
+        force = run.out.wrench[row, press:pull, 2]
+        top = np.maximum.accumulate(force)
+        snap = int(np.argmax((force < 0.5 * top) & (top > 2.0)))
+        numbers = {"stiffness": own.stiffness[row], "overlap": own.overlap[row], "friction": mount.friction[row]}
+        hook = replace(HOOK, **{name: float(value) for name, value in numbers.items()})
+        assert top[snap] == pytest.approx(mating_force(hook), rel=0.15)
 
 
 @pytest.mark.parametrize(("assembly", "fault"), [(a.name, f) for a in ASSEMBLIES.values() for f in a.faults])
