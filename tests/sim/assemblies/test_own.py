@@ -36,10 +36,11 @@ def test_own_files_are_simulated_from_the_command_line(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     for name, block in blocks().items():
         (tmp_path / name).write_text(block)
-    arguments = ["--assembly", "key.py:KEY", "--robot", "arm.py:ARM", "--trials", "2", "--max-seconds", "0.3"]
+    arguments = ["--assembly", "key.py:KEY", "--robot", "arm.py:ARM", "--trials", "2", "--nominal-share", "1"]
     assert main.main(["simulate", "keys.zarr", *arguments]) == 0
     recordings = read_recordings(tmp_path / "keys.zarr")
     assert recordings.trial.tolist() == ["sim-key-mine-000000", "sim-key-mine-000001"]
+    assert recordings.outcome.tolist() == ["success"] * 2
     assert recordings.annotations.labels == {"phase": ("approach", "insertion", "rest")}
     # a finished part of another version of the file is not mixed in
     job = SynthesisConfig("key.py:KEY@arm.py:ARM", 2, spec=get_scenario("key.py:KEY@panda").spec(longest=0.1), shard=1)
