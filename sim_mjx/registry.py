@@ -1,19 +1,34 @@
-"""What can be simulated by name: the one-arm sessions and the two-arm task, each with its scene and its trials."""
+"""What can be simulated by name, each with its scene and its trials.
+
+A name is that of a preset of the recorded camera snap ("A", "two"), or ASSEMBLY@ROBOT: "peg-in-hole@panda". Either half
+may be somebody's own: FILE.py:NAME is the object NAME of a Python file, see docs/howto/own_assembly.md.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cache, partial
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
+from rcbht_jax.errors import InputError
+from sim_mjx.assemblies import ASSEMBLIES, Assembly, draw, scene
+from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.rollout import stack
-from sim_mjx.assembly.scene import Scene, one_arm
+from sim_mjx.assembly.scene import Scene, hooked, one_arm
+from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
 from sim_mjx.presets import preset
 from sim_mjx.presets.two_arm import TwoArmPreset
 from sim_mjx.randomization import trials
 from sim_mjx.randomization import two_arm as randomization_two_arm
 from sim_mjx.randomization.trials import DomainRandomization, Fault
+from sim_mjx.robots import ROBOTS, Robot
+
+SNAP, HIRO = "camera-snap", "hiro"  # the recorded assembly and its robot, which have presets
 
 # Stored parameters of a trial: their group ("" = none) and field.
 PARAMETERS = (
@@ -23,6 +38,7 @@ PARAMETERS = (
     ("parts", "tab_stiffness"), ("parts", "hook_overlap"), ("parts", "friction"), ("parts", "mount_stiffness"),
     ("parts", "position"), ("parts", "roll"),
 )  # fmt: skip
+HOOKED_PARAMETERS = (*PARAMETERS, ("parts", "hook_wear"), ("parts", "tab_cut"))
 TWO_ARM_PARAMETERS = (
     *PARAMETERS, ("task", "mating_time"), ("", "offset"), ("", "chatter"), ("hold", "force"), ("hold", "moment"),
     ("hold", "force_gain"), ("hold", "moment_gain"),
@@ -33,32 +49,108 @@ TWO_ARM_PARAMETERS = (
 class Scenario:
     """A preset with its scene, what is logged of it and how its trials are drawn."""
 
-    preset: Any  # SessionPreset, which ``sample`` takes
+    preset: Any  # SessionPreset or Pairing, which ``sample`` takes
     arms: tuple[str, ...]  # whose wrenches are logged, in this order
     scene: Callable[..., Scene]  # takes substeps, iterations, ls_iterations
-    sample: Callable[[Any, int, int, DomainRandomization], tuple[Any, Fault]]  # preset, seed, index, distributions
+    sample: Callable[[Any, int, int, Any], tuple[Any, Fault]]  # preset, seed, index, distributions
     parameters: tuple[tuple[str, str], ...]  # what is stored of a trial: group and field
+    assembly: str = SNAP
+    robot: str = HIRO
+    states: tuple[str, ...] = STATES  # whose starts a rollout reports
+    spec: Callable[..., Any] = DomainRandomization  # distributions, by keyword
 
-    def draw(self, seed: int, index: int, spec: DomainRandomization) -> tuple[Any, Fault]:
+    @property
+    def recorded(self) -> bool:
+        """Whether it is the assembly that was recorded, whose stores have its tracks and columns."""
+        return self.assembly == SNAP
+
+    def draw(self, seed: int, index: int, spec: Any) -> tuple[Any, Fault]:
         """One trial's parameters and fault; see ``sim_mjx.randomization.trials.sample``."""
         return self.sample(self.preset, seed, index, spec)
 
-    def draw_batch(self, seed: int, indices: Iterable[int], spec: DomainRandomization) -> tuple[Any, list[Fault]]:
+    def draw_batch(self, seed: int, indices: Iterable[int], spec: Any) -> tuple[Any, list[Fault]]:
         """Several trials as one batch, equal to ``draw`` trial by trial."""
         drawn = [self.draw(seed, index, spec) for index in indices]
         return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
 def get_scenario(name: str) -> Scenario:
-    """What a preset simulates.
+    """What a name simulates.
 
     Raises:
-        InputError: unknown preset.
+        InputError: unknown preset, assembly or robot.
 
-    >>> get_scenario("two").arms
-    ('R', 'L')
+    >>> get_scenario("two").arms, get_scenario("peg-in-hole@panda").states
+    (('R', 'L'), ('approach', 'search', 'insertion', 'rest'))
     """
+    if "@" in name:
+        assembly, _, robot = name.partition("@")
+        return _paired(assembly, robot)
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
         return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample, TWO_ARM_PARAMETERS)
+    if isinstance(constants.parts, HookedParams):
+        return Scenario(constants, ("R",), hooked, trials.sample, HOOKED_PARAMETERS)
     return Scenario(constants, ("R",), one_arm, trials.sample, PARAMETERS)
+
+
+@cache
+def _paired(assembly: str, robot: str) -> Scenario:
+    """An assembly on a robot."""
+    if assembly == SNAP:
+        if robot != HIRO:
+            raise InputError(f"{SNAP} is simulated with the robot {HIRO}, and only with it.")
+        return get_scenario("A")
+    return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
+
+
+@cache
+def pair(assembly: Assembly, robot: Robot) -> Scenario:
+    """What is simulated of an assembly on a robot."""
+    pairing = draw.Pairing(assembly, robot)
+    task, own = assembly.draw(assembly.variation(), trials.stream(0, 0))
+    names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
+    names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
+    names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
+    return Scenario(
+        pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample, tuple(names), assembly.name, robot.name,
+        tuple(phase.name for phase in assembly.phases), assembly.variation,
+    )  # fmt: skip
+
+
+def named(name: str, known: dict[str, Any], kind: type, what: str) -> Any:
+    """One of the known ones, or the object NAME of a file for "FILE.py:NAME".
+
+    Raises:
+        InputError: there is none of that name, or it is of another kind.
+    """
+    if name in known:
+        return known[name]
+    path, colon, attribute = name.rpartition(":")
+    if not colon:
+        names = [*known, SNAP] if what == "assembly" else list(known)
+        raise InputError(f"There is no {what} {name!r}; expected one of {', '.join(names)}, or FILE.py:NAME.")
+    found = getattr(_module(path), attribute, None)
+    if not isinstance(found, kind):
+        raise InputError(f"{path} has no {what} named {attribute}.")
+    return found
+
+
+@cache
+def _module(path: str) -> Any:
+    file = Path(path)
+    if file.suffix != ".py" or not file.is_file():
+        raise InputError(f"There is no Python file {path}.")
+    spec = spec_from_file_location(f"rcbht_own_{file.stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def own_files(name: str) -> list[Path]:
+    """Python files that a name refers to: their content decides what is simulated."""
+    halves = name.split("@") if "@" in name else []
+    return [Path(half.rpartition(":")[0]) for half in halves if ":" in half]

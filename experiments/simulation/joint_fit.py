@@ -18,8 +18,8 @@ from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.scene import one_arm
-from sim_mjx.presets import ONE_ARM
+from sim_mjx.assembly.scene import hooked
+from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
 from sim_mjx.validation import sessions, system_id
 from sim_mjx.validation.joint_fit import JointObjective, Share
@@ -29,7 +29,7 @@ SHARED = {
     "parts.tab_stiffness": Bound(7e3, 1.05e4, True),
     "parts.hook_overlap[0:2]": Bound(0.5e-3, 1.1e-3),
     "parts.hook_overlap[2:4]": Bound(0.5e-3, 1.1e-3),
-    "parts.shank_play": Bound(0.05e-3, 0.8e-3),
+    "parts.stop_play": Bound(0.05e-3, 0.8e-3),
     "parts.slot_play": Bound(0.5e-3, 2.5e-3),
     "parts.seat_depth": Bound(1.5e-3, 4.5e-3),
     "parts.foot_spread": Bound(0.5e-3, 16e-3),
@@ -48,33 +48,25 @@ OWN = {
     **{f"parts.mount_damping[{axis}]": Bound(5.0, 250.0, True) for axis in range(3)},
 }
 AROUND = {"parts.position[0]": 4e-3, "parts.position[1]": 4e-3, "parts.position[2]": 2.5e-3, "parts.roll": 0.03}
-# Of the rigid simulation, whose contacts are its own.
-RIGID = {
-    "parts.tab_stiffness": Bound(3e3, 3e4, True),
-    "parts.hook_overlap[0:2]": Bound(0.1e-3, 1.0e-3),
-    "parts.hook_overlap[2:4]": Bound(0.1e-3, 1.0e-3),
-    "parts.friction": Bound(0.05, 0.5),
-    "parts.foot_contact[0]": Bound(0.0026, 0.02, True),
-}
 TRIALS = 3  # per candidate, of a session without a grid: they repeat one pose
-SEEN = tuple(cell for cell in ONE_ARM["B"].placements if sum(cell) % 2 == 0)
+SEEN = tuple(cell for cell in HOOKED["hooked-B"].placements if sum(cell) % 2 == 0)
 
 
 def shares(recordings: Recordings, names: tuple[str, ...]) -> dict[str, Share]:
     """What the fit may see: all of a session, but of B only the white cells."""
-    out = {name: Share(sessions.recorded(recordings, name), (), TRIALS) for name in names if name != "B"}
-    if "B" in names:
-        rows = sessions.recorded_rows(recordings, "B")
+    out = {name: Share(sessions.recorded(recordings, name), (), TRIALS) for name in names if name != "hooked-B"}
+    if "hooked-B" in names:
+        rows = sessions.recorded_rows(recordings, "hooked-B")
         millimetres = np.stack([recordings.columns[f"deviation_{axis}"][rows] for axis in "xy"], 1) * 1e3
         cells = [(int(x), int(y)) for x, y in np.round(millimetres)]
         seen = rows[[cell in SEEN for cell in cells]]
-        out["B"] = Share(sessions.recorded(recordings, "B", seen), SEEN, len(SEEN))
+        out["hooked-B"] = Share(sessions.recorded(recordings, "hooked-B", seen), SEEN, len(SEEN))
     return out
 
 
 def search(names: tuple[str, ...], population: int, generations: int, spread: float, seed: int) -> Search:
     """From the presets' present values."""
-    bounds = SHARED | (RIGID if "openhrp" in names else {})
+    bounds = dict(SHARED)
     start = {name: _present(names[0], name) for name in SHARED}
     for session in names:
         around = {
@@ -87,11 +79,11 @@ def search(names: tuple[str, ...], population: int, generations: int, spread: fl
 
 
 def _present(session: str, name: str) -> float:
-    return overrides.value(ONE_ARM[session].parts, ONE_ARM[session].sensor, name)
+    return overrides.value(HOOKED[session].parts, HOOKED[session].sensor, name)
 
 
 def main(
-    session: tuple[str, ...] = ("A", "B"),
+    session: tuple[str, ...] = ("hooked-A", "hooked-B"),
     engine: Literal["native", "mjx", "warp"] = "native",
     population: int = 32,
     generations: int = 40,
@@ -116,7 +108,7 @@ def main(
             raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
     how = search(tuple(seen), population, generations, spread, seed)
-    best = system_id.fit(JointObjective(one_arm(), seen, engine, seed), how, checkpoint=checkpoint, progress=progress)
+    best = system_id.fit(JointObjective(hooked(), seen, engine, seed), how, checkpoint=checkpoint, progress=progress)
     at_bound = [
         name for name, bound in how.bounds.items() if min(abs(best.values[name] - end) for end in bound[:2]) < 1e-9
     ]
@@ -125,8 +117,7 @@ def main(
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
-    name = "joint_fit" if len(session) > 1 else f"fit_{session[0]}"
-    write_result(name, "python -m experiments.simulation.joint_fit --engine warp", result, seed=seed, show=False)
+    write_result("joint_fit", "python -m experiments.simulation.joint_fit --engine warp", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

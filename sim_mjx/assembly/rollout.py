@@ -54,7 +54,7 @@ class LogRow:
 
     wrench: Float[Array, "*batch reading"]  # N and Nm, world frame, as the robot logs it; six readings per wrist
     joints: Float[Array, "*batch joint"]  # rad, measured
-    phase: Int[Array, "*batch"]  # numbered as in ``sim_mjx.assembly.task``
+    phase: Int[Array, "*batch"]  # numbered as the program does
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,9 @@ class Program:
     control: Callable[[Any, Any, Array, Array], tuple[Any, Array, LogRow]]  # see ``control``
     home: Callable[[Any], Array]  # parameters -> joint angles at time zero [..., J], rad
     timeout: Callable[[Any], Array]  # parameters -> longest time of a trial [...], s
+    ended: int = task.ENDED  # number of the phase in which a trial has ended; all others are below it
+    # control periods at which each phase began [..., ended], -1 = never -> starts that are reported [..., state], s
+    onsets: Callable[[Any], Any] = task.onsets
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,8 @@ class Rollouts:
     wrench: Float32[np.ndarray, "trial time reading"]  # N and Nm, world frame
     joints: Float32[np.ndarray, "trial time joint"]  # rad
     length: Int32[np.ndarray, " trial"]  # control periods until the trial ended
-    onset: Float64[np.ndarray, "trial 4"]  # s, NaN = state never reached
-    seated: Bool[np.ndarray, "trial tab"]  # tabs past their lips at the end, order of parts.TABS
+    onset: Float64[np.ndarray, "trial state"]  # s, NaN = state never reached
+    seated: Bool[np.ndarray, "trial tab"]  # tabs past their lips at the end, order of parts.TABS; or other marks
     diverged: Bool[np.ndarray, " trial"]  # the physics gave a value that is not finite; not data
 
 

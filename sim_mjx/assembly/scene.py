@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Int32
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly import hooked_parts, parts
 from sim_mjx.assembly.parts import Fields
 from sim_mjx.assembly.robot import new_robot
@@ -34,9 +35,11 @@ class Scene:
     joints: Int32[np.ndarray, " joint"]  # addresses in qpos
     forces: Int32[np.ndarray, " wrist"]  # of the wrists' forces in sensordata; each is followed by its torque
     tips: Int32[np.ndarray, " tab"]  # geoms; a tab is seated when its tip is past its lip
-    lips: Int32[np.ndarray, " tab"]  # geoms
+    lips: Int32[np.ndarray, " tab"]  # geoms: the lips, or marks at the lower ends of their edges
     fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
+    # places of tips and lips, and the lips' turns -> which tabs are seated; None = ``engines.common.past_lips``
+    seated: Callable[[Array, Array, Array], Array] | None = None
 
 
 def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
@@ -67,7 +70,9 @@ def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], sub
     model = spec.compile()
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
     forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
-    tips, marks = (np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", lips))
+    tips, marks = (
+        np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", lips)
+    )
     return Scene(model, ONE_ARM, joints, forces, tips, marks, partial(fields, model), substeps)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, progress_bar
+from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from sim_mjx.synthesis.pipeline import SynthesisProgress
@@ -19,15 +20,21 @@ FIT = MadeBy('"rcbht fidelity fit HIRO.zarr -o {path}"')
 
 @dataclass(frozen=True)
 class Simulate(Command):
-    """Simulate randomised trials of the snap assembly, nominal and faulty, into a store.
+    """Simulate randomised trials of an assembly, nominal and faulty, into a store.
 
     After an interruption the same command resumes: finished trials are in the folder STORE.zarr.work beside the store.
     The same options give the same bytes.
 
     Example: rcbht simulate trials.zarr --preset A --trials 200 --seed 1
+
+    Example: rcbht simulate pegs.zarr --assembly peg-in-hole --robot panda --trials 100
     """
 
     out: OutStore
+    assembly: Annotated[str, tyro.conf.arg(metavar="NAME")] = "camera-snap"
+    """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
+    robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """panda, ur5e, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
     preset: Literal["A", "B", "C", "openhrp", "two", "two-fixed"] = "A"
     """Recorded session whose controller is simulated; two = two arms, the left one compliant, two-fixed = fixed."""
     trials: int = 200
@@ -54,14 +61,11 @@ class Simulate(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
-        from sim_mjx.randomization import overrides
-        from sim_mjx.randomization.trials import DomainRandomization
         from sim_mjx.synthesis.pipeline import SHARD, SynthesisConfig, synthesise
 
-        values = () if self.physical is None else overrides.read(self.physical)
-        spec = DomainRandomization(nominal_share=self.nominal_share, longest=self.max_seconds, physical=values)
+        name, spec = self._chosen()
         shard = SHARD[self.engine] if self.shard is None else self.shard
-        job = SynthesisConfig(self.preset, self.trials, self.seed, self.engine, shard, spec, self.window)
+        job = SynthesisConfig(name, self.trials, self.seed, self.engine, shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
         start = time.perf_counter()
@@ -77,8 +81,29 @@ class Simulate(Command):
             "seconds": time.perf_counter() - start,
         }
 
+    def _chosen(self) -> tuple[str, Any]:
+        """Name of what is simulated, and its distributions.
+
+        Raises:
+            InputError: unknown assembly or robot, or an option that it does not have.
+        """
+        from sim_mjx.randomization import overrides
+        from sim_mjx.registry import HIRO, SNAP, get_scenario
+
+        snap = self.assembly == SNAP
+        if not snap and (self.preset != "A" or self.physical is not None):
+            raise InputError(f"--preset and --physical belong to the assembly {SNAP}; leave them out.")
+        robot = self.robot or (HIRO if snap else "panda")
+        name = f"{self.assembly}@{robot}"
+        scenario, values = get_scenario(name), {"nominal_share": self.nominal_share, "longest": self.max_seconds}
+        if not snap:
+            return name, scenario.spec(**values)
+        physical = () if self.physical is None else overrides.read(self.physical)
+        return self.preset, scenario.spec(**values, physical=physical)
+
     def text(self, result: dict[str, Any]) -> str:
-        lines = [f"{result['stored']} trials in {result['store']}, {result['seated']} with all four tabs seated"]
+        done = "with all four tabs seated" if self.assembly == "camera-snap" else "put together"
+        lines = [f"{result['stored']} trials in {result['store']}, {result['seated']} {done}"]
         lines += [f"  {kind:12} {n['trials']:6d}, seated {n['seated']}" for kind, n in result["faults"].items()]
         if result["resumed"]:
             lines.append(f"{result['resumed']} of them were simulated earlier")

@@ -50,10 +50,9 @@ class View(Command):
         from rcbht_jax.cli.plot import find_recording
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
-        from rcbht_jax.robots.snap_assembly import HARMONISED
         from sim_mjx.plots import animation
         from sim_mjx.plots.trial_overview import trial_overview
-        from sim_mjx.validation.replay import moments
+        from sim_mjx.validation.replay import events
 
         out = self.out if self.out is not None or has_display() else Path(f"{self.trial}.png")
         if self.out is None and out is not None and out.name != f"{self.trial}.png":
@@ -63,7 +62,7 @@ class View(Command):
         row = find_recording(recordings, self.trial, self.arm, self.source)
         replay = self._replay(recordings, row)
         result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
-        times = moments(replay, recordings.starts(HARMONISED)[row])
+        times = events(replay, recordings, row)
         if out is None:
             show(replay, self.speed)
         elif out.suffix.lower() in animation.SUFFIXES:
@@ -80,16 +79,19 @@ class View(Command):
 
     def _labelled(self, recordings: Recordings, row: int) -> tuple[Recordings, LabelTracks, int]:
         """The labels of the store; if it has none, those of this trial alone."""
+        from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.batch import encode_batch
         from rcbht_jax.encoding.encoder import EncoderConfig
         from rcbht_jax.encoding.thresholds import preset
         from rcbht_jax.io.label_store import choose_tracks, list_tracks
+        from rcbht_jax.robots.snap_assembly import HARMONISED
 
         if self.tracks or list_tracks(self.store):
             return recordings, choose_tracks(self.store, self.tracks)[1], row
         alone = _only(recordings, row)
         config = EncoderConfig(WINDOW, recordings.dt)
-        return alone, encode_batch(config, preset("hiro"), alone.wrench, alone.length), 0
+        limits = preset("hiro") if HARMONISED in recordings.annotations.labels else auto_thresholds(recordings, WINDOW)
+        return alone, encode_batch(config, limits, alone.wrench, alone.length), 0
 
     def _check(self, out: Path | None) -> None:
         from sim_mjx.plots import animation

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly import parts, task
-from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly import parts
+from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
 # JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
@@ -62,17 +62,19 @@ def collect(
     joints: Float32[np.ndarray, "trial time joint"],
     phases: Int[np.ndarray, "trial time"],
     seated: Bool[np.ndarray, "trial tab"],
+    program: Program = ONE_ARM,
 ) -> Rollouts:
     """Cut the logs where the trials ended and mark those whose physics diverged.
 
     Args:
         wrench: N and Nm. joints: rad. phases: as logged.
         seated: tabs past their lips at the end.
+        program: that logged.
     """
     # a phase is logged one period after the measurement that began it
-    at = phases[:, :, None] == np.arange(task.ENDED)
+    at = phases[:, :, None] == np.arange(program.ended)
     entered = np.where(at.any(1), np.maximum(at.argmax(1) - 1, 0), -1)
-    length = (phases < task.ENDED).sum(1).astype(np.int32)
+    length = (phases < program.ended).sum(1).astype(np.int32)
     count, longest = len(length), int(length.max())
     kept = [np.zeros((count, longest, log.shape[2]), np.float32) for log in (wrench, joints)]
     diverged = np.zeros(count, np.bool_)
@@ -84,7 +86,7 @@ def collect(
         keep = (inside & ~diverged[rows, None])[..., None]
         for out, log in zip(kept, logs, strict=True):
             np.copyto(out[rows], log, where=keep)
-    return Rollouts(kept[0], kept[1], length, task.onsets(entered), seated & ~diverged[:, None], diverged)
+    return Rollouts(kept[0], kept[1], length, program.onsets(entered), seated & ~diverged[:, None], diverged)
 
 
 def blocks(count: int) -> Iterator[slice]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
@@ -23,8 +23,7 @@ from mujoco import mjx
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly import task
-from sim_mjx.assembly.rollout import LogRow, Program, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.rollout import ONE_ARM, LogRow, Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
@@ -47,6 +46,7 @@ class _Layout:
     tips: tuple[int, ...]  # geoms
     lips: tuple[int, ...]
     substeps: int
+    seated: Callable[[Array, Array, Array], Array]  # see ``Scene``
 
 
 @jax.tree_util.register_dataclass
@@ -91,13 +91,14 @@ class Outcome:
 
     wrench: Float[Array, "trial time reading"]  # N and Nm, world frame
     joints: Float[Array, "trial time joint"]  # rad
-    phase: Int[Array, "trial time"]  # numbered as in ``sim_mjx.assembly.task``
+    phase: Int[Array, "trial time"]  # numbered as the program does
     seated: Bool[Array, "trial tab"]  # tabs past their lips at the end
+    program: Program = field(default=ONE_ARM, metadata={"static": True})  # that logged
 
     @property
     def length(self) -> Int[Array, " trial"]:
         """Control periods until each trial ended."""
-        return (self.phase < task.ENDED).sum(1, dtype=jnp.int32)
+        return (self.phase < self.program.ended).sum(1, dtype=jnp.int32)
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
@@ -115,7 +116,7 @@ def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], 
 def to_host(out: Outcome) -> Rollouts:
     """Copy what came of the trials to the host and cut it where they ended."""
     wrench, joints, phase, seated = jax.device_get((out.wrench, out.joints, out.phase, out.seated))
-    return collect(wrench, joints, phase, seated)
+    return collect(wrench, joints, phase, seated, out.program)
 
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
@@ -134,17 +135,17 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
         state, log = stretch(layout, fixed, state)
         logs.append(log)
         if progress is not None:
-            progress(int((log.phase[:, :count] < task.ENDED).sum()))
-        if jax.device_get((log.phase[-1] == task.ENDED).all()):  # explicit: nothing else goes to the host
+            progress(int((log.phase[:, :count] < scene.program.ended).sum()))
+        if jax.device_get((log.phase[-1] == scene.program.ended).all()):  # explicit: nothing else goes to the host
             break
-    return _outcome(settling, count, logs, seated(layout, fixed, state))
+    return _outcome(settling, count, scene.program, logs, seated(layout, fixed, state))
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _outcome(settling: int, count: int, logs: list[LogRow], seated: Array) -> Outcome:
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _outcome(settling: int, count: int, program: Program, logs: list[LogRow], seated: Array) -> Outcome:
     """The stretches as one log of the trials from time zero."""
     whole: LogRow = jax.tree.map(lambda *pieces: jnp.concatenate(pieces)[settling:, :count].swapaxes(0, 1), *logs)
-    return Outcome(whole.wrench, whole.joints, whole.phase, seated[:count])
+    return Outcome(whole.wrench, whole.joints, whole.phase, seated[:count], program)
 
 
 @lru_cache
@@ -159,7 +160,7 @@ def _layout(scene: Scene) -> _Layout:
     joints, seen, tips, lips = (
         tuple(int(i) for i in column) for column in (scene.joints, readings, scene.tips, scene.lips)
     )
-    return _Layout(scene.program, joints, seen, tips, lips, scene.substeps)
+    return _Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated or past_lips)
 
 
 def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
@@ -231,7 +232,7 @@ def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, Log
             return _step(fixed, at, before + share * (after - before)), None
 
         moved, _ = jax.lax.scan(substep, body, shares, unroll=unroll)
-        moved = _kept(body, moved, (log.phase == task.ENDED) & ~settling)
+        moved = _kept(body, moved, (log.phase == layout.program.ended) & ~settling)
         return _State(moved, loop, state.tick + 1), log
 
     return jax.lax.scan(period, state, length=STRETCH)
@@ -271,6 +272,6 @@ def _seated(layout: _Layout, fixed: _Fixed, state: _State) -> Array:
     def one(fields: dict[str, Array], qpos: Array) -> Array:
         data = mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos))
         tips, lips = jnp.array(layout.tips), jnp.array(layout.lips)
-        return past_lips(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])
+        return layout.seated(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])
 
     return jax.vmap(one)(fixed.fields, state.body.qpos)

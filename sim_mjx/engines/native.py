@@ -25,7 +25,6 @@ from jaxtyping import Bool, Float32, Float64, Int, Int32
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
-from sim_mjx.assembly import task
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips, sane
@@ -68,7 +67,7 @@ def simulate(
         except BaseException:
             job.stopped.set()  # or the pool would wait for all trials to end
             raise
-    return _gathered([run for runs in done for run in runs])
+    return _gathered([run for runs in done for run in runs], scene.program)
 
 
 @dataclass(frozen=True)
@@ -82,17 +81,17 @@ class _Run:
     seated: Bool[np.ndarray, " tab"]
 
 
-def _gathered(runs: list[_Run]) -> Rollouts:
+def _gathered(runs: list[_Run], program: Program) -> Rollouts:
     """Trials in their order, padded to the longest."""
     runs = sorted(runs, key=lambda run: run.trial)
     periods = max(len(run.phase) for run in runs)
     wrench = np.zeros((len(runs), periods, runs[0].wrench.shape[1]), np.float32)
     joints = np.zeros((len(runs), periods, runs[0].joints.shape[1]), np.float32)
-    phase = np.full((len(runs), periods), task.ENDED, np.int32)
+    phase = np.full((len(runs), periods), program.ended, np.int32)
     for row, run in enumerate(runs):
         for whole, own in ((wrench, run.wrench), (joints, run.joints), (phase, run.phase)):
             whole[row, : len(own)] = own
-    return collect(wrench, joints, phase, np.stack([run.seated for run in runs]))
+    return collect(wrench, joints, phase, np.stack([run.seated for run in runs]), program)
 
 
 class _Job:
@@ -162,7 +161,7 @@ class _Lanes:
         self.trial = np.full(LANES, -1)
         self.begun = np.zeros(LANES, np.int64)  # period of the log in which the lane's trial began
         self.log = _Log()
-        self.phase = np.full(LANES, task.ENDED, np.int32)
+        self.phase = np.full(LANES, scene.program.ended, np.int32)
         self.models = [scene.model] * LANES
         self.data = mujoco.MjData(scene.model)
         self.state = np.zeros((LANES, mujoco.mj_stateSize(scene.model, STATE)))
@@ -179,7 +178,7 @@ class _Lanes:
     def finished(self) -> list[_Run]:
         """Trials that ended with the last period; their lanes are free again."""
         out = []
-        for lane in np.flatnonzero(self.busy & (self.phase == task.ENDED)).tolist():
+        for lane in np.flatnonzero(self.busy & (self.phase == self.job.scene.program.ended)).tolist():
             wrench, joints, phase = self.log.of(lane, int(self.begun[lane]))
             seated = tips_past_lips(self.job.scene, self.models[lane], self.state[lane])
             out.append(_Run(int(self.trial[lane]), wrench, joints, phase, seated))
@@ -225,7 +224,7 @@ class _Lanes:
         self.loop, command, log = self.control(self.params, self.loop, joints, self._raw())
         self.phase = np.asarray(log.phase)
         self.log.add(np.asarray(log.wrench), np.asarray(log.joints), self.phase)
-        going = self.busy & (self.phase < task.ENDED)
+        going = self.busy & (self.phase < self.job.scene.program.ended)
         # a diverged trial stays as it is
         live = np.flatnonzero(going & sane(self.readings))
         if len(live) > 0:
@@ -289,4 +288,5 @@ def tips_past_lips(
     mujoco.mj_setState(model, data, state, STATE)
     mujoco.mj_kinematics(model, data)
     turns = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    return past_lips(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns)
+    seated = scene.seated or past_lips
+    return np.asarray(seated(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns))

@@ -38,7 +38,7 @@ ABOVE = View(0, 1, -1.0)  # from above: x to the right, y up
 
 
 def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -> Float64[np.ndarray, "corner 2"]:
-    """The silhouette of one geom, m: sphere, capsule or box; empty for any other shape."""
+    """The silhouette of one geom, m: sphere, capsule, cylinder or box; empty for any other shape."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     center, turn = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
     plane = [view.right, view.up]
@@ -48,6 +48,11 @@ def outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int, view: View) -
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         half = turn[:, 2] * size[1]
         return _hull(np.concatenate([(center + half)[plane] + circle, (center - half)[plane] + circle]))
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        rim = size[0] * np.stack([np.cos(ROUND), np.sin(ROUND), 0 * ROUND], -1)
+        half = np.array([[0.0, 0.0, size[1]]])
+        ends = np.concatenate([rim + half, rim - half])
+        return _hull((center + ends @ turn.T)[:, plane])
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _hull((center + (CORNERS * size) @ turn.T)[:, plane])
     return np.zeros((0, 2))
@@ -73,12 +78,13 @@ def _turns_right(a: Floats, b: Floats, c: Floats) -> bool:
 
 
 class Drawing:
-    """A scene in one axes; ``show`` moves it to other positions."""
+    """A scene in one axes; ``show`` moves it to other positions. What ``cut_at``, a body, has in front is cut away."""
 
-    def __init__(self, ax: Axes, model: mujoco.MjModel, view: View) -> None:
+    def __init__(self, ax: Axes, model: mujoco.MjModel, view: View, cut_at: str = "") -> None:
         self._model, self._data, self._view = model, mujoco.MjData(model), view
         names = [model.geom(i).name for i in range(model.ngeom)]
-        self._geoms = [i for i, name in enumerate(names) if not name.startswith(HIDDEN)]
+        hidden = _in_front(model, view, cut_at) if cut_at else [name.startswith(HIDDEN) for name in names]
+        self._geoms = [i for i, name in enumerate(names) if not hidden[i]]
         self._tips = [next((t for t, tab in enumerate(_tabs(model)) if tab == i), None) for i in self._geoms]
         self._collection = PolyCollection([], linewidths=0.6)
         ax.add_collection(self._collection, autolim=False)
@@ -114,6 +120,14 @@ class Drawing:
         if self._name(geom).startswith("SEAT"):
             return SEAT
         return tuple(float(c) for c in self._model.geom_rgba[geom])
+
+
+def _in_front(model: mujoco.MjModel, view: View, body: str) -> list[bool]:
+    """Which geoms of a body stand between its middle and the viewer, or are marks that nobody should see."""
+    of_body = model.geom_bodyid == model.body(body).id
+    nearer = model.geom_pos[:, view.depth] * view.away < -1e-3
+    hidden: list[bool] = ((of_body & nearer) | (model.geom_rgba[:, 3] == 0)).tolist()
+    return hidden
 
 
 def _tabs(model: mujoco.MjModel) -> list[int]:

@@ -14,15 +14,13 @@ from rcbht_jax.labels import AXES, COLORS
 from rcbht_jax.plots.canvas import label_legend, new_figure
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
-from sim_mjx.assembly.parts import TABS
-from sim_mjx.assembly.task import STATES
 from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
 from sim_mjx.validation.replay import PASSES, Replay
 
 INCHES, DPI = (16.0, 14.5), 100
 FRAMES = 6  # moments shown, at most
 CLOSE = 0.35  # s, moments within it share a frame
-SHADES = ("#f7f7f7", "#e8eef7", "#d9e6d8", "#fbeed5")  # background of the four states
+SHADES = ("#f7f7f7", "#e8eef7", "#d9e6d8", "#fbeed5", "#efe3f0")  # background of the states, in turn
 XYZ = ("#1b6ca8", "#5aa469", "#d1495b")  # colours of the axes
 TAB_COLORS = ("#1b6ca8", "#6baed6", "#b2182b", "#f4a582")
 TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # right and left tabs often coincide
@@ -94,6 +92,8 @@ def _joined(names: list[str]) -> str:
 def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Drawing, Drawing]:
     """Draw arms and parts at one moment: one arm from the robot's right, two from above."""
     index = min(round(seconds / replay.dt), len(replay.qpos) - 1)
+    if replay.of_parts:
+        return _parts_and_arm(pair, replay, index)
     one = all(not replay.model.body(i).name.startswith("LARM") for i in range(replay.model.nbody))
     view = SIDE if one else ABOVE
     drawings = Drawing(pair[0], replay.model, view), Drawing(pair[1], replay.model, view)
@@ -109,6 +109,19 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
     return drawings
 
 
+def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple[Drawing, Drawing]:
+    """Any assembly: the whole arm, and the parts cut open, both from the side."""
+    whole, cut = Drawing(pair[0], replay.model, SIDE), Drawing(pair[1], replay.model, SIDE, cut_at="MOUNT")
+    for drawing in (whole, cut):
+        drawing.show(replay.qpos[index], replay.past[index])
+    x, y = cut.place("MOUNT")
+    _look_at(pair[0], x / 2, y + 0.25, 0.42)
+    _look_at(pair[1], x, y, 0.03)
+    for ax in pair:
+        ax.set(xticks=[], yticks=[])
+    return whole, cut
+
+
 def _look_at(ax: Axes, x: float, y: float, half: float) -> None:
     """Show a window of at least ``half`` metres to every side of a point."""
     box = ax.get_window_extent()
@@ -120,7 +133,13 @@ def _look_at(ax: Axes, x: float, y: float, half: float) -> None:
 def _tabs(ax: Axes, replay: Replay) -> None:
     times = np.arange(len(replay.height)) * replay.dt
     for tab, (color, style) in enumerate(zip(TAB_COLORS, TAB_STYLES, strict=True)):
-        ax.plot(times, replay.height[:, tab] * 1e3, color=color, linestyle=style, linewidth=1.8, label=TABS[tab])
+        if tab < len(replay.marks):
+            name = replay.marks[tab].removeprefix("TIP_").lower() if replay.of_parts else replay.marks[tab]
+            ax.plot(times, replay.height[:, tab] * 1e3, color=color, linestyle=style, linewidth=1.8, label=name)
+    if replay.of_parts:
+        ax.set_ylabel("part above\nits socket, mm", fontsize=11)
+        _legend(ax, 4)
+        return
     ax.axhline(0, color=SEATED, linewidth=1.2)
     ax.annotate("past the lip", (0.002, 0), (0, -4), xycoords=ax.get_yaxis_transform(), textcoords="offset points",
                 va="top", color=SEATED, fontsize=9)  # fmt: skip
@@ -163,18 +182,24 @@ def _labels(ax: Axes, tracks: LabelTracks, row: int, dt: float) -> set[int]:
 
 def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> None:
     """Background and, if wanted, names of the states."""
-    onset = recordings.starts(HARMONISED)[row]
+    marks = recordings.annotations
+    track = HARMONISED if HARMONISED in marks.labels else marks.choose()
+    onset = recordings.starts(track)[row]
     known = np.flatnonzero(np.isfinite(onset))
     ends = [*onset[known][1:], recordings.length[row] * recordings.dt]
     for state, end in zip(known, ends, strict=True):
-        ax.axvspan(onset[state], end, color=SHADES[state], zorder=-1)
+        ax.axvspan(onset[state], end, color=SHADES[state % len(SHADES)], zorder=-1)
         if names:
-            ax.annotate(STATES[state], ((onset[state] + end) / 2, 1.0), (0, -11), xycoords=ax.get_xaxis_transform(),
-                        textcoords="offset points", ha="center", fontsize=10, color="0.3")  # fmt: skip
+            where: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
+            name, middle = marks.labels[track][state], (onset[state] + end) / 2
+            ax.annotate(name, (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", **where)
 
 
 def _title(replay: Replay, recordings: Recordings, row: int) -> str:
+    if replay.of_parts:
+        facts = f"{recordings.outcome[row]}; fault: {recordings.column('fault')[row]}"
+        return f"{recordings.trial[row]}   ·   {facts}\n{replay.how}"
     kind = f" ({recordings.column('failure_type')[row]})" if recordings.column("failure_type")[row] else ""
     facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
-    past = [TABS[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
+    past = [replay.marks[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
     return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}\n{replay.how}"

@@ -1,8 +1,10 @@
-"""The camera's parts: one set of numbers for all sessions, because the same plastic parts were used in all of them.
+"""The recorded sessions with one set of the camera's parts, whose hooks catch.
 
-Stiffness, angles, and tip come from the drawing (:data:`sim_mjx.assembly.parts.HOOK`); the rest was identified from
-sessions A and B together (``python -m experiments.simulation.joint_fit``). What differs between sessions is where the
-female part stood and how its stand yields.
+The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood and
+how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest was
+identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``), then the heights of rear
+lips and seat, the play of the stop and the damping of B's stand were set by hand. C was not fitted: its part stands
+where the preset of session C has it, relative to B's.
 """
 
 from __future__ import annotations
@@ -11,48 +13,51 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.hooked_parts import HookedParams
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.presets.session_a import SESSION_A
+from sim_mjx.presets.session_b import SESSION_B
+from sim_mjx.presets.session_c import SESSION_C
 
-CAMERA = PartParams(
-    tab_stiffness=np.full(4, 10240.0),
+CAMERA = HookedParams(
+    tab_stiffness=np.full(4, 10.24e3),
     tab_damping=np.full(4, 64.0),  # critical, with the armature of a tab
-    hook_overlap=np.array([0.000833, 0.000833, 0.0007513, 0.0007513]),
+    hook_overlap=np.array([0.833e-3, 0.833e-3, 0.7513e-3, 0.7513e-3]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    shank_play=np.array(0.0001),
-    slot_play=np.array(0.001358),
-    seat_depth=np.array(0.0028),
-    foot_spread=np.array(0.0109),
-    foot_offset=np.array([-0.007915, -0.006705]),
-    rear_rise=np.array([-0.0015, -0.0003738]),
-    foot_contact=np.array([0.02452, 0.9175, 0.96, 0.0002741]),
+    stop_play=np.array(0.1e-3),
+    slot_play=np.array(1.358e-3),
+    seat_depth=np.array(2.8e-3),
+    foot_spread=np.array(10.9e-3),
+    foot_offset=np.array([-7.915e-3, -6.705e-3]),
+    rear_rise=np.array([-1.5e-3, -0.3738e-3]),
+    foot_contact=np.array([0.02452, 0.9175, 0.96, 0.2741e-3]),
     friction=np.array(0.308),  # plastic on plastic: 0.2 to 0.4
-    mount_stiffness=np.full(3, 5e3),
-    mount_damping=np.full(3, 60.0),
-    position=np.zeros(3),
-    roll=np.array(0.0),
+    mount_stiffness=np.array([4139.0, 3184.0, 8139.0]),
+    mount_damping=np.array([127.2, 39.65, 200.0]),
+    position=np.array([0.174e-3, -1.641e-3, 2.75e-3]),
+    roll=np.array(0.01435),
 )
-# What may differ between sessions.
-PLACEMENT = ("mount_stiffness", "mount_damping", "position", "roll")
 
 
-def on_stand(
-    mount_stiffness: tuple[float, float, float],
-    mount_damping: tuple[float, float, float],
-    position: tuple[float, float, float],
-    roll: float,
-) -> PartParams:
-    """The camera's parts on the stand of a session.
-
-    Args:
-        mount_stiffness: N/m, of the stand along x, y and z.
-        mount_damping: Ns/m, likewise.
-        position: m, shift of the female part from its nominal place, world.
-        roll: rad, its turn about the vertical.
+def hooked(session: SessionPreset, parts: HookedParams) -> SessionPreset:
+    """A session with hooks that catch, under a name of its own.
 
     Example:
-        >>> float(on_stand((5e3, 5e3, 5e3), (60.0, 60.0, 60.0), (0.0, 0.0, 0.001), 0.01).position[2])
-        0.001
+        >>> hooked(SESSION_B, CAMERA).name
+        'hooked-B'
     """
-    values = (mount_stiffness, mount_damping, position, roll)
-    return replace(CAMERA, **{name: np.array(value) for name, value in zip(PLACEMENT, values, strict=True)})
+    return replace(session, name=f"hooked-{session.name}", parts=parts)
+
+
+_STAND_OF_A = replace(
+    CAMERA,
+    mount_stiffness=np.array([3914.0, 5718.0, 6481.0]),
+    mount_damping=np.array([19.31, 200.2, 55.8]),
+    position=np.array([-1.123e-3, 2.345e-3, 1.37e-3]),
+    roll=np.array(0.01158),
+)
+_FROM_B_TO_C = SESSION_C.parts.position - SESSION_B.parts.position
+HOOKED_A = hooked(SESSION_A, _STAND_OF_A)
+HOOKED_B = hooked(SESSION_B, CAMERA)
+HOOKED_C = hooked(SESSION_C, replace(CAMERA, position=CAMERA.position + _FROM_B_TO_C))

@@ -20,12 +20,13 @@ import numpy as np
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
+from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.sensor import SensorParams
 
 Group = TypeVar("Group", PartParams, SensorParams)
 Physical = tuple[tuple[str, float], ...]  # name, value; hashable
-GROUPS: dict[str, type] = {"parts": PartParams, "sensor": SensorParams}
+GROUPS: dict[str, type] = {"parts": HookedParams, "sensor": SensorParams}
 NAME = re.compile(r"(parts|sensor)\.(\w+)(?:\[(\d+)(?::(\d+))?\])?")
 FORMAT = "rcbht-physical"
 
@@ -61,6 +62,8 @@ def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
         owner, attribute, where = _place(name)
         if owner != prefix:
             continue
+        if not hasattr(group, attribute):
+            raise InputError(f"The parts of this preset have no {attribute}: only those with hooks do.")
         array = np.array(getattr(group, attribute))
         _check_place(name, array, where)
         array[where] = round(value) if array.dtype.kind in "iu" else value

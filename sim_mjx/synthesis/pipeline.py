@@ -30,15 +30,14 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
-from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from rcbht_jax.types import LabelTrack, LabelTracks
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.assembly.task import CONTROL_PERIOD, STATES
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
 from sim_mjx.randomization.trials import DomainRandomization, Fault
-from sim_mjx.registry import Scenario, get_scenario
-from sim_mjx.synthesis import records, shards
+from sim_mjx.registry import Scenario, get_scenario, own_files
+from sim_mjx.synthesis import records, shards, tables
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 Labelled = tuple[Rollouts, LabelTracks | None]
@@ -54,12 +53,12 @@ CREATED = "undated"  # a date would make every store different
 class SynthesisConfig:
     """What to simulate."""
 
-    preset: str
+    preset: str  # see ``sim_mjx.registry``
     trials: int
     seed: int = 0
     engine: str = "native"
     shard: int = 256  # trials per shard
-    spec: DomainRandomization = field(default_factory=DomainRandomization)
+    spec: Any = field(default_factory=DomainRandomization)  # or the assembly's own distributions
     window: int | None = None  # samples per window of the labels; None = no labels
 
 
@@ -152,6 +151,8 @@ def _manifest(job: SynthesisConfig) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
     versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
     made = {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
+    if own := own_files(job.preset):
+        made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
         made["thresholds"] = _limits().tolist()
@@ -216,7 +217,7 @@ def _simulate_missing(
         drawn[shard] = scenario.draw_batch(job.seed, indices, job.spec)
         out, tracks = simulate(drawn[shard][0])
         labels = {} if tracks is None else records.of_labels(tracks, len(out.length))
-        shards.save(folder, shard, records.of_trials(out) | labels)
+        shards.save(folder, shard, records.of_trials(out, scenario.recorded) | labels)
         done += len(indices)
         if progress is not None:
             rate = (done - resumed) / (time.perf_counter() - start)
@@ -268,12 +269,20 @@ def _assemble(
     faults = [all_faults[index] for index in stored]
     plain = [name for name in parts[0] if name != "wrench" and "." not in name]
     rows = {name: np.concatenate([part[name] for part in parts])[stored] for name in plain}
-    recordings = _recordings(job.preset, scenario.arms, rows, _wrench(parts, stored, rows["length"]), stored, faults)
-    attrs = {"frames": FRAMES, "simulated": _provenance(manifest), "diverged": np.flatnonzero(diverged).tolist()}
+    recordings = tables.recordings_of(
+        job.preset, scenario, rows, _wrench(parts, stored, rows["length"]), stored, faults
+    )
+    attrs = {
+        "frames": tables.frames_of(scenario),
+        "simulated": _provenance(manifest),
+        "diverged": np.flatnonzero(diverged).tolist(),
+    }
+    if not scenario.recorded:
+        attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
     draft = folder / "store.zarr"
     store.write_recordings(
         draft, recordings, attrs, overwrite=True, created=CREATED,
-        simulation=_simulation(scenario, rows, stored, params, faults),
+        simulation=tables.simulation_of(scenario, rows, stored, params, faults),
     )  # fmt: skip
     if job.window is not None:
         _write_labels(draft, job, parts, stored)
@@ -329,54 +338,3 @@ def _stored_of(
         stop = start + len(part["diverged"])
         yield stored[(stored >= start) & (stored < stop)] - start, part
         start = stop
-
-
-def _recordings(
-    preset: str,
-    arms: tuple[str, ...],
-    rows: shards.Arrays,
-    wrench: NDArray[np.float32],
-    index: NDArray[np.int64],
-    faults: list[Fault],
-) -> Recordings:
-    count, samples = wrench.shape[:2]
-
-    def each(values: Any) -> NDArray[Any]:
-        return np.repeat(np.asarray(values), len(arms), axis=0)
-
-    return snap_recordings(
-        wrench=wrench.reshape(count, samples, len(arms), 6).swapaxes(1, 2).reshape(-1, samples, 6),
-        length=each(rows["length"]),
-        dt=CONTROL_PERIOD,
-        onset=each(rows["onset"]),
-        onset_harmonised=each(rows["onset_harmonised"]),
-        trial=each([f"sim-{preset}-{i:06d}" for i in index]),
-        arm=np.tile(np.array(arms), count),
-        source=np.full(count * len(arms), f"SIM_MJX_{preset}"),
-        session=np.full(count * len(arms), f"sim-{preset}"),
-        outcome=each(np.where(rows["seated"].all(1), "success", "failure")),
-        failure_type=each(np.array([fault.failure_type for fault in faults], np.str_)),
-        deviation=each(np.stack([fault.deviation for fault in faults])),
-        note=each(rows["note"]),
-    )
-
-
-def _simulation(
-    scenario: Scenario, rows: shards.Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
-) -> shards.Arrays:
-    """The arrays of the group ``simulation/``."""
-    last = np.array(STATES)[np.isfinite(rows["onset"]).sum(1) - 1]
-    drawn = {
-        f"{group}_{name}" if group == "hold" else name: getattr(getattr(params, group) if group else params, name)
-        for group, name in scenario.parameters
-    }
-    trials = {
-        "index": index,
-        "fault": np.array([fault.kind for fault in faults], np.str_),
-        "failed_in": np.where(rows["seated"].all(1), "", last),
-        "seated": rows["seated"],
-        "command_delay": params.command_delay,
-        "noise_key": params.seed,
-        **drawn,
-    }
-    return {name: np.repeat(np.asarray(values), len(scenario.arms), axis=0) for name, values in trials.items()}

@@ -31,13 +31,21 @@ TILTS = 2**16  # angles that are computed at once
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
 
 
-def of_trials(out: Rollouts) -> Arrays:
-    """Stored arrays of a batch of trials; a diverged trial has only its mark."""
+def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
+    """Stored arrays of a batch of trials; a diverged trial has only its mark.
+
+    Args:
+        out: of the engine.
+        recorded: whether it is the recorded assembly, whose ends of rotation are moved as in recorded trials.
+    """
     diverged = _diverged(out)
     # a trial that was stopped has "entered" all later states with its last sample
     last = (out.length - 1)[:, None] * CONTROL_PERIOD
-    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(4) == 0), out.onset, np.nan)
-    better, notes = _harmonised(onset, out, diverged)
+    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(out.onset.shape[1]) == 0), out.onset, np.nan)
+    if recorded:
+        better, notes = _harmonised(onset, out, diverged)
+    else:
+        better, notes = onset, np.full(len(onset), "")
     wrench = out.wrench[:, : out.length.max()]
     if (diverged & ~out.diverged).any():  # whose wrench an engine has not emptied
         wrench = np.where(diverged[:, None, None], np.float32(0), wrench)

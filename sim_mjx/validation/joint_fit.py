@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float64
-from joblib import Parallel, delayed
+from sklearn.utils.parallel import Parallel, delayed
 
 from rcbht_jax.errors import InputError
 from sim_mjx import engines

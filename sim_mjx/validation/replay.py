@@ -21,6 +21,7 @@ from rcbht_jax.io import store
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.hiro.trial import data_file
 from rcbht_jax.robots import kinematics
+from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.rollout import Rollouts
@@ -29,7 +30,6 @@ from sim_mjx.engines import native
 from sim_mjx.engines.common import past_lips
 from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.presets import ONE_ARM
-from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario, get_scenario
 from sim_mjx.validation import snaps
 
@@ -49,6 +49,12 @@ class Replay:
     past: Past
     height: Float64[np.ndarray, "time tab"]  # m, tips above the height at which they count as past their lips
     how: str  # the origin of the motion, one sentence
+    marks: tuple[str, ...] = parts.TABS  # names of what ``past`` and ``height`` are about
+
+    @property
+    def of_parts(self) -> bool:
+        """Whether it is an assembly of ``sim_mjx.assemblies``, not the recorded one."""
+        return self.marks != parts.TABS
 
 
 class Recorder:
@@ -107,7 +113,11 @@ def simulated(path: Path, recordings: Recordings, row: int) -> Replay:
     past, height = tab_states(scene, model, qpos)
     columns = slice(6 * scenario.arms.index(str(recordings.arm[row])), None)
     how = _difference(run.wrench[0, : run.length[0], columns][:, :6], recordings, row)
-    return Replay(model, qpos, recordings.dt, past, height, how)
+    return Replay(model, qpos, recordings.dt, past, height, how, _names(scenario, scene))
+
+
+def _names(scenario: Scenario, scene: Scene) -> tuple[str, ...]:
+    return parts.TABS if scenario.recorded else tuple(scene.model.geom(i).name for i in scene.tips)
 
 
 def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:
@@ -121,8 +131,8 @@ def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:
         raise InputError(f'{path} was not made by "rcbht simulate"; its trials cannot be simulated again.')
     job, index = provenance["job"], int(store.read_simulation(path)["index"][row])
     try:
-        spec = DomainRandomization(**{name: _tuples(value) for name, value in job["spec"].items()})
         scenario = get_scenario(job["preset"])
+        spec = scenario.spec(**{name: _tuples(value) for name, value in job["spec"].items()})
         return scenario, scenario.draw(job["seed"], index, spec)[0]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
@@ -199,9 +209,20 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Positions) -> tuple[Pa
         mujoco.mj_kinematics(model, data)
         places[row], lips[row] = data.geom_xpos[scene.tips], data.geom_xpos[scene.lips]
         turns[row] = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    past = np.asarray(past_lips(places, lips, turns))
+    past = np.asarray((scene.seated or past_lips)(places, lips, turns))
     local = ((places - lips)[..., None, :] * np.swapaxes(turns, -1, -2)).sum(-1)
-    return past, local[..., 2] - (parts.LIP[2] - parts.TIP_RADIUS * 0.2)
+    threshold = 0.0 if scene.seated is not None else parts.LIP[2] - parts.TIP_RADIUS * 0.2
+    return past, local[..., 2] - threshold
+
+
+def events(replay: Replay, recordings: Recordings, row: int) -> dict[str, float]:
+    """Key events of a trial, name -> s, in order: :func:`moments` of the recorded assembly, else the phases."""
+    if HARMONISED in recordings.annotations.labels:
+        return moments(replay, recordings.starts(HARMONISED)[row])
+    track = recordings.annotations.choose()
+    names, starts = recordings.annotations.labels[track], recordings.starts(track)[row].tolist()
+    times = {name: start for name, start in zip(names, starts, strict=True) if np.isfinite(start)}
+    return times | {"end": (len(replay.qpos) - 1) * replay.dt}
 
 
 def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float]:

@@ -19,8 +19,9 @@ from rcbht_jax.io.hiro import onsets
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
+from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
-from sim_mjx.assembly.scene import one_arm
+from sim_mjx.assembly.scene import Scene, hooked, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
@@ -79,6 +80,11 @@ def trials_of(
         drawn = [_moved(one, dx * 1e-3, dy * 1e-3) for one, (dx, dy) in zip(drawn, cells, strict=False)]
     drawn = [replace(one, task=replace(one.task, mating_time=np.array(mating))) for one in drawn]
     return stack(drawn)
+
+
+def scene_of(session: SessionPreset) -> Scene:
+    """The scene of a session of one arm."""
+    return hooked() if isinstance(session.parts, HookedParams) else one_arm()
 
 
 def _moved(trial: TrialParams, dx: float, dy: float) -> TrialParams:
@@ -239,9 +245,10 @@ class SessionObjective:
                 continue  # impossible parts: the worst loss
         if not batches:
             return losses
-        recorder = Recorder(one_arm(), len(batches) * self.count)
+        scene = scene_of(session)
+        recorder = Recorder(scene, len(batches) * self.count)
         together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
-        run = native.simulate(one_arm(), together, watch=recorder.watch if self.snaps else None)
+        run = native.simulate(scene, together, watch=recorder.watch if self.snaps else None)
         for place, row in enumerate(possible):
             rows = slice(place * self.count, (place + 1) * self.count)
             losses[row] = loss(self.target, part_of(run, rows), outcomes=self.outcomes)

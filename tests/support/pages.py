@@ -30,5 +30,5 @@ def run(code: str, namespace: dict[str, Any]) -> str:
     """What code prints; its names stay in ``namespace``."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
-        exec(compile(code, "page", "exec"), namespace)
+        exec(compile(code, "page", "exec", dont_inherit=True), namespace)  # not the annotations of this file
     return output.getvalue()

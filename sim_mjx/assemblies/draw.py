@@ -1,0 +1,127 @@
+"""Random trials of any assembly: a seed and an index determine a trial, as in ``sim_mjx.randomization.trials``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
+from sim_mjx.assemblies.scene import home
+from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
+from sim_mjx.randomization.trials import Fault, stream
+from sim_mjx.robots.robot import Robot
+
+NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # N and Nm, standard deviation before the filter
+STEP = np.array([0.01, 0.01, 0.01, 5e-4, 5e-4, 5e-4])  # N and Nm, quantisation
+KEPT = 0.5  # of the low-pass filter's value from one control period to the next: 22 Hz
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """An assembly on a robot, from which trials are drawn."""
+
+    assembly: Assembly
+    robot: Robot
+
+
+def uniform(rng: np.random.Generator, span: Range, size: int | None = None) -> Any:
+    """A number, or several, of a range."""
+    return np.asarray(rng.uniform(span[0], span[1], size))
+
+
+def check(spec: Variation, assembly: Assembly) -> None:
+    """Refuse distributions that no trial could be drawn from.
+
+    Raises:
+        InputError: a share, range, lag, fault or time is not one.
+    """
+    if not 0.0 <= spec.nominal_share <= 1.0:
+        raise InputError(f"The nominal share is {spec.nominal_share}; expected 0 to 1.")
+    unknown = [name for name in spec.faults if name not in assembly.faults]
+    if unknown:
+        raise InputError(f"{assembly.name} has no fault {unknown[0]!r}; it has {', '.join(assembly.faults)}.")
+    if spec.longest is not None and not 0.0 < spec.longest < np.inf:
+        raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
+    if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
+        raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
+    for field in fields(spec):
+        value = getattr(spec, field.name)
+        if isinstance(value, tuple) and field.name != "faults" and not -np.inf < value[0] <= value[1] < np.inf:
+            raise InputError(f"The range of {field.name} is {value[0]} to {value[1]}; expected two increasing numbers.")
+
+
+def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[AssemblyTrial, Fault]:
+    """One trial.
+
+    Args:
+        pairing: what is put together by whom.
+        seed: of the whole set, 0 to 2^64 - 1.
+        index: of the trial within the set, >= 0.
+        spec: the distributions.
+
+    Returns:
+        its parameters (a single trial: leaves have no batch axis) and its fault.
+
+    Raises:
+        InputError: negative seed or index, or impossible distributions.
+    """
+    assembly, robot = pairing.assembly, pairing.robot
+    check(spec, assembly)
+    rng = stream(seed, index)
+    hand = np.concatenate([uniform(rng, spec.shift, 2), [0.0], uniform(rng, spec.lean, 2), [uniform(rng, spec.turn)]])
+    stiffness = np.array(assembly.mount_stiffness) * uniform(rng, spec.mount)
+    mount = Mount(np.zeros(3), np.asarray(0.0), stiffness, uniform(rng, spec.friction))
+    sensor = _sensor(spec, rng)
+    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True))
+    key = rng.integers(0, 2**32, 2, dtype=np.uint32)
+    kinds = spec.faults or tuple(assembly.faults)
+    nominal, which = rng.random() < spec.nominal_share, int(rng.integers(max(len(kinds), 1)))
+    kind = "none" if nominal or not kinds else kinds[which]  # all other numbers are those of the nominal trial
+    task, own = assembly.draw(spec, rng)
+    trial = AssemblyTrial(
+        task=task, sensor=sensor, parts=Parts(mount, own), hand=hand, home=np.array(home(assembly, robot)),
+        timeout=np.asarray(assembly.timeout), command_delay=np.array(lag, np.int32), seed=key,
+    )  # fmt: skip
+    if kind != "none":
+        trial = assembly.faults[kind](trial, spec, rng)
+    if spec.longest is not None:
+        trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
+    shift = trial.hand[:2] - trial.parts.mount.position[:2]
+    return trial, Fault(kind, "", np.array([*shift, trial.hand[5] - trial.parts.mount.turn]))
+
+
+def _sensor(spec: Variation, rng: np.random.Generator) -> SensorParams:
+    bias = np.concatenate([uniform(rng, spec.force_bias, 3), uniform(rng, spec.moment_bias, 3)])
+    kept, new = np.asarray(KEPT), np.asarray(1 - KEPT)
+    return SensorParams(
+        a=kept, b=new, c=kept, d=new, delay=np.array(1, np.int32), noise=NOISE * uniform(rng, spec.noise), step=STEP,
+        bias=bias, tared=np.asarray(1.0), reference=np.zeros(3),
+    )  # fmt: skip
+
+
+def moved_part(trial: AssemblyTrial, spec: Variation, rng: np.random.Generator) -> AssemblyTrial:
+    """The female part stands where no search finds it."""
+    angle, distance = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.moved_by)
+    return with_mount(trial, position=np.array([np.cos(angle) * distance, np.sin(angle) * distance, 0.0]))
+
+
+def early_stop(trial: AssemblyTrial, spec: Variation, rng: np.random.Generator) -> AssemblyTrial:
+    """The robot and its logger stop before the parts are together."""
+    return replace(trial, timeout=uniform(rng, spec.stop_at))
+
+
+def with_mount(trial: AssemblyTrial, **values: Any) -> AssemblyTrial:
+    """The trial with other numbers of its mount."""
+    return replace(trial, parts=replace(trial.parts, mount=replace(trial.parts.mount, **values)))
+
+
+def with_own(trial: AssemblyTrial, **values: Any) -> AssemblyTrial:
+    """The trial with other numbers of the assembly's own parts."""
+    return replace(trial, parts=replace(trial.parts, own=replace(trial.parts.own, **values)))
+
+
+COMMON_FAULTS: Mapping[str, FaultOf] = {"moved-part": moved_part, "early-stop": early_stop}

@@ -1,0 +1,95 @@
+"""Building parts: geoms that touch only through pairs, and the fields of a compiled model that differ per trial."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from rcbht_jax.types import Array
+from sim_mjx.assembly.parts import Fields
+
+Vector = tuple[float, float, float]
+MALE, FEMALE, MARK = (0.25, 0.45, 0.75, 1.0), (0.45, 0.45, 0.45, 1.0), (0.9, 0.5, 0.1, 1.0)  # colours
+# Stiff enough for 0.05 mm at 20 N, soft enough for a step of 1.25 ms.
+SOLREF, SOLIMP = (0.005, 1.0), (0.95, 0.99, 5e-4, 0.5, 2.0)
+
+
+def ball(body: mujoco.MjsBody, name: str, place: Vector, radius: float, rgba: Any = MALE) -> None:
+    """A sphere without mass that touches only what a pair says."""
+    body.add_geom(name=name, size=(radius, 0.0, 0.0), pos=place, mass=0.0, contype=0, conaffinity=0, rgba=rgba)
+
+
+def box(body: mujoco.MjsBody, name: str, place: Vector, half: Vector, turn: float = 0.0, rgba: Any = FEMALE) -> None:
+    """A box without mass that touches only what a pair says.
+
+    Args:
+        body: that carries it. name: of the geom.
+        place: m, of its centre. half: m, half its sizes.
+        turn: rad, about z.
+        rgba: colour.
+    """
+    body.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=half, mass=0.0, contype=0, conaffinity=0,
+        quat=(np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)), rgba=rgba,
+    )  # fmt: skip
+
+
+def mark(body: mujoco.MjsBody, name: str, place: Vector = (0.0, 0.0, 0.0)) -> None:
+    """A place of a part that success is asked of; it is not drawn and touches nothing."""
+    ball(body, name, place, 1e-4, (0.0, 0.0, 0.0, 0.0))
+
+
+def touch(spec: mujoco.MjSpec, first: str, second: str) -> None:
+    """Let two geoms touch: a sphere and a box, because every engine agrees on those."""
+    pair = spec.add_pair(name=f"{first}:{second}", geomname1=first, geomname2=second, condim=3)
+    pair.solref, pair.solimp = SOLREF, SOLIMP
+
+
+class FieldWriter:
+    """Collects the fields of a compiled model that a trial, or a batch of them, replaces.
+
+    Args:
+        model: compiled.
+        lead: shape of the batch; () = one trial.
+    """
+
+    def __init__(self, model: mujoco.MjModel, lead: tuple[int, ...]) -> None:
+        self._model, self._lead = model, lead
+        self.fields: Fields = {}
+
+    def _field(self, name: str) -> Any:
+        if name not in self.fields:
+            field = getattr(self._model, name)
+            self.fields[name] = np.broadcast_to(field, self._lead + field.shape).copy()
+        return self.fields[name]
+
+    def nominal(self, field: str, kind: str, name: str) -> Any:
+        """The compiled value of a field of MjModel, for one "geom", "body" or "joint"."""
+        return getattr(self._model, field)[getattr(self._model, kind)(name).id].copy()
+
+    def place(self, geom: str, place: Float[Array, "*batch 3"]) -> None:
+        """Centre of a geom in its body's frame, m; never the body's origin, which a compiled model cannot move from."""
+        self._field("geom_pos")[..., self._model.geom(geom).id, :] = place
+
+    def turn(self, geom: str, quat: Float[Array, "*batch 4"]) -> None:
+        """Quaternion of a geom in its body's frame."""
+        self._field("geom_quat")[..., self._model.geom(geom).id, :] = quat
+
+    def body(self, body: str, place: Float[Array, "*batch 3"], quat: Float[np.ndarray, "*batch 4"]) -> None:
+        """Frame of a body in its parent's, m and quaternion."""
+        number = self._model.body(body).id
+        self._field("body_pos")[..., number, :] = place
+        self._field("body_quat")[..., number, :] = quat
+
+    def spring(self, joint: str, stiffness: Any, damping: Any) -> None:
+        """Stiffness, N/m, and damping, Ns/m, of a sliding joint."""
+        row = self._model.joint(joint)
+        self._field("jnt_stiffness")[..., row.id] = stiffness
+        self._field("dof_damping")[..., row.dofadr[0]] = damping
+
+    def friction(self, sliding: Float[Array, "*batch"]) -> None:
+        """Sliding friction of all pairs."""
+        self._field("pair_friction")[..., :2] = np.asarray(sliding)[..., None, None]

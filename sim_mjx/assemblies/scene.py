@@ -1,0 +1,147 @@
+"""The scene of an assembly on an arm: male part in the hand, female part on a compliant mount."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Array
+from sim_mjx.assemblies.assembly import Assembly, Parts
+from sim_mjx.assemblies.fields import FieldWriter
+from sim_mjx.assemblies.program import UPRIGHT, Controller
+from sim_mjx.assembly.parts import Fields
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver
+from sim_mjx.robots.chain import serial_chain
+from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
+
+MALE, MOUNT, TIP = "MALE", "MOUNT", "TIP"  # bodies of the parts, site at the male part's tip
+MOUNT_MASS, MOUNT_DAMPING = 0.3, 0.7  # kg; share of critical damping
+SEARCH_STEPS, STEP, CLOSE = 500, 0.2, 1e-6  # of the search for home; most rad per step; m and rad
+
+
+def scene(
+    assembly: Assembly,
+    robot: Robot,
+    substeps: int = 0,
+    iterations: int = ITERATIONS,
+    ls_iterations: int = LS_ITERATIONS,
+) -> Scene:
+    """Everything that an engine needs.
+
+    Args:
+        assembly: what is put together. robot: that does it.
+        substeps: physics steps per control period of 5 ms; 0 = the assembly's own.
+        iterations: of the constraint solver. ls_iterations: of its line search.
+
+    Raises:
+        InputError: the robot does not reach the start, or a mark is missing.
+    """  # fmt: skip
+    steps = substeps or assembly.substeps
+    spec = _spec(assembly, robot)
+    set_solver(spec, steps, iterations, ls_iterations)
+    model = spec.compile()
+    joints = np.array([model.joint(name).qposadr[0] for name in robot.joints], np.int32)
+    tips, lips = (np.array([_geom(model, pair[i]) for pair in assembly.marks], np.int32) for i in (0, 1))
+    forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
+    program = controller(assembly, robot).program()
+    write = partial(_fields, model, assembly, np.asarray(robot.place))
+    return Scene(model, program, joints, forces, tips, lips, write, steps, seated_marks(assembly.seated))
+
+
+def _geom(model: mujoco.MjModel, name: str) -> int:
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    if number < 0:
+        raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
+    return int(number)
+
+
+def _spec(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
+    spec = equipped(robot)
+    hand = spec.body(HAND)
+    hand.add_site(name=TIP, pos=(0.0, 0.0, assembly.reach))
+    # the hand points down, the parts' z axis up
+    assembly.male(spec, hand.add_body(name=MALE, pos=(0.0, 0.0, assembly.reach), quat=(0.0, 1.0, 0.0, 0.0)))
+    mount = spec.worldbody.add_body(name=MOUNT, pos=robot.place)
+    mount.mass, mount.inertia, mount.explicitinertial = MOUNT_MASS, (2e-4, 2e-4, 2e-4), True
+    mount.gravcomp = 1.0
+    for axis, name in enumerate("XYZ"):
+        mount.add_joint(name=f"{MOUNT}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[axis])
+    assembly.female(spec, mount)
+    return spec
+
+
+def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray, " 3"], parts: Parts) -> Fields:
+    mount = parts.mount
+    writer = FieldWriter(model, np.shape(mount.turn))
+    half = np.asarray(mount.turn) / 2
+    nothing = np.zeros_like(half)
+    writer.body(MOUNT, place + mount.position, np.stack([np.cos(half), nothing, nothing, np.sin(half)], -1))
+    for axis, name in enumerate("XYZ"):
+        stiffness = np.asarray(mount.stiffness)[..., axis]
+        writer.spring(f"{MOUNT}_{name}", stiffness, 2 * MOUNT_DAMPING * np.sqrt(stiffness * MOUNT_MASS))
+    writer.friction(mount.friction)
+    assembly.write(writer, parts.own)
+    return writer.fields
+
+
+@dataclass(frozen=True)
+class seated_marks:  # used as a function; equal ones compile once
+    """An assembly's success on the marks' places in the world, as engines ask for it."""
+
+    predicate: Callable[[Array], Array]  # places of the male marks in the female ones' frames -> which are seated
+
+    def __call__(
+        self, tips: Float[Array, "*batch 3"], lips: Float[Array, "*batch 3"], turns: Float[Array, "*batch 3 3"]
+    ) -> Bool[Array, "*batch"]:
+        """Which marks are seated; see ``sim_mjx.engines.common.past_lips``."""
+        return self.predicate((turns * (tips - lips)[..., None]).sum(-2))
+
+
+@cache
+def controller(assembly: Assembly, robot: Robot) -> Controller:
+    """The controller, the same object for every scene, so that engines compile it once."""
+    chain = serial_chain(_spec(assembly, robot).compile(), TIP)
+    return Controller(assembly, chain, np.asarray(robot.place, np.float32))
+
+
+@cache
+def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
+    """Joint angles at time zero, rad: the tip upright above the mouth, found from the robot's home.
+
+    Raises:
+        InputError: the arm does not get there within its limits.
+    """
+    model = _spec(assembly, robot).compile()
+    data, site = mujoco.MjData(model), model.site(TIP).id
+    rows = [model.joint(name).qposadr[0] for name in robot.joints]
+    dofs = [model.joint(name).dofadr[0] for name in robot.joints]
+    goal = np.asarray(robot.place) + np.array([0.0, 0.0, assembly.start])
+    data.qpos[rows] = robot.home
+    linear, angular, turn, quat = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros(3), np.zeros(4)
+    for _ in range(SEARCH_STEPS):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, linear, angular, site)
+        mujoco.mju_mat2Quat(quat, (UPRIGHT.astype(float) @ data.site_xmat[site].reshape(3, 3).T).ravel())
+        mujoco.mju_quat2Vel(turn, quat, 1.0)
+        left = np.concatenate([goal - data.site_xpos[site], turn])
+        if np.abs(left).max() < CLOSE:
+            break
+        matrix = np.concatenate([linear, angular])[:, dofs]
+        step = matrix.T @ np.linalg.solve(matrix @ matrix.T + 1e-4 * np.eye(6), left)
+        data.qpos[rows] += step * min(1.0, STEP / np.abs(step).max())
+    angles, limits = data.qpos[rows], model.jnt_range[[model.joint(name).id for name in robot.joints]]
+    limited = model.jnt_limited[[model.joint(name).id for name in robot.joints]].astype(bool)
+    outside = limited & ((angles < limits[:, 0]) | (angles > limits[:, 1]))
+    if np.abs(left).max() >= CLOSE or outside.any():
+        raise InputError(
+            f"The robot {robot.name} does not reach the start of {assembly.name}, upright and "
+            f"{assembly.start * 1e3:g} mm above {robot.place}, from its home; choose another home or place."
+        )
+    return tuple(float(angle) for angle in angles)

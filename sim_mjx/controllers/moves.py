@@ -1,0 +1,88 @@
+"""Motions of the hand: to a place, against a force, along a spiral, about a tilt."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from rcbht_jax.types import Array
+from sim_mjx.assembly.task import CONTROL_PERIOD
+
+Scalar = Float[Array, ""] | float
+Vector = Float[Array, " 3"]
+Twist = Float[Array, " 6"]
+NEARING = 8.0  # 1/s, with which a motion ends: the distance left falls to a third in an eighth of a second
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sense:
+    """What the controller knows in one control period of one trial.
+
+    Places are those of the tip of the part in the hand, from where the controller believes the middle of the other
+    part's mouth to be; turns are rotation vectors from the hand's upright pose. World axes, z up.
+    """
+
+    time: Float[Array, ""]  # s since the phase began
+    place: Vector  # m, measured
+    turn: Vector  # rad, measured
+    wanted_place: Vector  # m, of the joint references
+    wanted_turn: Vector  # rad, of the joint references
+    entered: Vector  # m, measured as the phase began
+    force: Vector  # N, of the parts on the hand
+    moment: Vector  # Nm, about the tip
+
+
+def go_to(sense: Sense, place: Vector, speed: Scalar, turn: Vector | None = None) -> Twist:
+    """Straight to a place, m, at a speed, m/s, slower at its end; and to a turn, rad, default upright."""
+    left = place - sense.wanted_place
+    distance = jnp.sqrt((left**2).sum() + 1e-12)
+    return jnp.concatenate([left * jnp.minimum(NEARING, speed / distance), keep_turn(sense, turn)[3:]])
+
+
+def keep_turn(sense: Sense, turn: Vector | None = None) -> Twist:
+    """Back to a turn, rad, default upright."""
+    left = -sense.wanted_turn if turn is None else turn - sense.wanted_turn
+    return jnp.concatenate([jnp.zeros_like(left), NEARING * left])
+
+
+def admittance(sense: Sense, force: Vector, gain: Scalar, moment_gain: Scalar = 0.0) -> Twist:
+    """Give way to what differs from a force on the hand.
+
+    Args:
+        sense: of this period.
+        force: N, wanted on the hand; pressing downwards is felt as a positive z.
+        gain: m/s per N.
+        moment_gain: rad/s per Nm about the tip, whose wanted moment is none; 0 = the hand does not turn.
+    """
+    return jnp.concatenate([gain * (sense.force - force), moment_gain * sense.moment])
+
+
+def spiral(sense: Sense, pitch: Scalar, speed: Scalar) -> Twist:
+    """Sideways along a spiral of Archimedes from where the phase began.
+
+    Args:
+        sense: of this period.
+        pitch: m between two turns.
+        speed: m/s along the path.
+    """
+
+    def at(seconds: Scalar) -> Vector:
+        angle = jnp.sqrt(4 * math.pi * speed * seconds / pitch)
+        radius = pitch * angle / (2 * math.pi)
+        return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), jnp.zeros_like(radius)])
+
+    velocity = (at(sense.time + CONTROL_PERIOD) - at(sense.time)) / CONTROL_PERIOD
+    return jnp.concatenate([velocity, jnp.zeros_like(velocity)])
+
+
+def tilt(sense: Sense, angle: Scalar, period: Scalar) -> Twist:
+    """Lean the hand by an angle, rad, in a direction that goes round once in a period, s."""
+    round_ = 2 * math.pi * sense.time / period
+    lean = angle * jnp.minimum(1.0, 4 * sense.time / period)
+    wanted = jnp.stack([lean * jnp.cos(round_), lean * jnp.sin(round_), jnp.zeros_like(round_)])
+    return keep_turn(sense, wanted)

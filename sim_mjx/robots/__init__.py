@@ -1,0 +1,23 @@
+"""Robots that assemblies can be given to, by name."""
+
+from __future__ import annotations
+
+from rcbht_jax.errors import InputError
+from sim_mjx.robots.hiro import HIRO
+from sim_mjx.robots.panda import PANDA
+from sim_mjx.robots.robot import Robot, from_mjcf
+from sim_mjx.robots.ur5e import UR5E
+
+__all__ = ["ROBOTS", "Robot", "from_mjcf", "get_robot"]
+ROBOTS = {robot.name: robot for robot in (PANDA, UR5E, HIRO)}
+
+
+def get_robot(name: str) -> Robot:
+    """A robot by name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in ROBOTS:
+        raise InputError(f"There is no robot {name!r}; expected one of {', '.join(ROBOTS)}.")
+    return ROBOTS[name]

@@ -1,0 +1,200 @@
+"""A robot as a row of data: any serial arm of hinges with a site at its wrist, from a table or from an MJCF file.
+
+What an assembly needs besides links and joints is added here, the same for every arm: position servos, a body for
+the part in the hand, and the wrist's force and torque sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float64
+
+from rcbht_jax.errors import InputError
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+SERVO_SPEED, SERVO_DAMPING = 300.0, 0.8  # rad/s and share of critical damping of every joint at home
+HAND, FORCE, TORQUE = "HAND", "HAND_FORCE", "HAND_TORQUE"  # body that carries the part; sensors
+TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """An arm that assemblies can be given to.
+
+    Example:
+        >>> from sim_mjx.robots import get_robot
+        >>> len(get_robot("panda").joints), len(get_robot("ur5e").joints)
+        (7, 6)
+    """
+
+    name: str
+    build: Callable[[], mujoco.MjSpec]  # links and joints alone; angles in radians
+    wrist: str  # site, whose z axis points out of the hand
+    home: tuple[float, ...]  # rad, a pose with the hand about above ``place`` and pointing down
+    place: Vector  # m, world, where parts are put together
+    tool_mass: float = 0.4  # kg, of what hangs behind the wrist's sensor
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the hinges that move the wrist, from the base on."""
+        return _joints(self)
+
+
+def from_mjcf(
+    path: str | Path, *, site: str, home: Sequence[float], place: Vector, name: str = "", tool_mass: float = 0.4
+) -> Robot:
+    """A robot from an MJCF file; its actuators, sensors and contacts are not used.
+
+    Args:
+        path: of the file.
+        site: at the wrist, whose z axis points out of the hand.
+        home: rad, angles of the joints from the base on, the hand about above ``place`` and pointing down.
+        place: m, world, where parts are put together.
+        name: default the file's.
+        tool_mass: kg, of what hangs behind the wrist's sensor.
+
+    Raises:
+        InputError: the file cannot be read as MJCF, or has no such site.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise InputError(f"There is no file {source}.")
+
+    def build() -> mujoco.MjSpec:
+        try:
+            return mujoco.MjSpec.from_file(str(source))
+        except ValueError as error:
+            raise InputError(f"{source} cannot be read as MJCF: {str(error).splitlines()[0]}") from error
+
+    robot = Robot(name or source.stem, build, site, tuple(home), place, tool_mass)
+    if len(robot.joints) != len(robot.home):
+        raise InputError(f"The arm has {len(robot.joints)} joints, and home {len(robot.home)} angles.")
+    return robot
+
+
+@cache
+def _joints(robot: Robot) -> tuple[str, ...]:
+    spec = robot.build()
+    site = spec.site(robot.wrist)
+    if site is None:
+        raise InputError(f"The robot {robot.name} has no site {robot.wrist!r}; it marks the wrist and its frame.")
+    names: list[str] = []
+    body = site.parent
+    while body is not None and body.name != "world":
+        names = [joint.name for joint in body.joints] + names
+        body = body.parent
+    if not all(names):
+        raise InputError(f"A joint of the robot {robot.name} has no name; name those that move the wrist.")
+    return tuple(names)
+
+
+def equipped(robot: Robot) -> mujoco.MjSpec:
+    """The robot with servos, a body ``HAND`` at its wrist, and a force and torque sensor between the two.
+
+    The hand's frame is the wrist's. The arm's weight is carried beside the servos, as by the integral part of a real
+    controller; the weight of the hand and of what it carries is not. Nothing of the arm touches anything: only the
+    pairs that an assembly adds do.
+
+    Raises:
+        InputError: the robot has no such site, or a joint that moves it is no hinge.
+    """
+    spec = robot.build()
+    spec.compiler.degree = False
+    # Euler's method needs shorter steps than the servos' damping allows
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for group in (spec.actuators, spec.sensors, spec.keys, spec.pairs, spec.excludes):
+        for element in list(group):
+            spec.delete(element)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    for body in spec.bodies[1:]:
+        body.gravcomp = 1.0
+    _add_servos(spec, robot)
+    _add_hand(spec, robot)
+    return spec
+
+
+def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Servos: torque = kp (command - angle) - kv velocity, as fast as each joint's own inertia at home allows."""
+    for name, inertia in zip(robot.joints, _inertias(robot), strict=True):
+        servo = spec.add_actuator(name=f"{name}_SERVO", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=inertia * SERVO_SPEED**2, kv=2 * SERVO_DAMPING * inertia * SERVO_SPEED)
+
+
+def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
+    """Each joint's inertia at home, kg m^2, with the tool on the wrist and the other joints held."""
+    spec = robot.build()
+    _add_hand(spec, robot)
+    model = spec.compile()
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data.qpos[[model.joint(name).qposadr[0] for name in robot.joints]] = robot.home
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, full)
+    rows = [model.joint(name).dofadr[0] for name in robot.joints]
+    return full[rows, rows]
+
+
+def _add_hand(spec: mujoco.MjSpec, robot: Robot) -> None:
+    site = spec.site(robot.wrist)
+    inertia = 0.4 * robot.tool_mass * TOOL_RADIUS**2
+    hand = site.parent.add_body(name=HAND, pos=site.pos, quat=site.quat)
+    hand.mass, hand.inertia, hand.explicitinertial = robot.tool_mass, (inertia, inertia, inertia), True
+    hand.ipos = (0.0, 0.0, 0.03)
+    hand.add_site(name=HAND)
+    for name, sensor in ((FORCE, mujoco.mjtSensor.mjSENS_FORCE), (TORQUE, mujoco.mjtSensor.mjSENS_TORQUE)):
+        spec.add_sensor(name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=HAND)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A row of a robot's table: the frame of a hinge's link in that of the one before, and its inertia."""
+
+    place: Vector  # m
+    turn: Quaternion
+    mass: float  # kg
+    com: Vector  # m
+    inertia: tuple[float, float, float, float, float, float]  # kg m^2 about the centre: xx yy zz xy xz yz
+    limits: tuple[float, float]  # rad
+    axis: Vector = (0.0, 0.0, 1.0)
+    anchor: Vector = (0.0, 0.0, 0.0)  # m, a point of the axis
+    armature: float = 0.1  # kg m^2, of motor and gear seen from the joint
+    to: Vector = (0.0, 0.0, 0.0)  # m, end of the capsule that is drawn, from this frame's origin
+    radius: float = 0.05  # m, of the capsule
+
+
+def arm(
+    links: Sequence[Link],
+    flange: Vector,
+    flange_turn: Quaternion = (1.0, 0.0, 0.0, 0.0),
+    base_turn: Quaternion = (1.0, 0.0, 0.0, 0.0),
+) -> mujoco.MjSpec:
+    """A model of an arm from its table: joints ``JOINT1`` ..., and the site ``WRIST`` on the last link.
+
+    Args:
+        links: from the base on.
+        flange: m, the wrist in the last link's frame. flange_turn: quaternion.
+        base_turn: quaternion of the base in the world.
+    """  # fmt: skip
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    body = spec.worldbody.add_body(name="BASE", quat=base_turn)
+    for number, link in enumerate(links, 1):
+        body = body.add_body(name=f"LINK{number}", pos=link.place, quat=link.turn)
+        body.mass, body.ipos, body.fullinertia, body.explicitinertial = link.mass, link.com, link.inertia, True
+        body.add_joint(
+            name=f"JOINT{number}", axis=link.axis, pos=link.anchor, range=link.limits, armature=link.armature
+        )
+        if any(link.to):
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0.0, 0.0, 0.0, *link.to), size=(link.radius, 0.0, 0.0),
+                contype=0, conaffinity=0, group=2, rgba=(0.7, 0.7, 0.75, 1.0),
+            )  # fmt: skip
+    body.add_site(name="WRIST", pos=flange, quat=flange_turn)
+    return spec

@@ -1,0 +1,94 @@
+"""What a store says of simulated trials: recordings with annotated phases and columns, and the drawn parameters."""
+
+from __future__ import annotations
+
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.robots.snap_assembly import DEVIATIONS, FRAMES, snap_recordings
+from rcbht_jax.types import Recordings
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.randomization.trials import Fault
+from sim_mjx.registry import Scenario
+from sim_mjx.synthesis.shards import Arrays
+
+PHASES = "phase"  # track of an assembly's phases
+WORLD = "Wrenches are in the world's axes, z up; moments are about the wrist's sensor."
+
+
+def frames_of(scenario: Scenario) -> str:
+    """What axes and points the wrenches refer to."""
+    return FRAMES if scenario.recorded else WORLD
+
+
+def recordings_of(
+    preset: str,
+    scenario: Scenario,
+    rows: Arrays,
+    wrench: NDArray[np.float32],
+    index: NDArray[np.int64],
+    faults: list[Fault],
+) -> Recordings:
+    """What a store holds of trials.
+
+    Args:
+        preset: name of what was simulated. scenario: likewise.
+        rows: arrays of ``records.of_trials``, of the stored trials. wrench: theirs ``[trial, time, 6K]``.
+        index: of the trials. faults: of the trials.
+    """
+    count, samples = wrench.shape[:2]
+    arms, name = scenario.arms, preset if scenario.recorded else f"{scenario.assembly}-{scenario.robot}"
+
+    def each(values: Any) -> NDArray[Any]:
+        return np.repeat(np.asarray(values), len(arms), axis=0)
+
+    trials: dict[str, Any] = {
+        "wrench": wrench.reshape(count, samples, len(arms), 6).swapaxes(1, 2).reshape(-1, samples, 6),
+        "length": each(rows["length"]),
+        "dt": CONTROL_PERIOD,
+        "trial": each([f"sim-{name}-{i:06d}" for i in index]),
+        "arm": np.tile(np.array(arms), count),
+        "source": np.full(count * len(arms), f"SIM_MJX_{name}"),
+        "session": np.full(count * len(arms), f"sim-{name}"),
+        "outcome": each(np.where(rows["seated"].all(1), "success", "failure")),
+        "note": each(rows["note"]),
+    }
+    deviation = each(np.stack([fault.deviation for fault in faults]))
+    if scenario.recorded:
+        return snap_recordings(
+            **trials, deviation=deviation, onset=each(rows["onset"]), onset_harmonised=each(rows["onset_harmonised"]),
+            failure_type=each(np.array([fault.failure_type for fault in faults], np.str_)),
+        )  # fmt: skip
+    columns = {
+        "fault": each(np.array([fault.kind for fault in faults], np.str_)),
+        "robot": np.full(len(deviation), scenario.robot),
+        **dict(zip(DEVIATIONS, deviation.T, strict=True)),
+    }
+    marks = Annotations.from_starts(PHASES, scenario.states, each(rows["onset"]), trials["length"] * CONTROL_PERIOD)
+    return Recordings(**trials, annotations=marks, columns=columns)
+
+
+def simulation_of(
+    scenario: Scenario, rows: Arrays, index: NDArray[np.int64], params: Any, faults: list[Fault]
+) -> Arrays:
+    """The arrays of the group ``simulation/``."""
+    last = np.array(scenario.states)[np.isfinite(rows["onset"]).sum(1) - 1]
+    drawn = {}
+    for group, name in scenario.parameters:
+        plain = scenario.recorded and group != "hold"
+        column = name if plain or not group else f"{group.rpartition('.')[2]}_{name}"
+        drawn[column] = getattr(attrgetter(group)(params) if group else params, name)
+    trials = {
+        "index": index,
+        "fault": np.array([fault.kind for fault in faults], np.str_),
+        "failed_in": np.where(rows["seated"].all(1), "", last),
+        "seated": rows["seated"],
+        "command_delay": params.command_delay,
+        "noise_key": params.seed,
+        **drawn,
+    }
+    return {name: np.repeat(np.asarray(values), len(scenario.arms), axis=0) for name, values in trials.items()}

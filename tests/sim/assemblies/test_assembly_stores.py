@@ -1,0 +1,103 @@
+"""From the command line to a store with annotated phases, labels and faults, resumed and shown again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from rcbht_jax.cli import main
+from rcbht_jax.io.label_store import list_tracks
+from rcbht_jax.io.store import read_recordings, read_simulation
+from sim_mjx.registry import get_scenario
+from sim_mjx.synthesis import shards
+from tests.support.fake_simulation import tree
+
+CLIP = ["--assembly", "clip", "--robot", "ur5e"]
+SHORT = [*CLIP, "--trials", "5", "--shard", "2", "--max-seconds", "0.3"]
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("clips") / "clips.zarr"
+    assert main.main(["simulate", str(path), *CLIP, "--trials", "4", "--seed", "4", "--window", "5"]) == 0
+    return path
+
+
+def test_a_store_has_phases_faults_labels_and_numbers(clips: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recordings, known = read_recordings(clips), read_simulation(clips)
+    scenario = get_scenario("clip@ur5e")
+    assert recordings.annotations.labels == {"phase": scenario.states}
+    starts = recordings.starts("phase")
+    done = recordings.outcome == "success"
+    assert 0 < done.sum() < len(recordings)
+    np.testing.assert_array_equal(done, known["seated"].all(1))
+    assert np.isfinite(starts[done]).all()
+    assert (np.diff(starts[done], axis=1) > 0).all()
+    assert recordings.trial[3] == "sim-clip-ur5e-000003"
+    for row in range(len(recordings)):
+        params, fault = scenario.draw(4, row, scenario.spec())
+        assert (recordings.column("fault")[row], known["fault"][row]) == (fault.kind, fault.kind)
+        assert recordings.column("deviation_x")[row] == fault.deviation[0]
+        assert known["own_clearance"][row] == params.parts.own.clearance
+        assert known["task_press"][row] == params.task.press
+        np.testing.assert_array_equal(known["hand"][row], params.hand)
+    failed = [name for name in known["failed_in"] if name]
+    assert set(failed) <= set(scenario.states)
+    assert len(failed) == (~done).sum()
+    # the contact is where the phases say: nothing is felt before the touch, the press after it
+    row = int(np.flatnonzero(done)[0])
+    first = int(starts[row, 1] / 0.005)
+    force = np.abs(recordings.wrench[row, : recordings.length[row], 2])
+    assert force[: first - 20].max() < 2.0
+    assert force[first:].max() > 8.0
+    assert list_tracks(clips) == ["online-W5"]
+    assert main.main(["info", str(clips)]) == 0
+    assert "task phase: approach" in capsys.readouterr().out
+
+
+def test_interrupted_and_called_again_it_gives_the_same_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = shards.save
+
+    def stop_at_second(folder: Path, shard: int, arrays: shards.Arrays) -> None:
+        if shard == 1:
+            raise KeyboardInterrupt
+        real(folder, shard, arrays)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shards, "save", stop_at_second)
+        assert main.main(["simulate", str(tmp_path / "again.zarr"), *SHORT]) == 130
+    assert main.main(["simulate", str(tmp_path / "again.zarr"), *SHORT]) == 0
+    assert main.main(["simulate", str(tmp_path / "once.zarr"), *SHORT]) == 0
+    assert tree(tmp_path / "once.zarr") == tree(tmp_path / "again.zarr")
+
+
+def test_a_trial_is_simulated_again_and_shown(clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "one.png"
+    assert main.main(["view", str(clips), "sim-clip-ur5e-000000", "-o", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["how"] == "simulated again; equal to the stored trial"
+    assert list(result["moments"])[:2] == ["approach", "press"]
+    with Image.open(out) as picture:
+        assert len(picture.convert("RGB").resize((160, 145)).getcolors(160 * 145)) > 200  # not blank
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--assembly", "bolt"], "There is no assembly 'bolt'"),
+        (["--assembly", "clip", "--robot", "pr2"], "There is no robot 'pr2'"),
+        (["--assembly", "clip", "--preset", "B"], "--preset and --physical belong to the assembly camera-snap"),
+        (["--robot", "panda"], "camera-snap is simulated with the robot hiro"),
+        (["--assembly", "nowhere.py:PIN"], "There is no Python file nowhere.py"),
+    ],
+)
+def test_mistakes_are_named(
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["simulate", str(tmp_path / "x.zarr"), "--trials", "1", *words]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

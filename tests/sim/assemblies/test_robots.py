@@ -1,0 +1,98 @@
+"""Robots: kinematics against MuJoCo's, tables that compile, an arm from anybody's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.robots import ROBOTS, Robot, from_mjcf, get_robot
+from sim_mjx.robots.chain import about, jacobian, pose, rotation_vector, serial_chain
+from sim_mjx.robots.robot import FORCE, HAND, equipped
+
+# An arm whose axes, anchors and frames are in no way special, with two hinges in one body and a gripper that hangs on.
+ARM = """<mujoco><worldbody><body pos="0.1 0.2 0.3" euler="10 20 30">
+  <joint name="a" axis="1 2 3" pos="0.01 0.02 0.03" ref="20"/><geom size="0.05"/>
+  <body pos="0 0.1 0.2" euler="-40 5 60"><joint name="b" axis="0 1 1" pos="0.02 0 0"/>
+    <joint name="c" axis="1 0 -1" pos="0 0.03 0.01"/><geom size="0.05"/>
+    <body pos="0.1 0 0.2"><joint name="d" axis="0 1 0"/><geom size="0.04"/>
+      <site name="wrist" pos="0 0 0.1" euler="7 8 9"/>
+      <body pos="0 0 0.1"><joint name="finger" type="slide"/><geom size="0.01"/></body>
+    </body></body></body></worldbody>
+  <actuator><motor joint="a"/></actuator></mujoco>"""
+
+
+def check_chain(model: mujoco.MjModel, site: str, joints: tuple[str, ...]) -> None:
+    chain, data, number = serial_chain(model, site), mujoco.MjData(model), model.site(site).id
+    rows, dofs = ([getattr(model.joint(name), key)[0] for name in joints] for key in ("qposadr", "dofadr"))
+    batch = np.random.default_rng(0).uniform(-2.0, 2.0, (5, len(joints))).astype(np.float32)
+    places, turns = jax.jit(jax.vmap(pose, (None, 0)))(chain, batch)
+    matrices = jax.jit(jax.vmap(jacobian, (None, 0)))(chain, batch)
+    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    for angles, place, turn, matrix in zip(batch, places, turns, matrices, strict=True):
+        data.qpos[rows] = angles
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacSite(model, data, linear, angular, number)
+        np.testing.assert_allclose(place, data.site_xpos[number], atol=2e-6)
+        np.testing.assert_allclose(turn, data.site_xmat[number].reshape(3, 3), atol=2e-6)
+        np.testing.assert_allclose(matrix, np.concatenate([linear, angular])[:, dofs], atol=2e-6)
+
+
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=list(ROBOTS))
+def test_pose_and_jacobian_are_mujocos(robot: Robot) -> None:
+    model = equipped(robot).compile()
+    check_chain(model, HAND, robot.joints)
+    assert model.nu == model.nv == len(robot.joints)
+    assert (np.linalg.eigvalsh([np.diag(inertia) for inertia in model.body_inertia[1:]]) >= 0).all()
+    # the hand's weight is all that the wrist's sensor feels at home
+    data = mujoco.MjData(model)
+    data.qpos[:] = data.ctrl[:] = robot.home
+    mujoco.mj_step(model, data, 400)
+    force = data.sensordata[model.sensor(FORCE).adr[0] :][:3]
+    assert np.linalg.norm(force) == pytest.approx(9.81 * robot.tool_mass, rel=1e-3)
+    np.testing.assert_allclose(data.qpos, robot.home, atol=1e-4)
+
+
+def test_the_arms_are_as_long_as_published() -> None:
+    """Distances from the base at zero angles, from the makers' drawings: reach and height of the flange."""
+    for name, height, out in (("panda", 0.333 + 0.316 + 0.384 - 0.107, 0.088), ("ur5e", 0.1625 - 0.0997, 0.8172)):
+        model = equipped(get_robot(name)).compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        place = data.site(HAND).xpos
+        assert (place[2], abs(place[0])) == (pytest.approx(height, abs=1e-6), pytest.approx(out, abs=1e-6))
+
+
+def test_a_rotation_is_its_vector() -> None:
+    vector = np.array([0.3, -0.8, 0.5], np.float32)
+    angle = np.float32(np.linalg.norm(vector))
+    np.testing.assert_allclose(rotation_vector(about(vector / angle, angle)), vector, rtol=1e-5)
+    assert not np.isnan(rotation_vector(np.eye(3, dtype=np.float32))).any()
+
+
+def test_anybodys_arm(tmp_path: Path) -> None:
+    path = tmp_path / "mine.xml"
+    path.write_text(ARM)
+    robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    assert (robot.name, robot.joints) == ("mine", ("a", "b", "c", "d"))
+    model = equipped(robot).compile()
+    check_chain(model, HAND, robot.joints)
+    assert (model.nu, model.nsensor) == (4, 2)
+    with pytest.raises(InputError, match="4 joints, and home 2 angles"):
+        from_mjcf(path, site="wrist", home=(0.0, 0.1), place=(0.5, 0.0, 0.1))
+    with pytest.raises(InputError, match="no site 'hand'"):
+        from_mjcf(path, site="hand", home=(0.0, 0.1), place=(0.5, 0.0, 0.1))
+    with pytest.raises(InputError, match="There is no file"):
+        from_mjcf(tmp_path / "other.xml", site="hand", home=(), place=(0.5, 0.0, 0.1))
+    path.write_text("<mujoco><worldbody>")
+    with pytest.raises(InputError, match="cannot be read as MJCF"):
+        from_mjcf(path, site="hand", home=(), place=(0.5, 0.0, 0.1))
+    with pytest.raises(InputError, match=r"no robot 'pr2'; expected one of panda, ur5e"):
+        get_robot("pr2")
+    sliding = mujoco.MjModel.from_xml_string(ARM.replace('name="d"', 'name="d" type="slide"'))
+    with pytest.raises(InputError, match="'d' is no hinge"):
+        serial_chain(sliding, "wrist")
