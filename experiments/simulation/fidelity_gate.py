@@ -1,6 +1,6 @@
 """The gate of simulated sessions: what it says of the presets, of recordings, and of models that are nonsense.
 
-For every session the preset; the same without tabs, with soft springs, and with another session's parts; a constant for
+For every session the preset, and the one with hooks that catch; the same without tabs, with soft springs, and with another session's parts; a constant for
 every state and axis; and the recorded mean with sensor noise. As a control, one half of the recordings against the
 other. Nonsense must fail, recordings must pass.
 Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp]
@@ -17,7 +17,7 @@ import tyro
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets import HOOKED, ONE_ARM
 from sim_mjx.presets.session import SessionPreset
 from sim_mjx.validation import gate, sessions, signature
 from sim_mjx.validation.dynamics import Dynamics
@@ -34,7 +34,7 @@ def parts_of(name: str, preset: SessionPreset) -> PartParams:
     """The parts of a null model, in the session's place."""
     parts = preset.parts
     if name == "no tabs":
-        return replace(parts, hook_overlap=np.full(4, -1e-3))
+        return parts.with_overlap(np.full(4, -1e-3))
     if name == "soft springs":
         return replace(parts, tab_stiffness=SOFT * np.asarray(parts.tab_stiffness))
     other = ONE_ARM[OTHER[preset.name]].parts
@@ -46,7 +46,8 @@ def of_session(preset: SessionPreset, recordings: Recordings) -> dict[str, Any]:
     target = sessions.recorded(recordings, preset.name)
     reference = target.profiles
     out = {}
-    for name in ("the preset", "no tabs", "soft springs", "another session's parts"):
+    models = ("the preset", "no tabs", "soft springs", "another session's parts")
+    for name in models if preset.name in OTHER else models[:3]:  # those with hooks have the same parts
         model = preset if name == "the preset" else replace(preset, parts=parts_of(name, preset))
         run, events, found = rerun(model, seed=SEED)
         pair = None if target.dynamics is None else (target.dynamics, events)
@@ -84,9 +85,9 @@ def row(
     }
 
 
-def main(session: tuple[str, ...] = tuple(ONE_ARM)) -> None:
+def main(session: tuple[str, ...] = (*ONE_ARM, *HOOKED)) -> None:
     recordings = recorded()
-    result = {"rows": {name: of_session(ONE_ARM[name], recordings) for name in session}}
+    result = {"rows": {name: of_session((ONE_ARM | HOOKED)[name], recordings) for name in session}}
     result["states"] = list(signature.STATES)
     write_result("fidelity_gate", "python -m experiments.simulation.fidelity_gate", result, seed=SEED, show=False)
 

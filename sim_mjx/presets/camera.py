@@ -1,10 +1,10 @@
 """The recorded sessions with one set of the camera's parts, whose hooks catch.
 
-The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood and
-how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest was
-identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``), then the heights of rear
-lips and seat, the play of the stop and the damping of B's stand were set by hand. C was not fitted: its part stands
-where the preset of session C has it, relative to B's.
+The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood
+and how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest
+was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``), then the heights of
+rear lips and seat, the play of the stop and the damping of B's stand were set by hand. C was not fitted: its part
+stands where the preset of session C has it, relative to B's.
 """
 
 from __future__ import annotations

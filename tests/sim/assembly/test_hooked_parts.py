@@ -1,0 +1,145 @@
+"""Hooks in the scene: they catch, they hold, and worn or broken ones do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly import hooked_parts, parts
+from sim_mjx.assembly.hooked_parts import HOOK, HookedParams, caught
+from sim_mjx.assembly.rollout import Rollouts, stack
+from sim_mjx.assembly.scene import Scene, hooked
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.engines import native
+from sim_mjx.presets import HOOKED, ONE_ARM
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.randomization import overrides, trials
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
+from sim_mjx.validation import sessions
+from sim_mjx.validation.replay import Recorder
+
+HOOKED_B = HOOKED["hooked-B"]
+PULL, HELD_FOR = 20.0, 0.5  # N on the female part, away from the hand; s
+
+
+def run_of(session: SessionPreset, *changes: dict[str, np.ndarray]) -> tuple[Scene, Rollouts, list[np.ndarray], list]:
+    """Nominal placements of a session with changed parts; last positions, and the parts."""
+    one = jax.tree.map(lambda leaf: leaf[0], sessions.trials_of(session, 1, longest=2.0))
+    drawn = [replace(one, parts=replace(one.parts, **change)) for change in changes]
+    scene, batch = sessions.scene_of(session), stack(drawn)
+    recorder = Recorder(scene, len(drawn))
+    run = native.simulate(scene, batch, watch=recorder.watch)
+    return scene, run, [recorder.qpos(row)[-1] for row in range(len(drawn))], [each.parts for each in drawn]
+
+
+@pytest.fixture(scope="module")
+def pressed() -> tuple[Scene, Rollouts, list[np.ndarray], list]:
+    gone, worn = np.array([0.0, 0.0, 0.02, 0.0]), np.array([0.0, 0.0, 0.0, 1.0e-3])
+    return run_of(HOOKED_B, {}, {"tab_cut": gone}, {"hook_wear": worn})
+
+
+def test_whole_hooks_catch_and_others_do_not(pressed: tuple) -> None:
+    _, run, _, _ = pressed
+    assert not run.diverged.any()
+    np.testing.assert_array_equal(run.seated[0], True)
+    assert not run.seated[1, 2]  # broken off at its root
+    assert run.seated[1, [0, 1, 3]].all()
+    assert not run.seated[2, 3]  # a head that is rubbed off reaches beneath nothing
+
+
+def after_a_pull(scene: Scene, qpos: np.ndarray, part: object) -> np.ndarray:
+    """Which tabs are in after the female part was pulled away from a hand that keeps still."""
+    model = native.model_of(scene, part)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = qpos, qpos[scene.joints]
+    data.xfrc_applied[model.body("MOUNT").id, 2] = -PULL
+    mujoco.mj_step(model, data, round(HELD_FOR / model.opt.timestep))
+    state = np.zeros(mujoco.mj_stateSize(model, native.STATE))
+    mujoco.mj_getState(model, data, state, native.STATE)
+    return native.tips_past_lips(scene, model, state)
+
+
+def test_caught_hooks_hold_where_blocks_that_rub_let_go(pressed: tuple) -> None:
+    scene, _, positions, part = pressed
+    front, _ = np.split(after_a_pull(scene, positions[0], part[0]), 2)
+    assert front.all()  # two seconds into mating the rear ones still lie on their retention faces
+    no_lips = replace(part[0], tab_cut=np.full(4, 0.02))
+    assert not after_a_pull(scene, positions[0], no_lips).any()
+
+
+def test_beneath_is_not_beside_nor_below_the_floor() -> None:
+    radius = HOOK.tip_radius
+    places = np.array(
+        [[0.0, 0.0, -1e-4], [0.0, 0.0, 1e-4], [-radius * 1.01, 0.0, -1e-4], [0.0, 5e-3, -1e-4], [0.0, 0.0, -0.013]]
+    )
+    zero, turn = np.zeros_like(places), np.broadcast_to(np.eye(3), (5, 3, 3))
+    np.testing.assert_array_equal(caught(places, zero, turn), [True, False, False, False, False])
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(
+        caught(places @ half_turn.T, zero, np.broadcast_to(half_turn, (5, 3, 3))), [True, False, False, False, False]
+    )
+
+
+def test_tips_meet_the_lead_in_at_first_touch() -> None:
+    """At its nominal height a tip touches its lip, a tenth of a millimetre higher it does not."""
+    scene = hooked()
+    still = replace(HOOKED_B.parts, position=np.zeros(3), roll=np.array(0.0), rear_rise=np.zeros(2))
+    model = native.model_of(scene, still)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for tab, edge in zip(scene.tips, scene.lips, strict=True):
+        name = model.geom(tab).name.removeprefix("RTIP_")
+        lead, turn = model.geom(f"LIP_{name}"), data.geom(f"EDGE_{name}").xmat.reshape(3, 3)
+        overlap = still.hook_overlap[parts.TABS.index(name)]
+        touch = data.geom_xpos[edge] + turn @ [overlap - HOOK.tip_radius, 0.0, 0.0]
+        for above, meets in ((1e-5, True), (1e-4, False)):
+            tip = touch + np.array(
+                [0.0, 0.0, hooked_parts.first_touch(HOOK, overlap) - 2e-5 * meets + above * (not meets)]
+            )
+            inside = data.geom_xmat[lead.id].reshape(3, 3).T @ (tip - data.geom_xpos[lead.id])
+            outside = np.maximum(np.abs(inside) - model.geom_size[lead.id], 0.0)
+            assert (np.linalg.norm(outside) < HOOK.tip_radius) == meets
+
+
+def test_faults_are_geometry() -> None:
+    spec = DomainRandomization(nominal_share=0.0, faults=("missing-tab",))
+    params = [trials.sample(HOOKED_B, 0, index, spec)[0].parts for index in range(16)]
+    assert all((part.tab_cut > 0.01).sum() == 1 and (part.hook_overlap > 0).all() for part in params)
+    jammed, _ = trials.sample(HOOKED_B, 0, 0, DomainRandomization(nominal_share=0.0, faults=("jamming",)))
+    assert isinstance(jammed.parts, HookedParams)
+    assert (jammed.parts.hook_overlap > 1.6e-3).all()
+
+
+def test_a_tip_too_wide_for_its_lip_is_refused() -> None:
+    part = replace(HOOKED_B.parts, hook_overlap=np.full(4, 3e-3))
+    with pytest.raises(InputError, match=r"2\.8 mm"):
+        parts.check(part)
+    with pytest.raises(InputError, match="hook_overlap must be positive"):
+        parts.check(replace(HOOKED_B.parts, hook_overlap=np.full(4, -1e-4)))
+
+
+def test_one_part_in_three_sessions() -> None:
+    own = {"mount_stiffness", "mount_damping", "position", "roll"}
+    first = HOOKED["hooked-A"].parts
+    for name in ("hooked-B", "hooked-C"):
+        for field in first.__dataclass_fields__.keys() - own:
+            np.testing.assert_array_equal(getattr(HOOKED[name].parts, field), getattr(first, field))
+    assert get_scenario("hooked-A").scene().substeps == 4
+
+
+def test_only_hooks_have_wear() -> None:
+    assert overrides.apply_overrides(HOOKED_B.parts, "parts", (("parts.hook_wear[1]", 1e-4),)).hook_wear[1] == 1e-4
+    with pytest.raises(InputError, match="only those with hooks"):
+        overrides.apply_overrides(ONE_ARM["B"].parts, "parts", (("parts.hook_wear", 1e-4),))
+
+
+def test_time_to_mating_is_the_recorded(pressed: tuple) -> None:
+    _, run, _, _ = pressed
+    assert abs(run.onset[0, 3] - HOOKED_B.mating_begins) < 0.6
+    assert run.length[0] * CONTROL_PERIOD < run.onset[0, 3] + 2.1
