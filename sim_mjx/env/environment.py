@@ -140,23 +140,28 @@ class Environment:
             row: of ``trials``.
             seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
         """
-        trial = jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials)
-        params = trial.params if seed is None else _with_seed(trial.params, seed)
+        return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
+
+    def begin(self, trial: Trials, row: Int[Array, ""], seed: Array | None = None) -> State:
+        """An episode of a trial that need not be one of ``trials``.
+
+        Args:
+            trial: leaves of one trial; thousands are better mapped over than closed over, as ``reset_to`` does.
+            row: a number by which ``info`` names it.
+            seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
+        """
+        params = trial.params if seed is None else replace(trial.params, seed=seed)
         loop = self.program.begin(params, self.physics.raw(trial.body))
         joints = self.program.home(params) + self.physics.joints(trial.body)
         shifts = jnp.zeros((LONGEST_DELAY, joints.shape[-1]), joints.dtype)
-        zero = jnp.int32(0)
-        data = EnvData(
-            trial.body, trial.glance, loop, params, trial.fields, shifts, self.senses.begun, zero, zero, zero
-        )
+        zero, none = jnp.int32(0), jnp.float32(0.0)
+        senses = self.senses.begun
+        data = EnvData(trial.body, trial.glance, loop, params, trial.fields, shifts, senses, zero, zero, zero)
+        metrics = {"seated": _share(trial.glance), "success": none, "force": none}
+        named = jnp.asarray(row, jnp.int32)
+        info = {"truncation": none, "diverged": none, "trial": named, "time": none, "phase": zero}
         wrench = jnp.zeros(self.senses.axes, jnp.float32)  # none has been measured yet
-        metrics = {"seated": _share(trial.glance), "success": jnp.float32(0.0), "force": jnp.float32(0.0)}
-        info = {
-            "truncation": jnp.float32(0.0), "diverged": jnp.float32(0.0), "trial": jnp.asarray(row, jnp.int32),
-            "time": jnp.float32(0.0), "phase": zero,
-        }  # fmt: skip
-        obs = self.senses.observe(data.senses, joints, wrench)
-        return State(data, obs, jnp.float32(0.0), jnp.float32(0.0), metrics, info)
+        return State(data, self.senses.observe(senses, joints, wrench), none, none, metrics, info)
 
     def step(self, state: State, action: Float[Array, " action"]) -> State:
         """Go on for ``config.periods`` control periods with one action, which is clipped to -1 and 1.
@@ -243,7 +248,3 @@ def _share(glance: Glance) -> Array:
 
 def _whole_periods(seconds: Array) -> Array:
     return jnp.round(seconds / CONTROL_PERIOD).astype(jnp.int32)
-
-
-def _with_seed(params: Any, seed: Array) -> Any:
-    return replace(params, seed=seed)

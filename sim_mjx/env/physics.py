@@ -83,7 +83,9 @@ class MjxPhysics:
         return self.model.impl == mjx.Impl.WARP  # quick to compile, and a loop would copy its buffers
 
     def step(self, fields: Fields, body: Any, ctrl: Array) -> tuple[Any, Glance]:
-        data = device.step_trial(self.model, self.empty, fields, body, ctrl)
+        # a program that forbids promotions, which MJX makes, can still use the environment
+        with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+            data = device.step_trial(self.model, self.empty, fields, body, ctrl)
         glance = Glance(device.seated_tabs(self.layout, data), self._jacobian(data))
         return (data if isinstance(body, mjx.Data) else device.body_of(data)), glance
 
@@ -109,7 +111,8 @@ class MjxPhysics:
         axes, anchors = data.xaxis[hinges], data.xanchor[hinges]
         levers = data.site_xpos[jnp.array(self.sites)][:, None] - anchors[None]
         turning = jnp.broadcast_to(axes[None], levers.shape)
-        columns = jnp.concatenate([jnp.cross(turning, levers), turning], axis=-1) * self.moves[..., None]
+        moves = jnp.asarray(self.moves, axes.dtype)[..., None]
+        columns = jnp.concatenate([jnp.cross(turning, levers), turning], axis=-1) * moves
         return jnp.swapaxes(columns, 1, 2).reshape(-1, len(self.hinges))
 
 

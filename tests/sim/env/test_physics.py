@@ -33,11 +33,10 @@ def episodes() -> tuple[Any, list[Any]]:
     env = environments.load("camera-snap", params=short_trials(), parallel=LANES)
     actions = np.zeros((LANES, 6), np.float32)
     actions[-1, 2] = 1.0
-    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
-        step = environments.jit(jax.vmap(env.step))
-        states = [jax.vmap(env.reset_to)(jnp.arange(LANES) % 4)]
-        for _ in range(STEPS):
-            states.append(step(states[-1], actions))
+    step = environments.jit(jax.vmap(env.step))
+    states = [jax.jit(jax.vmap(env.reset_to))(jnp.arange(LANES) % 4)]
+    for _ in range(STEPS):
+        states.append(step(states[-1], actions))
     return env, states
 
 
@@ -45,7 +44,7 @@ def test_the_recorded_controller_gives_the_wrench_of_the_batch_engine(episodes: 
     env, states = episodes
     at = env.observation_slices
     found = np.stack([np.asarray(state.obs) for state in states[1:]], axis=1)
-    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
         out = engines.simulate(get_scenario("B").scene(), short_trials(), "mjx")
     # a step shows the last of its five samples
     wrench, joints = out.wrench[:, 4 : 5 * STEPS : 5], out.joints[:, 4 : 5 * STEPS : 5]
