@@ -21,14 +21,13 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 
 ALIASES = {"camera-snap": "B"}  # task -> the preset that stands for it
-MILD = DomainRandomization(nominal_share=1.0)
 
 
 def load(
     name: str,
     config: EnvConfig | None = None,
     *,
-    spec: DomainRandomization = MILD,
+    spec: Any = None,
     trials: int = 256,
     seed: int = 0,
     params: Any = None,
@@ -41,7 +40,7 @@ def load(
     Args:
         name: of a scenario, such as "B" or "camera-snap".
         config: what an action does and what is observed; None = the defaults.
-        spec: distributions of the trials.
+        spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
         trials: how many are drawn, from which :meth:`Environment.reset` chooses.
         seed: of the trials.
         params: a batch of trials in place of drawn ones; then ``spec``, ``trials`` and ``seed`` are not used.
@@ -62,6 +61,7 @@ def load(
     scenario = get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()
     if params is None:
+        spec = spec or getattr(scenario, "spec", DomainRandomization)(nominal_share=1.0)
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model)
