@@ -86,10 +86,15 @@ class Environment:
         trials: that episodes are drawn from.
         senses: what is observed.
         config: what an action does and when an episode has succeeded.
+
+    Raises:
+        InputError: set-points of a controller that has no force law.
     """
 
     def __init__(self, program: Program, physics: Physics, trials: Trials, senses: Senses, config: EnvConfig) -> None:
         self.program, self.physics, self.trials, self.senses, self.config = program, physics, trials, senses, config
+        if config.action == "set-points":
+            with_set_points(trials.params, jnp.zeros((self.trial_count, 6)))
         self._ended = getattr(program, "ended", task.ENDED)
 
     @property

@@ -80,8 +80,7 @@ def test_mapped_environments_are_the_single_ones() -> None:
     for lane, row in enumerate(rows):
         alone = run(STEERED, actions[:, lane], int(row))
         for one, all_of_them in zip(alone, many, strict=True):
-            np.testing.assert_allclose(one.obs[:6], all_of_them.obs[lane, :6], atol=1e-4)
-            np.testing.assert_allclose(one.obs[6:], all_of_them.obs[lane, 6:], atol=0.05)  # readings are quantised
+            np.testing.assert_allclose(one.obs, all_of_them.obs[lane], rtol=1e-5, atol=1e-5)
             assert [float(one.info[name]) for name in one.info] == [
                 float(one_of[lane]) for one_of in all_of_them.info.values()
             ]
@@ -235,6 +234,9 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
         new_senses(EnvConfig(), 12, 12, model())
     with pytest.raises(InputError, match="no force law"):
         with_set_points(object(), np.zeros(6, np.float32))
+    scene = environment(JOINT)
+    with pytest.raises(InputError, match="no force law"):
+        environments.Environment(scene.program, scene.physics, replace(scene.trials, params=1), scene.senses, STEERED)
     for options, sentence in (({"engine": "native"}, "runs on the device"), ({"trials": 0}, "There are 0 trials")):
         with pytest.raises(InputError, match=sentence):
             environments.load("B", **options)
