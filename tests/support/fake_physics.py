@@ -74,9 +74,10 @@ class Springs:
 
     substeps: int = 2
     unroll: bool = False
+    lag: float = 0.0  # share of the way to its reference that a joint does not go in a step
 
     def step(self, fields: dict[str, Any], body: Any, ctrl: Any) -> tuple[Any, Glance]:
-        body = jnp.where(ctrl[5] < BROKEN, jnp.nan, 1.0) * ctrl + fields["slip"]
+        body = jnp.where(ctrl[5] < BROKEN, jnp.nan, 1.0) * (ctrl + self.lag * (body - ctrl))
         return body, Glance(body[:4] > DEPTH, jnp.asarray(JACOBIAN))
 
     def enter(self, body: Any) -> Any:
@@ -110,7 +111,12 @@ def model() -> IntrospectionModel:
     return IntrospectionModel(EncoderConfig(), np.asarray(preset().limits), tuple(heads), "abc")
 
 
-def environment(config: EnvConfig, params: TrialParams | None = None, model: IntrospectionModel | None = None) -> Any:
+def environment(
+    config: EnvConfig,
+    params: TrialParams | None = None,
+    model: IntrospectionModel | None = None,
+    lag: float = 0.0,
+) -> Environment:
     """An environment of the controller on springs."""
     params = trials() if params is None else params
     count = len(params.command_delay)
@@ -118,4 +124,4 @@ def environment(config: EnvConfig, params: TrialParams | None = None, model: Int
     drawn = Trials(
         as_float32(params), {"slip": np.zeros((count, 6), np.float32)}, np.zeros((count, 6), np.float32), glance
     )
-    return Environment(PROGRAM, Springs(), drawn, new_senses(config, 6, 6, model), config)
+    return Environment(PROGRAM, Springs(lag=lag), drawn, new_senses(config, 6, 6, model), config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import jax
@@ -98,6 +99,23 @@ def test_joint_increments_arrive_after_the_commands_delay() -> None:
         last = number * JOINT.periods - 1 - 1 - delay
         wanted = home + (references[last] if last >= 0 else 0.0)
         np.testing.assert_allclose(state.obs[:6], wanted, atol=1e-6)
+
+
+def test_references_are_interpolated_between_control_periods() -> None:
+    """A joint that lags shows where its reference was in the middle of a period, too."""
+    env = environment(JOINT, lag=0.5)
+    actions = np.random.default_rng(2).uniform(0, 1, (5, 6)).astype(np.float32)
+    state, step = env.reset_to(jnp.int32(0)), environments.jit(env.step)
+    for action in actions:
+        state = step(state, action)
+    delay = int(trials().command_delay[0])
+    moved = np.repeat(actions, JOINT.periods, 0) * JOINT.angle / JOINT.periods
+    references = np.concatenate([np.zeros((delay + 2, 6)), np.cumsum(moved, 0)])
+    place = np.zeros(6)
+    for before, after in pairwise(references[1 : len(moved) + 2]):
+        for share in (0.5, 1.0):
+            place = 0.5 * (place + before + share * (after - before))
+    np.testing.assert_allclose(state.data.body, place, atol=1e-6)
 
 
 def test_increments_are_added_to_the_recorded_controller() -> None:
