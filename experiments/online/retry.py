@@ -130,9 +130,9 @@ def _median(values: Floats) -> float | None:
 
 
 def main(
-    trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 16,
+    trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 12,
     repeats: Annotated[int, tyro.conf.arg(help="Parts per kind and size of fault; as many again have none.")] = 1,
-    attempts: int = 5,
+    attempts: int = 4,
     engine: str = "mjx",
     seed: int = 0,
 ) -> None:
