@@ -94,6 +94,11 @@ EXPERIMENTS = (
     Experiment("fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
+    Experiment("retry", "online.retry", 8, shorter=("--trials", "8", "--attempts", "2"), shorter_minutes=4),
+    Experiment(
+        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "16"),
+        shorter_minutes=4,
+    ),
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
@@ -137,6 +142,9 @@ EXPERIMENTS = (
     Experiment(
         "calibration_device", "calibration.on_device", 10, ("--engine", "warp"), (),
         ("calibration_device_warp_failure_type",), GPU,
+    ),
+    Experiment(
+        "environment_speed", "simulation.environment_speed", 4, ("--engine", "mjx", "warp"), elsewhere=GPU
     ),
     Experiment(
         "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),

@@ -59,7 +59,7 @@ def throughput(scene: Scene, engine: str, batch: int, longest: float) -> dict[st
         jax.block_until_ready(out)
         seconds.append(time.perf_counter() - start)
     start = time.perf_counter()
-    fields = device._fields(scene, params)
+    fields = device.fields_of(scene, params)
     prepared = time.perf_counter() - start
     del fields
     steps = int((out.phase < ENDED).sum()) * SUBSTEPS
@@ -129,7 +129,7 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
 class _stopwatch:
     """Seconds spent in the parts of a synthesis."""
 
-    PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "_fields"),
+    PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "fields_of"),
              (records, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
              (pipeline, "_assemble"),
              (pipeline.store, "write_recordings"), (pipeline, "write_tracks"))  # fmt: skip

@@ -37,7 +37,7 @@ TOLERANCE = 1e-6  # of the solver, likewise
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """What a compiled program must know of its scene; hashable."""
 
     program: Program
@@ -62,7 +62,7 @@ class _Fixed:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class _Body:
+class Body:
     """What the physics remembers between steps [trial, ...]; named as in ``mjx.Data``.
 
     Warp's kernels write into the buffers of a whole ``mjx.Data``, which then takes the place of this.
@@ -125,7 +125,7 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
     # a compiler may round the last lanes of a batch differently from full vectors: batches are filled up
     rows = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
     params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
-    layout, fixed = _layout(scene), _fixed(scene, params, impl)
+    layout, fixed = layout_of(scene), _fixed(scene, params, impl)
     start, stretch, seated = _programs(jax.default_backend())
     state = start(layout, fixed)
     logs: list[LogRow] = []
@@ -155,16 +155,21 @@ def _programs(backend: str) -> tuple[Callable[..., Any], ...]:
     return jit(_start), jit(_stretch, donate_argnums=2), jit(_seated)
 
 
-def _layout(scene: Scene) -> _Layout:
+def layout_of(scene: Scene) -> Layout:
     readings = (scene.forces[:, None] + np.arange(6)).ravel()
     joints, seen, tips, lips = (
         tuple(int(i) for i in column) for column in (scene.joints, readings, scene.tips, scene.lips)
     )
-    return _Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated or past_lips)
+    return Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated or past_lips)
 
 
 def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
-    count = batch_size(params)
+    model, empty = put_scene(scene, batch_size(params), impl)
+    return _Fixed(model, fields_of(scene, params), as_float32(params), empty)
+
+
+def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
+    """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
     sizes = {"naconmax": count * scene.model.npair, "njmax": _most_rows(scene.model)} if impl == "warp" else {}
     compiled = copy.copy(scene.model)
     compiled.opt.tolerance = max(compiled.opt.tolerance, TOLERANCE)
@@ -173,10 +178,10 @@ def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
     model, empty = mjx.put_model(compiled, impl=impl), mjx.make_data(compiled, impl=impl, **sizes)
     if impl == "warp":  # its kernels would print whenever a line search ends at its limit
         model = model.tree_replace({"opt._impl.warn_overflow": 0})
-    return _Fixed(model, _fields(scene, params), as_float32(params), empty)
+    return model, empty
 
 
-def _fields(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
+def fields_of(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
     """Model fields of all trials, each [trial, ...]."""
     fields = scene.fields(params.parts) | _from_home(scene, np.asarray(scene.program.home(params)))
     return {name: value.astype(np.float32) for name, value in fields.items()}
@@ -198,20 +203,20 @@ def _most_rows(model: mujoco.MjModel) -> int:
     return int(contacts.sum() + model.jnt_limited.sum())
 
 
-def _start(layout: _Layout, fixed: _Fixed) -> _State:
+def _start(layout: Layout, fixed: _Fixed) -> _State:
     """In the home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
     body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
     if fixed.model.impl == mjx.Impl.JAX:
-        body = _Body(body.qpos, body.qvel, body.qacc_warmstart, body.sensordata)
+        body = body_of(body)
     return _State(body, _begin(layout, fixed, body), -jnp.int32(-(-SETTLING // layout.substeps)))
 
 
-def _begin(layout: _Layout, fixed: _Fixed, body: Any) -> Any:
+def _begin(layout: Layout, fixed: _Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
-def _stretch(layout: _Layout, fixed: _Fixed, state: _State) -> tuple[_State, LogRow]:
+def _stretch(layout: Layout, fixed: _Fixed, state: _State) -> tuple[_State, LogRow]:
     """``STRETCH`` control periods; the log leads with time.
 
     Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
@@ -246,32 +251,45 @@ def _step(fixed: _Fixed, body: Any, wanted: Array) -> Any:
     """One physics step of all trials."""
 
     def one(fields: dict[str, Array], at: Any, ctrl: Array) -> Any:
-        model = fixed.model.tree_replace(fields)
-        if isinstance(at, mjx.Data):
-            return mjx.step(model, at.replace(ctrl=ctrl))
-        data = fixed.empty.replace(qpos=at.qpos, qvel=at.qvel, qacc_warmstart=at.qacc_warmstart, ctrl=ctrl)
-        data = mjx.step(model, data)
-        return _Body(data.qpos, data.qvel, data.qacc_warmstart, data.sensordata)
+        data = step_trial(fixed.model, fixed.empty, fields, at, ctrl)
+        return data if isinstance(at, mjx.Data) else body_of(data)
 
     return jax.vmap(one)(fixed.fields, body, wanted)
 
 
+def step_trial(model: mjx.Model, empty: mjx.Data, fields: dict[str, Array], at: Any, ctrl: Array) -> mjx.Data:
+    """One physics step of one trial, from a :class:`Body` or data; places are those before the step."""
+    model = model.tree_replace(fields)
+    if not isinstance(at, mjx.Data):
+        at = empty.replace(qpos=at.qpos, qvel=at.qvel, qacc_warmstart=at.qacc_warmstart)
+    return mjx.step(model, at.replace(ctrl=ctrl))
+
+
+def body_of(data: mjx.Data) -> Body:
+    """What of the data the next step needs."""
+    return Body(data.qpos, data.qvel, data.qacc_warmstart, data.sensordata)
+
+
 def _kept(old: Any, new: Any, still: Array) -> Any:
     """The new bodies, but the old ones where the trial keeps still [trial]."""
-    names = [field.name for field in dataclasses.fields(_Body)]
+    names = [field.name for field in dataclasses.fields(Body)]
     chosen = {name: jnp.where(still[:, None], getattr(old, name), getattr(new, name)) for name in names}
     return dataclasses.replace(new, **chosen)
 
 
-def _raw(layout: _Layout, body: Any) -> Array:
+def _raw(layout: Layout, body: Any) -> Array:
     """What the parts exert on the hands [trial, 6K]: the sensors report the opposite."""
     return -body.sensordata[:, jnp.array(layout.readings)]
 
 
-def _seated(layout: _Layout, fixed: _Fixed, state: _State) -> Array:
+def _seated(layout: Layout, fixed: _Fixed, state: _State) -> Array:
     def one(fields: dict[str, Array], qpos: Array) -> Array:
-        data = mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos))
-        tips, lips = jnp.array(layout.tips), jnp.array(layout.lips)
-        return layout.seated(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])
+        return seated_tabs(layout, mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos)))
 
     return jax.vmap(one)(fixed.fields, state.body.qpos)
+
+
+def seated_tabs(layout: Layout, data: mjx.Data) -> Array:
+    """Which tabs of one trial are past their lips, by the places in ``data``."""
+    tips, lips = jnp.array(layout.tips), jnp.array(layout.lips)
+    return layout.seated(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])

@@ -1,0 +1,79 @@
+"""Choices that make an environment of a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rcbht_jax.errors import InputError
+from sim_mjx.assembly.task import CONTROL_PERIOD
+
+ACTIONS = ("set-points", "joint", "cartesian")
+CONTROLLERS = ("recorded", "none")
+OBSERVATIONS = ("joints", "wrench", "words", "beliefs")
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """What an action does, what is observed, and when an episode has succeeded; hashable.
+
+    Attributes:
+        action: "set-points" = what is added to the force law's set-points F* and M* as long as the step lasts, in their
+            frame; "joint" = increments of the joint references; "cartesian" = increments of the hand's pose in world
+            axes, which the Jacobian turns into joint increments. Within -1 and 1; the ranges below say of what.
+        controller: "recorded" = the action is added to what the scenario's controller does, so that zero changes
+            nothing; "none" = the references stay at home but for the action.
+        periods: control periods of 5 ms per step, the action staying the same; a multiple of the encoder's window.
+        observe: parts of the observation, in this order.
+        hold: s, for which all tabs must have been seated without interruption for success.
+        force: N, set-point that an action of 1 adds. moment: Nm, likewise.
+        angle: rad, joint increment per step. shift: m, of the hand per step. turn: rad, of the hand per step.
+
+    Raises:
+        InputError: an unknown choice, or a number that is not positive.
+
+    Example:
+        >>> EnvConfig(action="cartesian").dt
+        0.025
+    """
+
+    action: str = "set-points"
+    controller: str = "recorded"
+    periods: int = 5
+    observe: tuple[str, ...] = OBSERVATIONS
+    hold: float = 0.5
+    force: float = 20.0
+    moment: float = 40.0
+    angle: float = 0.002
+    shift: float = 5e-4
+    turn: float = 0.005
+
+    def __post_init__(self) -> None:
+        _check_choice("action", self.action, ACTIONS)
+        _check_choice("controller", self.controller, CONTROLLERS)
+        for part in self.observe:
+            _check_choice("observation", part, OBSERVATIONS)
+        if not self.observe or len(set(self.observe)) < len(self.observe):
+            raise InputError(f"What is observed is {self.observe}; expected one part or more, each once.")
+        if self.action == "set-points" and self.controller == "none":
+            raise InputError('Set-points steer the recorded controller; use controller="recorded", or increments.')
+        if self.periods < 1:
+            raise InputError(f"A step has {self.periods} control periods; expected 1 or more.")
+        for name in ("hold", "force", "moment", "angle", "shift", "turn"):
+            value = getattr(self, name)
+            if not 0.0 < value < float("inf"):
+                raise InputError(f"The environment's {name} is {value}; expected a positive, finite number.")
+
+    @property
+    def dt(self) -> float:
+        """Seconds per step."""
+        return self.periods * CONTROL_PERIOD
+
+    @property
+    def senses_words(self) -> bool:
+        """Whether words are made, for themselves or for beliefs."""
+        return bool({"words", "beliefs"} & set(self.observe))
+
+
+def _check_choice(what: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(f"There is no {what} {value!r}; expected one of {', '.join(known)}.")

@@ -1,0 +1,254 @@
+"""An environment: one trial at a time, pure, so that its user maps and compiles it.
+
+In the manner of MuJoCo Playground's ``MjxEnv``: ``reset(rng) -> State``, ``step(state, action) -> State``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from rcbht_jax.types import Array
+from sim_mjx.assembly.rollout import Program
+from sim_mjx.assembly.sensor import LONGEST_DELAY
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.engines.common import LARGEST
+from sim_mjx.env.actions import action_size, joint_increments, with_set_points
+from sim_mjx.env.config import EnvConfig
+from sim_mjx.env.physics import Fields, Glance, Physics
+from sim_mjx.env.senses import Senses, SensesState
+
+Key = Any  # of jax.random: a typed one, or uint32 [2]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Trials:
+    """Trials that episodes are drawn from, settled; leaves lead with the trial."""
+
+    params: Any  # of the scenario's program, single precision
+    fields: Fields  # of the model
+    body: Any
+    glance: Glance
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EnvData:
+    """Everything that an episode remembers."""
+
+    body: Any  # of the physics
+    glance: Glance
+    loop: Any  # of the scenario's program
+    params: Any  # of the trial
+    fields: Fields  # of the model
+    shifts: Float[Array, "*batch delay joint"]  # rad, what actions added to the references, newest first
+    senses: SensesState
+    tick: Int[Array, "*batch"]  # control periods since time zero
+    held: Int[Array, "*batch"]  # control periods for which all tabs have been seated
+    phase: Int[Array, "*batch"]  # of the controller at the last sample
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    """State of one environment; a pytree whose leaves lead with the environment when it is mapped.
+
+    Attributes:
+        data: everything that an episode remembers.
+        obs: the observation.
+        reward: of the last step.
+        done: 1 = the episode has ended; further steps mean nothing.
+        metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force).
+        info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the
+            environment's trials), "time" (s), "phase" (of the controller).
+    """
+
+    data: EnvData
+    obs: Float[Array, "*batch size"]
+    reward: Float[Array, "*batch"]
+    done: Float[Array, "*batch"]
+    metrics: dict[str, Array]
+    info: dict[str, Array]
+
+
+class Environment:
+    """A scenario as an environment; :func:`sim_mjx.env.load` makes one.
+
+    Args:
+        program: of the scenario.
+        physics: of the scene.
+        trials: that episodes are drawn from.
+        senses: what is observed.
+        config: what an action does and when an episode has succeeded.
+
+    Raises:
+        InputError: set-points of a controller that has no force law.
+    """
+
+    def __init__(self, program: Program, physics: Physics, trials: Trials, senses: Senses, config: EnvConfig) -> None:
+        self.program, self.physics, self.trials, self.senses, self.config = program, physics, trials, senses, config
+        if config.action == "set-points":
+            with_set_points(trials.params, jnp.zeros((self.trial_count, 6)))
+        self._ended = program.ended
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action, each within -1 and 1."""
+        twist, joints = self.trials.glance.jacobian.shape[1:]
+        return action_size(self.config, joints, twist // 6)
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers of an observation."""
+        return sum(self.senses.sizes.values())
+
+    @property
+    def observation_slices(self) -> dict[str, slice]:
+        """Where the parts of an observation are."""
+        out, at = {}, 0
+        for part, size in self.senses.sizes.items():
+            out[part] = slice(at, at + size)
+            at += size
+        return out
+
+    @property
+    def dt(self) -> float:
+        """Seconds per step."""
+        return self.config.dt
+
+    @property
+    def sim_dt(self) -> float:
+        """Seconds per step of the physics."""
+        return CONTROL_PERIOD / self.physics.substeps
+
+    @property
+    def trial_count(self) -> int:
+        """Trials that episodes are drawn from."""
+        return int(self.trials.glance.seated.shape[0])
+
+    def reset(self, rng: Key) -> State:
+        """An episode of a trial drawn at random, with its own noise of the sensor."""
+        choose, noise = jax.random.split(rng)
+        row = jax.random.randint(choose, (), 0, self.trial_count)
+        return self.reset_to(row, jax.random.bits(noise, (2,), jnp.uint32))
+
+    def reset_to(self, row: Int[Array, ""], seed: Array | None = None) -> State:
+        """An episode of a certain trial, without chance.
+
+        Args:
+            row: of ``trials``.
+            seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
+        """
+        return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
+
+    def begin(self, trial: Trials, row: Int[Array, ""], seed: Array | None = None) -> State:
+        """An episode of a trial that need not be one of ``trials``.
+
+        Args:
+            trial: leaves of one trial; thousands are better mapped over than closed over, as ``reset_to`` does.
+            row: a number by which ``info`` names it.
+            seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
+        """
+        params = trial.params if seed is None else replace(trial.params, seed=seed)
+        loop = self.program.begin(params, self.physics.raw(trial.body))
+        joints = self.program.home(params) + self.physics.joints(trial.body)
+        shifts = jnp.zeros((LONGEST_DELAY, joints.shape[-1]), joints.dtype)
+        zero, none = jnp.int32(0), jnp.float32(0.0)
+        senses = self.senses.begun
+        data = EnvData(trial.body, trial.glance, loop, params, trial.fields, shifts, senses, zero, zero, zero)
+        metrics = {"seated": _share(trial.glance), "success": none, "force": none}
+        named = jnp.asarray(row, jnp.int32)
+        info = {"truncation": none, "diverged": none, "trial": named, "time": none, "phase": zero}
+        wrench = jnp.zeros(self.senses.axes, jnp.float32)  # none has been measured yet
+        return State(data, self.senses.observe(senses, joints, wrench), none, none, metrics, info)
+
+    def step(self, state: State, action: Float[Array, " action"]) -> State:
+        """Go on for ``config.periods`` control periods with one action, which is clipped to -1 and 1.
+
+        The reward is the rise of the share of seated tabs, and 1 more for success.
+        """
+        action = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
+        data, joints, wrench, phase = self._periods(state.data, action)
+        sane = (jnp.abs(wrench) < LARGEST).all() & jnp.isfinite(joints).all()  # false for NaN
+        success = sane & (data.held >= round(self.config.hold / CONTROL_PERIOD))
+        late = data.tick >= _whole_periods(self.program.timeout(data.params))
+        if self.config.controller == "recorded":
+            late = late | (phase[-1] == self._ended)
+        rise = _share(data.glance) - state.metrics["seated"]
+        metrics = {
+            "seated": _share(data.glance), "success": success.astype(jnp.float32),
+            "force": jnp.linalg.norm(jnp.nan_to_num(wrench[-1, :3])),
+        }  # fmt: skip
+        info = state.info | {
+            "truncation": (late & sane & ~success).astype(jnp.float32), "diverged": (~sane).astype(jnp.float32),
+            "time": data.tick.astype(jnp.float32) * CONTROL_PERIOD, "phase": data.phase,
+        }  # fmt: skip
+        return State(
+            data,
+            self.senses.observe(data.senses, joints[-1], wrench[-1]),
+            jnp.where(sane, rise + metrics["success"], 0.0),
+            (success | late | ~sane).astype(jnp.float32),
+            metrics,
+            info,
+        )
+
+    def _periods(self, data: EnvData, action: Array) -> tuple[EnvData, Array, Array, Array]:
+        """The control periods of a step: the data after it, and joints, wrench and phase of each [period, ...]."""
+        acted = data.params
+        if self.config.action == "set-points":
+            scale = jnp.array([self.config.force] * 3 + [self.config.moment] * 3, jnp.float32)
+            acted = with_set_points(data.params, action * scale)
+        home = self.program.home(data.params)
+        moves = joint_increments(self.config, action, data.glance.jacobian)
+
+        def period(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
+            body, glance, loop, shifts, held = carry
+            joints = home + self.physics.joints(body)
+            loop, ends, log = self.program.control(acted, loop, joints, self.physics.raw(body))
+            shifts = jnp.concatenate([(shifts[0] + moves)[None], shifts[:-1]])
+            body, glance = self._substeps(data.fields, body, glance, self._from_home(acted, home, ends, shifts))
+            held = jnp.where(glance.seated.all(), held + 1, jnp.zeros_like(held))
+            return (body, glance, loop, shifts, held), (log.joints, log.wrench, log.phase)
+
+        start = (self.physics.enter(data.body), data.glance, data.loop, data.shifts, data.held)
+        (body, glance, loop, shifts, held), (joints, wrench, phase) = jax.lax.scan(
+            period, start, length=self.config.periods
+        )
+        senses = self.senses.take(data.senses, wrench, phase, data.phase)
+        tick = data.tick + self.config.periods
+        after = EnvData(
+            self.physics.leave(body), glance, loop, data.params, data.fields, shifts, senses, tick, held, phase[-1]
+        )
+        return after, joints, wrench, phase
+
+    def _from_home(self, params: Any, home: Array, ends: Array, shifts: Array) -> Array:
+        """The references between which the coming physics steps go [2, J], rad from home."""
+        if self.config.action == "set-points":
+            return ends - home[None]
+        delay = params.command_delay if hasattr(params, "command_delay") else jnp.int32(0)
+        added = jnp.stack([shifts[delay + 1], shifts[delay]])
+        return added if self.config.controller == "none" else ends + added - home[None]
+
+    def _substeps(self, fields: Fields, body: Any, glance: Glance, between: Array) -> tuple[Any, Glance]:
+        before, after = between
+        shares = jnp.arange(1, self.physics.substeps + 1, dtype=jnp.float32) / self.physics.substeps
+
+        def substep(carry: tuple[Any, Glance], share: Array) -> tuple[tuple[Any, Glance], None]:
+            return self.physics.step(fields, carry[0], before + share * (after - before)), None
+
+        carry, _ = jax.lax.scan(substep, (body, glance), shares, unroll=self.physics.unroll)
+        return carry
+
+
+def _share(glance: Glance) -> Array:
+    """Share of the tabs that are seated."""
+    return glance.seated.astype(jnp.float32).mean()
+
+
+def _whole_periods(seconds: Array) -> Array:
+    return jnp.round(seconds / CONTROL_PERIOD).astype(jnp.int32)

@@ -1,0 +1,154 @@
+"""Environments for learners that speak Gymnasium; needs the extra ``gym``.
+
+:class:`VectorEnv` steps many at once in one compiled call, and begins the next episode of those that have ended;
+:class:`SingleEnv` is one of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.errors import InputError
+from sim_mjx.env.environment import Environment, State
+from sim_mjx.env.loading import jit
+
+with needs_extra("gym"):
+    import gymnasium
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
+
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+
+
+def spaces(env: Environment) -> tuple[Any, Any]:
+    """Gymnasium's spaces of one environment's observations and actions."""
+    low, high = env.senses.bounds
+    actions = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+    return gymnasium.spaces.Box(low, high, dtype=np.float32), actions
+
+
+class VectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[misc]
+    """Environments that step at once; one that has ended begins its next episode with the next step.
+
+    Args:
+        env: of :func:`sim_mjx.env.load`.
+        num_envs: how many.
+        seed: of the first episodes, unless :meth:`reset` is given another.
+
+    Raises:
+        InputError: fewer than one.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
+
+    def __init__(self, env: Environment, num_envs: int, seed: int = 0) -> None:
+        if num_envs < 1:
+            raise InputError(f"There are {num_envs} environments; expected 1 or more.")
+        self.env, self.num_envs, self._key = env, num_envs, jax.random.key(seed)
+        self.single_observation_space, self.single_action_space = spaces(env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._reset, self._step = jit(_reset, static_argnums=(0, 1)), jit(_step, static_argnums=0)
+        self._state: State | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin an episode in every environment; ``options`` are not used."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._key = jax.random.key(seed)
+        self._key, key = jax.random.split(self._key)
+        self._state = self._reset(self.env, self.num_envs, key)
+        return _host(self._state.obs), _infos(self._state)
+
+    def step(self, actions: ArrayLike) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
+        """One step of all; where an episode had ended the action is not used, and the next one begins.
+
+        Raises:
+            InputError: before the first :meth:`reset`, or actions of another shape.
+        """
+        state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
+        self._key, key = jax.random.split(self._key)
+        self._state = self._step(self.env, state, values, key)
+        ended, truncated = (_host(x) > 0.5 for x in (self._state.done, self._state.info["truncation"]))
+        return (
+            _host(self._state.obs), _host(self._state.reward), ended & ~truncated, truncated, _infos(self._state)
+        )  # fmt: skip
+
+
+class SingleEnv(gymnasium.Env):  # type: ignore[misc]
+    """One environment.
+
+    Args:
+        env: of :func:`sim_mjx.env.load`.
+        seed: of the first episode, unless :meth:`reset` is given another.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # Gymnasium wants a plain class attribute
+
+    def __init__(self, env: Environment, seed: int = 0) -> None:
+        self.env, self._key = env, jax.random.key(seed)
+        self.observation_space, self.action_space = spaces(env)
+        self._reset, self._step = jit(env.reset), jit(env.step)
+        self._state: State | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Begin an episode; ``options`` are not used."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._key = jax.random.key(seed)
+        self._key, key = jax.random.split(self._key)
+        self._state = self._reset(key)
+        return _host(self._state.obs), _infos(self._state)
+
+    def step(self, action: ArrayLike) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """One step.
+
+        Raises:
+            InputError: before the first :meth:`reset`, or an action of another shape.
+        """
+        self._state = self._step(_started(self._state), _checked(action, (self.env.action_size,)))
+        truncated = bool(self._state.info["truncation"] > 0.5)
+        ended = bool(self._state.done > 0.5) and not truncated
+        return _host(self._state.obs), float(self._state.reward), ended, truncated, _infos(self._state)
+
+
+def _reset(env: Environment, count: int, key: Any) -> State:
+    return jax.vmap(env.reset)(jax.random.split(key, count))
+
+
+def _step(env: Environment, state: State, actions: Any, key: Any) -> State:
+    """Step the running episodes, and begin those that follow ended ones."""
+    stepped, fresh, ended = jax.vmap(env.step)(state, actions), _reset(env, len(actions), key), state.done > 0.5
+
+    def chosen(new: Any, old: Any) -> Any:
+        return jnp.where(ended.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return jax.tree.map(chosen, fresh, stepped)
+
+
+def _started(state: State | None) -> State:
+    if state is None:
+        raise InputError("The environment has no episode yet; call reset first.")
+    return state
+
+
+def _checked(actions: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    values = np.asarray(actions, np.float32)
+    if values.shape != shape:
+        raise InputError(f"The actions have shape {values.shape}; expected {shape}.")
+    return values
+
+
+def _host(values: Any) -> NDArray[Any]:
+    return np.array(values)  # a copy: learners write into what they are given
+
+
+def _infos(state: State) -> dict[str, Any]:
+    return {name: _host(value) for name, value in {**state.metrics, **state.info}.items()}

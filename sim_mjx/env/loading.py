@@ -1,0 +1,83 @@
+"""Environments by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.model import IntrospectionModel
+from sim_mjx import engines
+from sim_mjx.assemblies import ASSEMBLIES
+from sim_mjx.assembly.rollout import as_float32, batch_size
+from sim_mjx.engines import device
+from sim_mjx.engines.common import compiler_options
+from sim_mjx.env.config import EnvConfig
+from sim_mjx.env.environment import Environment, Trials
+from sim_mjx.env.physics import new_physics, settled
+from sim_mjx.env.senses import new_senses
+from sim_mjx.registry import get_scenario
+
+# task -> the scenario that stands for it
+ALIASES = {"camera-snap": "B"} | {name: f"{name}@panda" for name in ASSEMBLIES}
+
+
+def load(
+    name: str,
+    config: EnvConfig | None = None,
+    *,
+    spec: Any = None,
+    trials: int = 256,
+    seed: int = 0,
+    params: Any = None,
+    model: IntrospectionModel | None = None,
+    engine: str = "mjx",
+    parallel: int = 8192,
+) -> Environment:
+    """An environment of a scenario; its trials are drawn, put on the device and settled now.
+
+    Args:
+        name: of a task, such as "camera-snap" or "peg-in-hole", or of a scenario, such as "B" or "plug@ur5e".
+        config: what an action does and what is observed; None = the defaults.
+        spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
+        trials: how many are drawn, from which :meth:`Environment.reset` chooses.
+        seed: of the trials.
+        params: a batch of trials in place of drawn ones; then ``spec``, ``trials`` and ``seed`` are not used.
+        model: makes the beliefs that are observed; None = none are.
+        engine: "mjx", or "warp" on an NVIDIA GPU.
+        parallel: environments that step at once at most, for which "warp" reserves memory.
+
+    Raises:
+        InputError: an unknown scenario or engine, one that does not run on the device, no trials, or a model or a
+            configuration that does not fit the scenario.
+    """
+    config = config or EnvConfig()
+    engines.check(engine)
+    if engine not in engines.IMPLEMENTATIONS:
+        raise InputError(f"An environment runs on the device; use the engine {' or '.join(engines.IMPLEMENTATIONS)}.")
+    if trials < 1 or parallel < 1:
+        raise InputError(f"There are {trials} trials and {parallel} environments; expected 1 or more of each.")
+    scenario = get_scenario(ALIASES.get(name, name))
+    scene = scenario.scene()
+    if params is None:
+        spec = spec or scenario.spec(nominal_share=1.0)
+        params, _ = scenario.draw_batch(seed, range(trials), spec)
+    physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
+    senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model)
+    drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))
+    return Environment(scene.program, physics, drawn, senses, config)
+
+
+def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    """``jax.jit`` with the options that the physics needs: on a CPU it is far slower without them.
+
+    Args:
+        function: of environments, such as ``jax.vmap(env.step)``.
+        options: of ``jax.jit``.
+
+    >>> float(jit(lambda x: x + 1)(2.0))
+    3.0
+    """
+    return jax.jit(function, compiler_options=compiler_options(jax.default_backend()), **options)

@@ -1,0 +1,165 @@
+"""What is observed: joints, wrench, the latest words, and beliefs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from rcbht_jax.encoding.encoder import EncoderConfig, unpack
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.chain import StreamState, begin_stream
+from rcbht_jax.introspection.introspector import Chain, infer
+from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.labels import LAYER_SIZES
+from rcbht_jax.learning.probability import SvmArrays, to_arrays
+from rcbht_jax.types import Array
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.engines.common import LARGEST
+from sim_mjx.env.config import EnvConfig
+
+WIDEST_ANGLE = 100.0  # rad; bound of observed angles
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SensesState:
+    """What the senses remember."""
+
+    stream: StreamState
+    words: Int[Array, "*batch 3 axis"]  # codes of the latest published words of each layer, 0 = none yet
+    beliefs: Float[Array, "*batch probability"]  # of all classifiers, one after the other
+    began: Int[Array, "*batch"]  # samples before the present sub-task
+
+
+@dataclass(frozen=True)
+class Senses:
+    """Encoder and classifiers of an environment; pure functions of one trial."""
+
+    parts: tuple[str, ...]  # of the observation
+    axes: int
+    joints: int
+    chain: Chain
+    limits: Float[np.ndarray, "axis limit"]
+    machines: tuple[SvmArrays, ...]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Numbers of each part of the observation, in its order."""
+        sizes = {
+            "joints": self.joints, "wrench": self.axes, "words": self.axes * sum(LAYER_SIZES), "beliefs": self._beliefs,
+        }  # fmt: skip
+        return {part: sizes[part] for part in self.parts}
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "2 size"]:
+        """Lowest and highest value of each number of an observation."""
+        low = {"joints": -WIDEST_ANGLE, "wrench": -LARGEST, "words": 0.0, "beliefs": 0.0}
+        high = {"joints": WIDEST_ANGLE, "wrench": LARGEST, "words": 1.0, "beliefs": 1.0}
+        columns = [np.full((2, size), [[low[part]], [high[part]]], np.float32) for part, size in self.sizes.items()]
+        return np.concatenate(columns, axis=1)
+
+    @property
+    def _beliefs(self) -> int:
+        return sum(head.classes for head in self.chain.heads)
+
+    @property
+    def begun(self) -> SensesState:
+        """Before the first sample: no words, and beliefs that know nothing."""
+        uniform = [np.full(head.classes, 1.0 / head.classes, np.float32) for head in self.chain.heads]
+        return SensesState(
+            begin_stream(self.chain.config, self.chain.views, self.axes),
+            jnp.zeros((len(LAYER_SIZES), self.axes), jnp.int32),
+            jnp.asarray(np.concatenate([*uniform, np.zeros(0, np.float32)])),
+            jnp.int32(0),
+        )
+
+    def take(
+        self, state: SensesState, wrench: Float[Array, "time axis"], phase: Int[Array, " time"], before: Int[Array, ""]
+    ) -> SensesState:
+        """Hear the samples of one step.
+
+        Args:
+            state: before.
+            wrench: whole windows, N and Nm.
+            phase: of the controller at each sample. before: at the last sample of the step before.
+
+        Returns:
+            the state after it. A sub-task begins with the window after the one in which its phase began.
+        """
+        if not {"words", "beliefs"} & set(self.parts):
+            return state
+        window = self.chain.config.window
+        for first in range(0, len(wrench), window):
+            state = self._window(state, wrench[first : first + window])
+            last = phase[first + window - 1]
+            samples = state.stream.encoder.time[0]
+            state = SensesState(
+                state.stream, state.words, state.beliefs, jnp.where(last != before, samples, state.began)
+            )
+            before = last
+        return state
+
+    def _window(self, state: SensesState, window: Float[Array, "window axis"]) -> SensesState:
+        begins = [state.began if scope == "subtask" else jnp.zeros_like(state.began) for scope in self.chain.scopes]
+        stacked = jnp.stack(begins) if begins else jnp.zeros(0, jnp.int32)
+        stream, beliefs, published = infer(
+            self.chain, jnp.asarray(self.limits), self.machines, state.stream, window, jnp.int32(len(window)), stacked
+        )
+        tracks = unpack(published)
+        new = jnp.stack([tracks.primitive.label, tracks.mc.label, tracks.llb.label]).astype(jnp.int32)
+        words = jnp.where(new > 0, new, state.words)
+        return SensesState(stream, words, jnp.concatenate([*beliefs, state.beliefs[:0]]), state.began)
+
+    def observe(
+        self, state: SensesState, joints: Float[Array, " joint"], wrench: Float[Array, " axis"]
+    ) -> Float[Array, " size"]:
+        """The observation: finite and within :attr:`bounds`, whatever the physics gave.
+
+        Args:
+            state: of the senses.
+            joints: rad, measured last. wrench: N and Nm, measured last.
+        """
+        codes = [jax.nn.one_hot(row - 1, size).ravel() for row, size in zip(state.words, LAYER_SIZES, strict=True)]
+        values = {"joints": joints, "wrench": wrench, "words": jnp.concatenate(codes), "beliefs": state.beliefs}
+        low, high = self.bounds
+        whole = jnp.concatenate([values[part].astype(jnp.float32) for part in self.parts])
+        return jnp.clip(jnp.nan_to_num(whole), jnp.asarray(low), jnp.asarray(high))
+
+
+def new_senses(config: EnvConfig, axes: int, joints: int, model: IntrospectionModel | None = None) -> Senses:
+    """Senses of an environment; without a model the words are those of HIRO's thresholds, and there are no beliefs.
+
+    Args:
+        config: what is observed, and how often.
+        axes: of all wrists' wrenches.
+        joints: of the robot.
+        model: makes beliefs, and the words with its own encoder.
+
+    Raises:
+        InputError: a model of other axes or another period, or a step that is no multiple of the encoder's window.
+    """
+    chain, machines, limits = _chain(model, axes)
+    if config.senses_words and config.periods % chain.config.window:
+        raise InputError(
+            f"A step has {config.periods} control periods; with words it must be a multiple of the encoder's window, "
+            f"{chain.config.window}."
+        )
+    if limits.shape[0] != axes or not np.isclose(chain.config.dt, CONTROL_PERIOD):
+        raise InputError(
+            f"The model knows {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
+            f"{CONTROL_PERIOD:g} s."
+        )
+    return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), machines)
+
+
+def _chain(model: IntrospectionModel | None, axes: int) -> tuple[Chain, tuple[Any, ...], Any]:
+    if model is not None:
+        return Chain.of(model), tuple(to_arrays(head.machine) for head in model.heads), model.stacked_limits
+    wrists = np.concatenate([np.asarray(preset().limits)] * (axes // 6))
+    return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), wrists

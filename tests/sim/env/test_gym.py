@@ -1,0 +1,80 @@
+"""The adaptors to Gymnasium: its own checker, and episodes that follow one another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium", reason="Gymnasium is not installed; install the extra gym")
+
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from rcbht_jax.errors import InputError
+from sim_mjx.env.config import EnvConfig
+from sim_mjx.env.gym import SingleEnv, VectorEnv
+from tests.support.fake_physics import environment, trials
+
+CONFIG = EnvConfig(action="joint", controller="none", angle=0.02, hold=0.1)
+SEATING = np.float32([1, 1, 1, 1, 0, 0])
+
+
+@pytest.fixture(scope="module")
+def many() -> VectorEnv:
+    return VectorEnv(environment(CONFIG, trials(longest=0.5)), 3)
+
+
+@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes.*")  # there are none
+def test_gymnasiums_checker_has_no_complaint() -> None:
+    check_env(SingleEnv(environment(CONFIG)))
+
+
+def test_spaces_are_those_of_what_comes_out(many: VectorEnv) -> None:
+    obs, info = many.reset(seed=3)
+    assert obs in many.observation_space
+    assert many.single_action_space.shape == (6,)
+    obs, reward, terminated, truncated, info = many.step(many.action_space.sample())
+    assert obs in many.observation_space
+    assert reward.shape == terminated.shape == truncated.shape == info["time"].shape == (3,)
+    assert terminated.dtype == truncated.dtype == np.bool_
+    assert many.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+
+
+def test_an_episode_follows_the_one_that_has_ended(many: VectorEnv) -> None:
+    many.reset(seed=3)
+    actions = np.stack([SEATING, np.zeros(6, np.float32), np.zeros(6, np.float32)])
+    terminated, truncated, times, rewards = [], [], [], []
+    for _ in range(22):
+        _, reward, end, cut, info = many.step(actions)
+        for kept, value in zip((terminated, truncated, times, rewards), (end, cut, info["time"], reward), strict=True):
+            kept.append(value)
+    first = int(np.argmax(np.array(terminated)[:, 0]))
+    assert 0 < first < 19
+    assert not np.array(terminated)[:, 1:].any()
+    assert np.flatnonzero(np.array(truncated)[:, 1]).tolist() == [19]  # 0.5 s
+    assert not np.array(truncated)[:20, 0].any()
+    clock = np.array(times)
+    assert clock[first + 1, 0] == 0.0  # the step after the end only begins the next episode
+    assert clock[first + 2, 0] == pytest.approx(0.025)
+    assert clock[20:22, 1].tolist() == [0.0, pytest.approx(0.025)]
+    assert np.array(rewards)[first, 0] >= 1.0
+    assert np.array(rewards)[first + 1, 0] == 0.0
+
+
+def test_seeds_repeat_and_episodes_differ(many: VectorEnv) -> None:
+    first, _ = many.reset(seed=5)
+    trial = many.reset()[1]["trial"]
+    again, _ = many.reset(seed=5)
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(many.reset()[1]["trial"], trial)
+    assert len({tuple(many.reset(seed=seed)[1]["trial"].tolist()) for seed in range(8)}) > 1
+
+
+def test_misuse_is_refused(many: VectorEnv) -> None:
+    with pytest.raises(InputError, match="call reset first"):
+        SingleEnv(many.env).step(SEATING)
+    many.reset(seed=0)
+    with pytest.raises(InputError, match=r"shape \(6,\); expected \(3, 6\)"):
+        many.step(SEATING)
+    with pytest.raises(InputError, match="There are 0 environments"):
+        VectorEnv(many.env, 0)
