@@ -9,13 +9,14 @@ from jaxtyping import install_import_hook
 
 import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
 from tests.support.compiler import UNOPTIMISED
+from tests.support.small_blocks import shrink
 
 # Shapes and types are checked at run time under pytest only; must come before any import of the packages.
 install_import_hook(["rcbht_jax", "sim_mjx"], "tests.support.typechecking.check")
 
 # Both workers and all commands that tests start share what one of them has compiled: half of the time is compilation.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 # Most of a test's compilation is optimisation that its few short runs never pay back. Results must not depend on how a
 # compiler fuses; test_standard_compiler.py runs the tests of equal bits again, compiled as users compile.
@@ -30,6 +31,9 @@ import pytest  # noqa: E402
 from rcbht_jax.io.hiro.importer import import_hiro  # noqa: E402
 from rcbht_jax.io.store import read_recordings  # noqa: E402
 from rcbht_jax.types import Recordings  # noqa: E402
+
+if os.environ.get("RCBHT_STANDARD_COMPILER") is None:
+    shrink()
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

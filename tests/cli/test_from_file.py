@@ -15,6 +15,7 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.io.store import read_recordings
 
 MAPPINGS = Path(__file__).parents[2] / "examples" / "mappings"
+RATE = 500  # Hz; of both robots, which then share what is compiled
 PA10_STATES = ("home", "approach", "contact", "search", "insert")
 
 
@@ -28,10 +29,10 @@ def phases(samples: int, rate: float, number: int) -> np.ndarray:
 
 
 def pa10(folder: Path, _: Path) -> Path:
-    """17 columns without names at 1 kHz: time, joints, wrench, wrist pose, state from 0 to 4."""
+    """17 columns without names: time, joints, wrench, wrist pose, state from 0 to 4."""
     for number in range(3):
-        wrench = phases(1000, 1000, number)
-        time = np.arange(len(wrench))[:, None] / 1000
+        wrench = phases(1000, RATE, number)
+        time = np.arange(len(wrench))[:, None] / RATE
         state = np.repeat(np.arange(5), len(wrench) // 5)[:, None]
         rest = np.random.default_rng(number).normal(size=(len(wrench), 9))
         np.savetxt(folder / f"run{number}.txt", np.hstack([time, rest[:, :7], wrench, rest[:, 7:], state]), "%.5f")
@@ -46,16 +47,16 @@ def pa10(folder: Path, _: Path) -> Path:
 
 
 def ur5(folder: Path, _: Path) -> Path:
-    """As the client of a UR5 logs at 500 Hz, with a column of text that names the phase."""
+    """As the client of a UR5 logs, with a column of text that names the phase."""
     head = ",".join(
         ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"actual_TCP_force_{k}" for k in range(6)), "phase"]
     )
     for number in range(3):
-        wrench = phases(1000, 500, number)
+        wrench = phases(1000, RATE, number)
         lines = [head]
         for k, row in enumerate(wrench):
-            name = ("move", "move", "touch", "slide", "press")[5 * k // len(wrench)]
-            lines.append(",".join([f"{k / 500:.3f}", *["0.1"] * 6, *(f"{value:.4f}" for value in row), name]))
+            name = ("home", "move", "touch", "slide", "press")[5 * k // len(wrench)]
+            lines.append(",".join([f"{k / RATE:.3f}", *["0.1"] * 6, *(f"{value:.4f}" for value in row), name]))
         (folder / f"log{number}.csv").write_text("\n".join(lines))
     return folder
 
@@ -100,8 +101,8 @@ class Case:
 
 WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 CASES = {
-    "pa10": Case(pa10, "csv", ("--map", "{folder}/pa10.toml"), "state", 1000, WRENCH, 20),
-    "ur5": Case(ur5, "csv", (), "phase", 500, WRENCH, 10),
+    "pa10": Case(pa10, "csv", ("--map", "{folder}/pa10.toml"), "state", RATE, WRENCH, 10),
+    "ur5": Case(ur5, "csv", (), "phase", RATE, WRENCH, 10),
     "kitting": Case(kitting, "csv", ("--map", str(MAPPINGS / "kitting.toml")), "skill", 20, ("force", "torque")),
     "failures": Case(
         failures, "csv", ("--map", str(MAPPINGS / "robot_execution_failures.toml")), "class", 1 / 0.021, WRENCH

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_simulation
 from sim_mjx.cli import demo
+from sim_mjx.cli.simulate import Simulate
 
 
 def test_the_chain_runs_without_data(
@@ -18,6 +20,9 @@ def test_the_chain_runs_without_data(
     monkeypatch.setattr(demo, "KERNELS", ("linear",))
     monkeypatch.setattr(demo, "COSTS", (1.0,))
     monkeypatch.setattr(demo, "REPEATS", 1)
+    # a session whose trials take 10 s in place of 20, and no jammed one waits for 40 s
+    monkeypatch.setattr(demo, "PRESET", "C")
+    monkeypatch.setattr(demo, "Simulate", partial(Simulate, max_seconds=10.5))
     out = tmp_path / "out"
     assert main.main(["demo", "--out", str(out), "--trials", "40", "--json"]) == 0
     captured = capsys.readouterr()
