@@ -102,6 +102,7 @@ EXPERIMENTS = (
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
+    Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment("kill_resume", "simulation.kill_resume", 3, alone=True),
     Experiment("bench", "simulation.bench", 1, alone=True),
     Experiment(

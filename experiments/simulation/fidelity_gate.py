@@ -1,9 +1,10 @@
 """The gate of simulated sessions: what it says of the presets, of recordings, and of models that are nonsense.
 
-For every session the preset, and the one with hooks that catch; the same without tabs, with soft springs, and with another session's parts; a constant for
-every state and axis; and the recorded mean with sensor noise. As a control, one half of the recordings against the
-other. Nonsense must fail, recordings must pass.
-Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp]
+For every session the preset, and the one with hooks that catch; the same without tabs, with soft springs, and with
+another session's parts; a constant for every state and axis; and the recorded mean with sensor noise. As a control, one
+half of the recordings against the other. Nonsense must fail, recordings must pass. Where a session has a grid of
+placements, the trials are counted that seat, or do not, as recorded.
+Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp hooked-A hooked-B hooked-C]
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ def of_session(preset: SessionPreset, recordings: Recordings) -> dict[str, Any]:
         run, events, found = rerun(model, seed=SEED)
         pair = None if target.dynamics is None else (target.dynamics, events)
         out[name] = row(preset, reference, sessions.profiles(run), pair, snap_shares(target, found))
+        out[name]["seated"] = float(run.seated.all(1).mean())
+        if preset.placements:
+            out[name]["outcomes as recorded"] = sessions.agreement(preset, run)
     rng = np.random.default_rng(SEED)
     mean = np.broadcast_to(reference.mean((0, 2), keepdims=True), reference.shape)
     out["a constant per state and axis"] = row(preset, reference, mean + 1e-9 * rng.normal(size=mean.shape))
