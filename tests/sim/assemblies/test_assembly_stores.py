@@ -12,8 +12,11 @@ from PIL import Image
 from rcbht_jax.cli import main
 from rcbht_jax.io.label_store import list_tracks
 from rcbht_jax.io.store import read_recordings, read_simulation
+from sim_mjx.assemblies.clip import LEAD
+from sim_mjx.assemblies.latch import HOOK
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
+from sim_mjx.validation import replay
 from tests.support.fake_simulation import tree
 
 CLIP = ["--assembly", "clip", "--robot", "ur5e"]
@@ -81,6 +84,11 @@ def test_a_trial_is_simulated_again_and_shown(clips: Path, tmp_path: Path, capsy
     result = json.loads(capsys.readouterr().out)
     assert result["how"] == "simulated again; equal to the stored trial"
     assert list(result["moments"])[:2] == ["approach", "press"]
+    again = replay.simulated(clips, read_recordings(clips), 0)
+    np.testing.assert_array_equal(again.past[-1], read_simulation(clips)["seated"][0])
+    # at first the hook's tip is 15 mm and the lead of the corners above the lip; caught, it is just below
+    assert 15e-3 + LEAD < again.height[0, 0] < 16e-3 + LEAD + HOOK.overlap + HOOK.tip_radius
+    assert -2e-3 < again.height[-1, 0] < 0
     with Image.open(out) as picture:
         assert len(picture.convert("RGB").resize((160, 145)).getcolors(160 * 145)) > 200  # not blank
 
