@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Measured = tuple[dict[str, Any], Any]  # values of the report, figure or None
 HIRO = MadeBy('"rcbht import hiro DIR {path}"')
-Session = Literal["A", "B", "C", "openhrp"]
+Session = Literal["A", "B", "C", "openhrp", "hooked-A", "hooked-B", "hooked-C"]
 
 # Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
 BOUNDS = {
