@@ -2,7 +2,7 @@
 
 >>> from sim_mjx import env
 >>> sorted(env.ALIASES)
-['camera-snap']
+['camera-snap', 'clip', 'peg-in-hole', 'plug', 'square-peg']
 """
 
 from __future__ import annotations

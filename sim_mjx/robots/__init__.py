@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
-from sim_mjx.robots.hiro import HIRO
-from sim_mjx.robots.panda import PANDA
-from sim_mjx.robots.robot import Robot, from_mjcf
-from sim_mjx.robots.ur5e import UR5E
+
+require("mujoco", "sim")
+
+from sim_mjx.robots.hiro import HIRO  # noqa: E402
+from sim_mjx.robots.panda import PANDA  # noqa: E402
+from sim_mjx.robots.robot import Robot, from_mjcf  # noqa: E402
+from sim_mjx.robots.ur5e import UR5E  # noqa: E402
 
 __all__ = ["ROBOTS", "Robot", "from_mjcf", "get_robot"]
 ROBOTS = {robot.name: robot for robot in (PANDA, UR5E, HIRO)}
