@@ -3,7 +3,7 @@
 The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood
 and how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest
 was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``), then the heights of
-rear lips and seat, the play of the stop and the damping of B's stand were set by hand. C was not fitted: its part
+rear lips and seat, the play of the stop and the stand of B were set by hand. C was not fitted: its part
 stands where the preset of session C has it, relative to B's.
 """
 
@@ -33,7 +33,7 @@ CAMERA = HookedParams(
     rear_rise=np.array([-1.5e-3, -0.3738e-3]),
     foot_contact=np.array([0.02452, 0.9175, 0.96, 0.2741e-3]),
     friction=np.array(0.308),  # plastic on plastic: 0.2 to 0.4
-    mount_stiffness=np.array([4139.0, 3184.0, 8139.0]),
+    mount_stiffness=np.array([4139.0, 3184.0, 6500.0]),
     mount_damping=np.array([127.2, 39.65, 200.0]),
     position=np.array([0.174e-3, -1.641e-3, 2.75e-3]),
     roll=np.array(0.01435),
