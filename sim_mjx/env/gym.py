@@ -34,7 +34,7 @@ def spaces(env: Environment) -> tuple[Any, Any]:
     return gymnasium.spaces.Box(low, high, dtype=np.float32), actions
 
 
-class VectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[misc]
+class VectorEnv(gymnasium.vector.VectorEnv):
     """Environments that step at once; one that has ended begins its next episode with the next step.
 
     Args:
@@ -82,7 +82,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[misc]
         )  # fmt: skip
 
 
-class SingleEnv(gymnasium.Env):  # type: ignore[misc]
+class SingleEnv(gymnasium.Env):
     """One environment.
 
     Args:
