@@ -11,8 +11,8 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
 from sim_mjx.assemblies.scene import home
-from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
-from sim_mjx.randomization.trials import Fault, stream
+from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.randomization.trials import Fault, check_common, stream
 from sim_mjx.robots.robot import Robot
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # N and Nm, standard deviation before the filter
@@ -39,15 +39,10 @@ def check(spec: Variation, assembly: Assembly) -> None:
     Raises:
         InputError: a share, range, lag, fault or time is not one.
     """
-    if not 0.0 <= spec.nominal_share <= 1.0:
-        raise InputError(f"The nominal share is {spec.nominal_share}; expected 0 to 1.")
+    check_common(spec.nominal_share, spec.longest, spec.lag)
     unknown = [name for name in spec.faults if name not in assembly.faults]
     if unknown:
         raise InputError(f"{assembly.name} has no fault {unknown[0]!r}; it has {', '.join(assembly.faults)}.")
-    if spec.longest is not None and not 0.0 < spec.longest < np.inf:
-        raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
-    if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
-        raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for field in fields(spec):
         value = getattr(spec, field.name)
         if isinstance(value, tuple) and field.name != "faults" and not -np.inf < value[0] <= value[1] < np.inf:

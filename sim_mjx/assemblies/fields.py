@@ -9,12 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly.parts import Fields
+from sim_mjx.assembly.parts import Fields, add_pair
 
 Vector = tuple[float, float, float]
 MALE, FEMALE, MARK = (0.25, 0.45, 0.75, 1.0), (0.45, 0.45, 0.45, 1.0), (0.9, 0.5, 0.1, 1.0)  # colours
-# Stiff enough for 0.05 mm at 20 N, soft enough for a step of 1.25 ms.
-SOLREF, SOLIMP = (0.005, 1.0), (0.95, 0.99, 5e-4, 0.5, 2.0)
 
 
 def ball(body: mujoco.MjsBody, name: str, place: Vector, radius: float, rgba: Any = MALE) -> None:
@@ -44,8 +42,7 @@ def mark(body: mujoco.MjsBody, name: str, place: Vector = (0.0, 0.0, 0.0)) -> No
 
 def touch(spec: mujoco.MjSpec, first: str, second: str) -> None:
     """Let two geoms touch: a sphere and a box, because every engine agrees on those."""
-    pair = spec.add_pair(name=f"{first}:{second}", geomname1=first, geomname2=second, condim=3)
-    pair.solref, pair.solimp = SOLREF, SOLIMP
+    add_pair(spec, first, second)
 
 
 class FieldWriter:

@@ -51,7 +51,7 @@ def scene(
     forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
     program = controller(assembly, robot).program()
     write = partial(_fields, model, assembly, np.asarray(robot.place))
-    return Scene(model, program, joints, forces, tips, lips, write, steps, seated_marks(assembly.seated))
+    return Scene(model, program, joints, forces, tips, lips, write, steps, seated_marks(assembly.seated), 0.0)
 
 
 def _geom(model: mujoco.MjModel, name: str) -> int:
@@ -99,7 +99,7 @@ class seated_marks:  # used as a function; equal ones compile once
     def __call__(
         self, tips: Float[Array, "*batch 3"], lips: Float[Array, "*batch 3"], turns: Float[Array, "*batch 3 3"]
     ) -> Bool[Array, "*batch"]:
-        """Which marks are seated; see ``sim_mjx.engines.common.past_lips``."""
+        """Which marks are seated; see ``sim_mjx.assembly.parts.past_lips``."""
         return self.predicate((turns * (tips - lips)[..., None]).sum(-2))
 
 

@@ -155,6 +155,13 @@ def lip_boxes(hook: Hook) -> dict[str, Box]:
     return boxes
 
 
+def facing(outward: float, turn: Float64[np.ndarray, " 4"] = UNTURNED) -> Float64[np.ndarray, " 4"]:
+    """A quaternion, turned by half a turn about z where ``outward`` is -1: a lip on the other side."""
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, UNTURNED if outward > 0 else np.array([0.0, 0.0, 0.0, 1.0]), turn)
+    return quat
+
+
 def add_tab(
     hand: mujoco.MjsBody, name: str, hook: Hook, place: Float64[np.ndarray, " 3"], outward: float = 1.0
 ) -> None:
@@ -195,10 +202,8 @@ def add_lip(
         place: m, of the lower end of the lip's edge in the holder's frame, whose z points against the insertion.
         outward: 1 or -1, the direction of x in which the lip lies.
     """
-    half_turn = UNTURNED if outward > 0 else np.array([0.0, 0.0, 0.0, 1.0])
     for kind, (offset, turn, size) in lip_boxes(hook).items():
-        quat = np.zeros(4)
-        mujoco.mju_mulQuat(quat, half_turn, turn)
+        quat = facing(outward, turn)
         holder.add_geom(
             name=f"{kind}_{name}", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=place + offset * [outward, 1.0, 1.0],
             quat=quat, mass=0.0, contype=0, conaffinity=0, rgba=(0.3, 0.3, 0.3, 1.0),

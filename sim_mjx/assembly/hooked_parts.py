@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
 from sim_mjx.assembly import parts
-from sim_mjx.assembly.hook import SOLIMP, SOLREF, UNTURNED, Hook, first_touch, lip_boxes
+from sim_mjx.assembly.hook import SOLIMP, SOLREF, Hook, facing, first_touch, lip_boxes
 from sim_mjx.assembly.parts import BLOCK, TAB_SPACING, TABS, TIP_HEIGHT, Fields, PartParams, placed, tab_place
 
 # The camera's tab from its drawing: a cantilever of ABS; both faces of a lip belong to one wedge of a right angle.
@@ -30,7 +30,6 @@ STOP_RADIUS, STOP_HEIGHT = 0.003, 0.0016  # m, so round that it stops at any dep
 LIP_WIDTH = 0.0045  # m, half the width of a slot, in which a tip is beneath its lip
 DEEPEST = 0.012  # m beneath its lip's edge, where the floor of a slot is
 BROKEN_OFF = 0.02  # m, of a tab: what is left of it reaches no lip
-_HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])  # quaternion
 # of the nominal hook: kind -> place from the lower end of the lip's edge, turn, half sizes
 _LIP_BOXES = {{"LEAD": "LIP", "BACK": "BACK"}[kind]: box for kind, box in lip_boxes(HOOK).items()}
 
@@ -77,18 +76,15 @@ def add_female(spec: mujoco.MjSpec, arm: str) -> None:
     parts.add_female(spec, arm)
     mount = spec.body("MOUNT")
     for index, name in enumerate(TABS):
-        place = (*tab_place(index), -DEEPEST)
-        half_turn = UNTURNED if _outward(index) > 0 else _HALF_TURN
+        place, outward = (*tab_place(index), -DEEPEST), _outward(index)
         parts.add_box(mount, f"BACK_{name}", (1e-3, 1e-3, 1e-3), place)
         parts.add_box(mount, f"EDGE_{name}", (1e-4, 1e-4, 1e-4), place)
-        spec.geom(f"EDGE_{name}").quat = half_turn
+        spec.geom(f"EDGE_{name}").quat = facing(outward)
         parts.add_pair(spec, f"{arm}TIP_{name}", f"BACK_{name}")
         parts.add_pair(spec, f"{arm}STOP_{name}", f"LIP_{name}")
         for kind, (_, turn, size) in _LIP_BOXES.items():
-            quat = np.zeros(4)
-            mujoco.mju_mulQuat(quat, half_turn, turn)
             geom = spec.geom(f"{kind}_{name}")
-            geom.size, geom.quat = size, quat
+            geom.size, geom.quat = size, facing(outward, turn)
         for pair in (f"{arm}TIP_{name}:LIP_{name}", f"{arm}TIP_{name}:BACK_{name}", f"{arm}STOP_{name}:LIP_{name}"):
             spec.pair(pair).solref, spec.pair(pair).solimp = SOLREF, SOLIMP
 

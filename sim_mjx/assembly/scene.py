@@ -9,7 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Int32
+from jaxtyping import Int, Int32
 
 from rcbht_jax.types import Array
 from sim_mjx.assembly import hooked_parts, parts
@@ -38,8 +38,14 @@ class Scene:
     lips: Int32[np.ndarray, " tab"]  # geoms: the lips, or marks at the lower ends of their edges
     fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
-    # places of tips and lips, and the lips' turns -> which tabs are seated; None = ``engines.common.past_lips``
-    seated: Callable[[Array, Array, Array], Array] | None = None
+    # places of tips and lips, and the lips' turns -> which tabs are seated
+    seated: Callable[[Array, Array, Array], Array] = parts.past_lips
+    past: float = parts.PAST  # m, height of a tip above its lip beneath which it may be seated
+
+    @property
+    def hinges(self) -> Int[np.ndarray, " joint"]:
+        """The robot's joints in the model."""
+        return np.searchsorted(self.model.jnt_qposadr, self.joints)
 
 
 def one_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iterations: int = LS_ITERATIONS) -> Scene:
@@ -62,7 +68,8 @@ def hooked(substeps: int = HOOK_SUBSTEPS, iterations: int = ITERATIONS, ls_itera
     hooked_parts.add_male(spec, "R")
     hooked_parts.add_female(spec, "R")
     set_solver(spec, substeps, iterations, ls_iterations)
-    return replace(_compiled(spec, "EDGE_", hooked_parts.model_fields, substeps), seated=hooked_parts.caught)
+    scene = _compiled(spec, "EDGE_", hooked_parts.model_fields, substeps)
+    return replace(scene, seated=hooked_parts.caught, past=0.0)
 
 
 def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], substeps: int) -> Scene:

@@ -10,8 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from rcbht_jax.types import Array
-from sim_mjx.assembly import parts
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
@@ -38,23 +36,6 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
 def sane(values: Float[np.ndarray, "*batch reading"]) -> Bool[np.ndarray, "*batch"]:
     """Whether sensor readings or wrenches come from physics that still holds."""
     return (np.abs(values) < LARGEST).all(-1)  # false for NaN
-
-
-def past_lips(
-    tips: Float[Array, "*tabs 3"], lips: Float[Array, "*tabs 3"], turns: Float[Array, "*tabs 3 3"]
-) -> Bool[Array, "*tabs"]:
-    """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
-
-    Args:
-        tips: centres of the tips, m, world.
-        lips: centres of their lips, m, world.
-        turns: of the lips, columns are their axes in the world.
-    """
-    local = (turns * (tips - lips)[..., None]).sum(-2)
-    below = local[..., 2] < parts.LIP[2] - parts.TIP_RADIUS * 0.2
-    near = abs(local[..., 0]) < parts.LIP[0] + parts.TIP_RADIUS * 1.5
-    inside = abs(local[..., 1]) < parts.LIP[1]
-    return below & near & inside
 
 
 def collect(

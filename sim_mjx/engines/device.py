@@ -26,7 +26,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import ONE_ARM, LogRow, Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips
+from sim_mjx.engines.common import SETTLING, collect, compiler_options
 
 LANES = 16
 STRETCH = 200  # control periods that run without asking whether all trials have ended
@@ -160,7 +160,7 @@ def layout_of(scene: Scene) -> Layout:
     joints, seen, tips, lips = (
         tuple(int(i) for i in column) for column in (scene.joints, readings, scene.tips, scene.lips)
     )
-    return Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated or past_lips)
+    return Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated)
 
 
 def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
@@ -189,10 +189,9 @@ def fields_of(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
 
 def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:
     """Fields that let the joints' angles be zero at home [trial, J]."""
-    joints = np.searchsorted(scene.model.jnt_qposadr, scene.joints)
     zero, limits = (np.repeat(field[None], len(home), axis=0) for field in (scene.model.qpos0, scene.model.jnt_range))
     zero[:, scene.joints] -= home
-    limits[:, joints] -= home[..., None]
+    limits[:, scene.hinges] -= home[..., None]
     return {"qpos0": zero, "jnt_range": limits}
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, compiler_options, past_lips, sane
+from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -287,6 +287,10 @@ def tips_past_lips(
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, STATE)
     mujoco.mj_kinematics(model, data)
+    return seated_tabs(scene, data)
+
+
+def seated_tabs(scene: Scene, data: mujoco.MjData) -> Bool[np.ndarray, " tab"]:
+    """Which tabs are past their lips, by the places in ``data``."""
     turns = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    seated = scene.seated or past_lips
-    return np.asarray(seated(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns))
+    return np.asarray(scene.seated(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns))

@@ -94,7 +94,6 @@ class Environment:
         self.program, self.physics, self.trials, self.senses, self.config = program, physics, trials, senses, config
         if config.action == "set-points":
             with_set_points(trials.params, jnp.zeros((self.trial_count, 6)))
-        self._ended = program.ended
 
     @property
     def action_size(self) -> int:
@@ -178,7 +177,7 @@ class Environment:
         success = sane & (data.held >= round(self.config.hold / CONTROL_PERIOD))
         late = data.tick >= _whole_periods(self.program.timeout(data.params))
         if self.config.controller == "recorded":
-            late = late | (phase[-1] == self._ended)
+            late = late | (phase[-1] == self.program.ended)
         rise = _share(data.glance) - state.metrics["seated"]
         metrics = {
             "seated": _share(data.glance), "success": success.astype(jnp.float32),

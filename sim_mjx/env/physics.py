@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from mujoco import mjx
 
 from rcbht_jax.errors import InputError
@@ -128,23 +128,12 @@ def new_physics(scene: Scene, impl: str, parallel: int) -> MjxPhysics:
         InputError: a joint that is no hinge.
     """
     model = scene.model
-    hinges, sites = hinges_of(scene), sites_of(scene)
+    hinges, sites = scene.hinges, sites_of(scene)
     if (model.jnt_type[hinges] != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise InputError("Environments know robots whose joints are hinges; this scene's robot has another joint.")
     moves = np.array([_chain(model, int(model.site_bodyid[site]), hinges) for site in sites])
     compiled, empty = device.put_scene(scene, parallel, impl)
     return MjxPhysics(compiled, empty, device.layout_of(scene), tuple(sites), tuple(hinges.tolist()), moves)
-
-
-def _state(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, " state"]:
-    state = np.zeros(mujoco.mj_stateSize(model, native.STATE))
-    mujoco.mj_getState(model, data, state, native.STATE)
-    return state
-
-
-def hinges_of(scene: Scene) -> Int[np.ndarray, " joint"]:
-    """The robot's joints in the model."""
-    return np.searchsorted(scene.model.jnt_qposadr, scene.joints)
 
 
 def sites_of(scene: Scene) -> list[int]:
@@ -179,13 +168,14 @@ def _settle(scene: Scene, part: Any, home: Float[np.ndarray, " joint"]) -> tuple
     qpos[scene.joints] -= home
     values = (qpos, data.qvel, data.qacc_warmstart, data.sensordata)
     turning, moving = np.zeros((2, 3, model.nv))
-    dofs, twists = model.jnt_dofadr[hinges_of(scene)], []
+    dofs, twists = model.jnt_dofadr[scene.hinges], []
     for site in sites_of(scene):
         mujoco.mj_jacSite(model, data, moving, turning, site)
         twists.append(np.concatenate([moving, turning])[:, dofs])
-    seated = native.tips_past_lips(scene, model, _state(model, data))
+    mujoco.mj_kinematics(model, data)  # a step leaves the places of its beginning
+    seated = native.seated_tabs(scene, data)
     body = Body(*(np.asarray(value, np.float32) for value in values))
-    return body, Glance(np.asarray(seated), np.concatenate(twists).astype(np.float32))
+    return body, Glance(seated, np.concatenate(twists).astype(np.float32))
 
 
 def _chain(model: mujoco.MjModel, body: int, hinges: np.ndarray) -> list[bool]:

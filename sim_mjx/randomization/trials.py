@@ -109,25 +109,34 @@ class _Values:
     failure_type: str = ""
 
 
+def check_common(nominal_share: float, longest: float | None, lag: tuple[int, int]) -> None:
+    """Refuse what no distribution of any assembly can have; arguments as of :class:`DomainRandomization`.
+
+    Raises:
+        InputError: a share, time or lag is not one.
+    """
+    if not 0.0 <= nominal_share <= 1.0:
+        raise InputError(f"The nominal share is {nominal_share}; expected 0 to 1.")
+    if longest is not None and not 0.0 < longest < np.inf:
+        raise InputError(f"The longest trial is {longest} s; expected a positive number of seconds.")
+    if not 0 <= lag[0] <= lag[1] <= LONGEST_DELAY - 2:
+        raise InputError(f"The lag is {lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
+
+
 def check(spec: DomainRandomization) -> None:
     """Refuse distributions that no trial could be drawn from.
 
     Raises:
         InputError: a share, range, lag, fault or time is not one.
     """
-    if not 0.0 <= spec.nominal_share <= 1.0:
-        raise InputError(f"The nominal share is {spec.nominal_share}; expected 0 to 1.")
+    check_common(spec.nominal_share, spec.longest, spec.lag)
     if not spec.faults or not set(spec.faults) <= set(FAULTS):
         raise InputError(f"The faults are {list(spec.faults)}; expected some of {', '.join(FAULTS)}.")
-    if spec.longest is not None and not 0.0 < spec.longest < np.inf:
-        raise InputError(f"The longest trial is {spec.longest} s; expected a positive number of seconds.")
     if spec.logs_on is not None and not 0.0 <= spec.logs_on <= 600.0:
         raise InputError(f"The logger goes on for {spec.logs_on} s; expected 0 to 600 s.")
     overrides.check(spec.physical)
     if spec.sensor is not None:
         real_sensor(spec.sensor)
-    if not 0 <= spec.lag[0] <= spec.lag[1] <= LONGEST_DELAY - 2:
-        raise InputError(f"The lag is {spec.lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
     for name, (least, most) in LIMITS.items():
         if getattr(spec, name) is None:
             continue

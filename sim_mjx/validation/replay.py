@@ -27,7 +27,6 @@ from sim_mjx.assembly import parts
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
-from sim_mjx.engines.common import past_lips
 from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.registry import Scenario, get_scenario
@@ -209,10 +208,9 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Positions) -> tuple[Pa
         mujoco.mj_kinematics(model, data)
         places[row], lips[row] = data.geom_xpos[scene.tips], data.geom_xpos[scene.lips]
         turns[row] = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    past = np.asarray((scene.seated or past_lips)(places, lips, turns))
+    past = np.asarray(scene.seated(places, lips, turns))
     local = ((places - lips)[..., None, :] * np.swapaxes(turns, -1, -2)).sum(-1)
-    threshold = 0.0 if scene.seated is not None else parts.LIP[2] - parts.TIP_RADIUS * 0.2
-    return past, local[..., 2] - threshold
+    return past, local[..., 2] - scene.past
 
 
 def events(replay: Replay, recordings: Recordings, row: int) -> dict[str, float]:

@@ -67,8 +67,8 @@ def trials_of(
         InputError: unknown parameter, or more trials than the session's grid has cells.
     """
     mating = min(float(session.task.mating_time), longest if whole else signature.MATING + 0.1)
-    in_time = session.mating_begins + SLACK
-    limit = in_time + mating if whole and np.isfinite(longest) else None if whole else in_time
+    in_time, cut = session.mating_begins + SLACK, np.isfinite(longest)
+    limit = None if whole and not cut else in_time + mating * whole
     cells = session.placements if placements is None else placements
     count = count or len(cells) or REPEATS
     if cells and count > len(cells):

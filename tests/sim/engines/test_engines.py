@@ -14,12 +14,12 @@ from jaxtyping import Int
 
 from rcbht_jax.errors import InputError
 from sim_mjx import engines
+from sim_mjx.assembly.parts import past_lips
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
 from sim_mjx.engines import native as native_engine
-from sim_mjx.engines.common import past_lips
 from sim_mjx.engines.native import LANES
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
