@@ -26,6 +26,7 @@ from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.presets import ONE_ARM as PRESETS
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
+from sim_mjx.synthesis.plan import SynthesisConfig
 
 SEED = 20
 ONE = (1.0, 1.0)
@@ -135,7 +136,7 @@ def make(folder: Path, level: str, preset: str) -> None:
     spec = SETS[level].spec
     if not PRESETS[preset].real and level != "ideal":
         spec = replace(spec, sensor=WORN)
-    job = pipeline.SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
+    job = SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 
     def progress(now: pipeline.SynthesisProgress) -> None:
         print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)

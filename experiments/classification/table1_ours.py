@@ -44,6 +44,7 @@ from rcbht_jax.reference.dataset import encode_dataset
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
+from sim_mjx.synthesis.plan import SynthesisConfig
 
 SIMULATED = {"simulated B": "B", "simulated A": "A", "simulated two-arm": "two"}  # set -> preset
 TRIALS, SHARE, LONGEST = 200, 0.5, 40.0  # of each preset; without a fault; s
@@ -99,9 +100,7 @@ class Data:
         if not target.exists():
             spec = DomainRandomization(nominal_share=SHARE, longest=LONGEST)
             self.folder.mkdir(parents=True, exist_ok=True)
-            pipeline.synthesise(
-                target, pipeline.SynthesisConfig(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec)
-            )
+            pipeline.synthesise(target, SynthesisConfig(SIMULATED[sources[0]], TRIALS, self.seed, shard=64, spec=spec))
         return read_recordings(target)
 
     @cache  # noqa: B019

@@ -24,7 +24,8 @@ from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import TABS
 from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
 
 # Kind -> what a grade is, and the fields of the distributions that each grade sets.
 GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {

@@ -28,7 +28,8 @@ from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import pipeline, records
+from sim_mjx.synthesis import assemble, pipeline, records
+from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.validation.engine_parity import parity, reference
 
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
@@ -112,7 +113,7 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
     spans: dict[str, float] = {}
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         for turn in ("with_compilation_s", "seconds"):
-            job = pipeline.SynthesisConfig("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
+            job = SynthesisConfig("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
             with _stopwatch(spans):
                 start = time.perf_counter()
                 report = pipeline.synthesise(Path(folder) / f"{turn}.zarr", job)
@@ -131,8 +132,8 @@ class _stopwatch:
 
     PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "fields_of"),
              (records, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
-             (pipeline, "_assemble"),
-             (pipeline.store, "write_recordings"), (pipeline, "write_tracks"))  # fmt: skip
+             (pipeline, "assemble"),
+             (pipeline.store, "write_recordings"), (assemble, "write_tracks"))  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
         spans.clear()

@@ -136,11 +136,11 @@ class Fidelity(Command):
     def _made_by(self) -> list[Any]:
         """Everything that a measurement depends on."""
         from rcbht_jax.io.store import read_attrs
-        from sim_mjx.synthesis import pipeline
+        from sim_mjx.synthesis.plan import code_hash
 
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
         folder = None if self.data is None else str(self.data.resolve())
-        return [pipeline.code_hash(), self.trials, self.max_seconds, self.seed, data, folder]
+        return [code_hash(), self.trials, self.max_seconds, self.seed, data, folder]
 
 
 def _parity(engine: str, trials: int, seed: int, longest: float) -> Measured:

@@ -62,7 +62,8 @@ class Simulate(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
-        from sim_mjx.synthesis.pipeline import SHARD, SynthesisConfig, synthesise
+        from sim_mjx.synthesis.pipeline import SHARD, synthesise
+        from sim_mjx.synthesis.plan import SynthesisConfig
 
         name, spec = self._chosen()
         shard = SHARD[self.engine] if self.shard is None else self.shard

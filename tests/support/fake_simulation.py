@@ -11,7 +11,8 @@ import numpy as np
 
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
 
 JOB = SynthesisConfig("B", 60, seed=5, shard=5)
 SMALL = replace(JOB, trials=12, shard=5)

@@ -11,7 +11,8 @@ from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_recordings
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
 from tests.support.pages import ROOT
 
 PAGE = ROOT / "docs" / "howto" / "own_assembly.md"

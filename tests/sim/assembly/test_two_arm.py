@@ -30,7 +30,8 @@ from sim_mjx.presets import two_arm as presets
 from sim_mjx.randomization.trials import FAULTS, DomainRandomization, sample
 from sim_mjx.randomization.two_arm import REPEATED
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis.pipeline import SynthesisConfig, synthesise
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.validation.solver_convergence import certify
 from tests.support.trees import assert_trees_equal
 

@@ -21,8 +21,9 @@ from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import pipeline, shards
-from sim_mjx.synthesis.pipeline import SynthesisConfig, SynthesisProgress, synthesise
+from sim_mjx.synthesis import plan, shards
+from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, tree
 
 
@@ -143,7 +144,7 @@ def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: s
 
 def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     interrupted(tmp_path / "t.zarr", SMALL)
-    monkeypatch.setattr(pipeline, "code_hash", lambda: "other")
+    monkeypatch.setattr(plan, "code_hash", lambda: "other")
     with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
 
@@ -210,11 +211,11 @@ def test_labels_of_other_code_or_thresholds_are_not_resumed(tmp_path: Path, monk
     job = replace(SMALL, window=5)
     for name, other, words in (
         ("encoding_hash", lambda: "other", r"versions\.encoding_sha256"),
-        ("_limits", lambda: pipeline.thresholds.preset("pa10").limits, "thresholds"),
+        ("label_limits", lambda: plan.thresholds.preset("pa10").limits, "thresholds"),
     ):
         interrupted(tmp_path / f"{name}.zarr", job)
         with monkeypatch.context() as patch:
-            patch.setattr(pipeline, name, other)
+            patch.setattr(plan, name, other)
             with pytest.raises(InputError, match=words):
                 synthesise(tmp_path / f"{name}.zarr", job, simulate=fake_engine)
 
