@@ -1,0 +1,103 @@
+"""What a synthesis simulates: the job, and the manifest of everything that determines its shards."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax._util.digest import files_hash
+from rcbht_jax.encoding import thresholds
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.errors import InputError
+from sim_mjx import engines
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import Scenario, get_scenario, own_files
+
+ROBOT = "hiro"  # its threshold preset labels the trials
+MOST = 10**9  # trials: more would fill any disk
+
+
+@dataclass(frozen=True)
+class SynthesisConfig:
+    """What to simulate."""
+
+    preset: str  # see ``sim_mjx.registry``
+    trials: int
+    seed: int = 0
+    engine: str = "native"
+    shard: int = 256  # trials per shard
+    spec: Any = field(default_factory=DomainRandomization)  # or the assembly's own distributions
+    window: int | None = None  # samples per window of the labels; None = no labels
+
+
+def check(job: SynthesisConfig) -> Scenario:
+    """The scenario of a job that can be simulated.
+
+    Raises:
+        InputError: unknown preset or engine, a count below one, a bad seed or distribution.
+    """
+    for name, value in (("number of trials", job.trials), ("shard's number of trials", job.shard)):
+        if value < 1:
+            raise InputError(f"The {name} is {value}; expected 1 or more.")
+    if job.trials > MOST:
+        raise InputError(f"The number of trials is {job.trials}; expected at most {MOST}.")
+    engines.check(job.engine)
+    if job.window is not None:
+        encoder_config(job)
+    scenario = get_scenario(job.preset)
+    scenario.draw(job.seed, 0, job.spec)
+    return scenario
+
+
+def encoder_config(job: SynthesisConfig) -> EncoderConfig:
+    return EncoderConfig(window=job.window or 0, dt=CONTROL_PERIOD)
+
+
+def indices(job: SynthesisConfig, shard: int) -> range:
+    return range(shard * job.shard, min((shard + 1) * job.shard, job.trials))
+
+
+def label_limits() -> NDArray[np.float64]:
+    """Thresholds that label the trials [6, 4]."""
+    return np.asarray(thresholds.preset(ROBOT).limits)
+
+
+def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
+    """Everything that determines a shard, as JSON values."""
+    versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
+    made = {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
+    if own := own_files(job.preset):
+        made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
+    if job.window is not None:  # what else the labels depend on
+        made["versions"]["encoding_sha256"] = encoding_hash()
+        made["thresholds"] = label_limits().tolist()
+    return made
+
+
+@cache  # the code that runs is the one read at the start, whatever is edited later
+def code_hash() -> str:
+    """Digest of the simulation's sources: shards made by different code must not be mixed."""
+    root = Path(__file__).parents[2]
+    return files_hash(root, sorted([*(root / "sim_mjx").rglob("*.py"), *(root / "rcbht_jax/robots").glob("*.py")]))
+
+
+@cache
+def encoding_hash() -> str:
+    """Digest of the sources that label trials."""
+    root = Path(rcbht_jax.__file__).parent
+    return files_hash(root, sorted([*(root / "encoding").glob("*.py"), root / "labels.py", root / "types.py"]))
+
+
+def provenance(manifest: dict[str, Any]) -> dict[str, Any]:
+    """The part of the manifest that determines the store: all but the shard size."""
+    job = {name: value for name, value in manifest["job"].items() if name != "shard"}
+    return {"job": job, "versions": manifest["versions"]}
