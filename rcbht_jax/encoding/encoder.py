@@ -9,8 +9,9 @@ and :class:`rcbht_jax.encoding.stream.Encoder` are these functions for people.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
@@ -216,11 +217,23 @@ def encode(
         labels ``[trial, axis, slot]`` in the dense form: one slot per window, partial ones included,
         then 2, 5 and 8 slots for what the end of the stream publishes.
     """
+    trials, _, axes = wrench.shape
+    lane_limits = _lane_limits(limits_of(thresholds), jnp.empty((1, trials * axes), wrench.dtype), (trials, axes))
+    length, run = length.astype(jnp.int32), partial(_scan_whole, config)
+    if jax.default_backend() == "gpu":
+        from rcbht_jax.encoding import gpu  # which is made of this module's functions
+
+        if gpu.fits(config, wrench):
+            run = partial(gpu.encode_where_gpu, config, _scan_whole)
+    return run(lane_limits, wrench, length)
+
+
+def _scan_whole(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:
+    """As :func:`encode`, by a scan; limits ``[4, lane]``."""
     trials, total, axes = wrench.shape
     lanes = jnp.swapaxes(wrench, 0, 1).reshape(total, trials * axes)
-    lane_limits = _lane_limits(limits_of(thresholds), lanes, (trials, axes))
-    length = jnp.repeat(length.astype(jnp.int32), axes)
-    state, tracks = scan_lanes(config, lane_limits, init((trials * axes,), wrench.dtype), lanes, length)
+    empty = init((trials * axes,), wrench.dtype)
+    state, tracks = scan_lanes(config, limits, empty, lanes, jnp.repeat(length, axes))
     joined = join_tracks(tracks, drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(trials, axes, leaf.shape[-1]), joined)
 
@@ -363,9 +376,9 @@ def unpack_segments(ints: Array, reals: Array) -> list[Segment]:
     ]
 
 
-def track_of(x: Segment, emit: Array) -> LabelTrack:
+def track_of(x: Segment, emit: Array, divide: Callable[[Array, Array], Array] = jnp.true_divide) -> LabelTrack:
     """Published form of segments: means instead of sums, zeros where empty."""
     samples = jnp.maximum(x.t1 - x.t0, 1).astype(x.area.dtype)
-    label = x.label.astype(jnp.int8)
-    track = LabelTrack(label, x.t0, x.t1, emit, x.vmax, x.vmin, x.area / samples, x.rise / samples)
+    avg, grad = divide(x.area, samples), divide(x.rise, samples)
+    track = LabelTrack(x.label.astype(jnp.int8), x.t0, x.t1, emit, x.vmax, x.vmin, avg, grad)
     return jax.tree.map(lambda leaf: jnp.where(x.label > 0, leaf, jnp.zeros_like(leaf)), track)

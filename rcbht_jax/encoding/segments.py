@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,16 +43,24 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
     dtype = samples.dtype
     n = jnp.maximum(count, 2).astype(dtype)
     total, moment = sums(samples, count, (n - 1) / 2)
-    spread = jnp.asarray(_squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
+    spread = jnp.asarray(squared_offsets(samples.shape[0], dt), dtype)[jnp.maximum(count, 2)]
     n, spread, period = jax.lax.optimization_barrier((n, spread, jnp.full_like(n, dt)))
-    slope = moment / spread
+    return line_of(total, moment, n, spread, period, t0, count)
+
+
+def line_of(
+    total: Array, moment: Array, n: Array, spread: Array, period: Array, t0: Array, count: Array,
+    divide: Callable[[Array, Array], Array] = jnp.true_divide,
+) -> tuple[Array, Segment]:  # fmt: skip
+    """What :func:`line` returns, from the sums over ``n`` samples; the compiler must not know ``n`` and ``spread``."""
+    slope = divide(moment, spread)
     half = jnp.abs(slope) * (n - 1) * period * 0.5
-    mean = total / n
-    rise = slope / (1 / n)
+    mean = divide(total, n)
+    rise = divide(slope, divide(jnp.ones_like(n), n))
     return slope, Segment(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
 
 
-def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """dt times the sum of squared offsets from the middle of n = 0 ... window samples."""
     n = np.arange(window + 1, dtype=np.float64)
     return dt * (n * (n * n - 1) / 12)
@@ -58,20 +68,22 @@ def _squared_offsets(window: int, dt: float) -> np.ndarray[tuple[int], np.dtype[
 
 def sums(samples: Array, count: Array, middle: Array) -> tuple[Array, Array]:
     """Sum and first moment about the middle of the samples that count, in order of time."""
-    lowest = float(np.finfo(samples.dtype).min)
 
-    def add(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
-        index, y = row
-        on = index < count
-        product = jnp.maximum((index.astype(y.dtype) - middle) * y, lowest)  # fence: no fused multiply-add
-        total = carry[0] + jnp.where(on, y, 0)
-        moment = carry[1] + jnp.where(on, product, 0)
-        return (total, moment), None
+    def add(sums: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+        return accumulate(sums, *row, count, middle), None
 
     zero = jnp.zeros_like(samples[0])
     index = jnp.arange(samples.shape[0], dtype=jnp.int32)
     found, _ = jax.lax.scan(add, (zero, zero), (index, samples), unroll=unrolled(samples.shape[0]))
     return found
+
+
+def accumulate(sums: tuple[Array, Array], index: Array, y: Array, count: Array, middle: Array) -> tuple[Array, Array]:
+    """The sums with one more sample, if it counts."""
+    lowest = float(np.finfo(y.dtype).min)
+    product = jnp.maximum((index.astype(y.dtype) - middle) * y, lowest)  # fence: no fused multiply-add
+    on = index < count
+    return sums[0] + jnp.where(on, y, 0), sums[1] + jnp.where(on, product, 0)
 
 
 def unrolled(window: int) -> int | bool:
@@ -82,7 +94,7 @@ def unrolled(window: int) -> int | bool:
 def gradient_label(slope: Array, limits: Array) -> Array:
     """Primitive code int32 ``[...]`` of slopes ``[...]``; limits ``[4, ...]`` are inclusive on their larger side."""
     size = jnp.abs(slope)
-    rank = jnp.sum(size[None] < limits, axis=0, dtype=jnp.int32)  # 0 impulse ... 3 small, 4 constant
+    rank = sum((size < limit).astype(jnp.int32) for limit in limits)  # 0 impulse ... 3 small, 4 constant
     up = slope > 0
     ramp = jnp.where(up, rank, rank + (Primitive.BNEG - Primitive.BPOS))
     impulse = jnp.where(up, jnp.int32(Primitive.PIMP), jnp.int32(Primitive.NIMP))
