@@ -1,8 +1,9 @@
 """MJX, with JAX's or Warp's kernels: whole rollouts on the device, without a transfer to the host every period.
 
-All trials of a batch run until the last has ended. One compiled program does a stretch of control periods:
-sensor, state machine, controller and physics. The physics counts joint angles from each trial's home pose: a servo
-is as stiff as a spring on the last digit of its angle, which single precision resolves best near zero.
+One compiled program does a stretch of control periods: sensor, state machine, controller and physics. Between two
+stretches a lane whose trial has ended takes the next one (:mod:`sim_mjx.engines.lanes`). The physics counts joint
+angles from each trial's home pose: a servo is as stiff as a spring on the last digit of its angle, which single
+precision resolves best near zero.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import copy
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -23,13 +23,12 @@ from mujoco import mjx
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly.rollout import ONE_ARM, LogRow, Program, Rollouts, as_float32, batch_size
+from sim_mjx.assembly.rollout import ONE_ARM, LogRow, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.engines.common import SETTLING, collect, compiler_options
+from sim_mjx.engines.common import SETTLING, collect
 
 LANES = 16
-STRETCH = 200  # control periods that run without asking whether all trials have ended
+STRETCH = 100  # control periods that run without asking which trials have ended
 # Most iterations of the solver and of its line search, which MJX goes through to the last one. Single precision
 # converges no further: the wrenches of 64 trials differ as little from those of 30/20 as those of 10/6 do.
 SOLVER = (6, 4)
@@ -51,8 +50,8 @@ class Layout:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class _Fixed:
-    """What stays the same during the trials."""
+class Fixed:
+    """What stays the same during the trials; lanes lead."""
 
     model: mjx.Model
     fields: dict[str, Array]  # of the model, [trial, ...]
@@ -76,12 +75,12 @@ class Body:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class _State:
+class State:
     """Everything that changes."""
 
     body: Any
     loop: Any  # of the scene's program
-    tick: Int[Array, ""]  # control periods since time zero; negative while settling
+    tick: Int[Array, " lane"]  # control periods since time zero; negative while settling
 
 
 @jax.tree_util.register_dataclass
@@ -121,38 +120,11 @@ def to_host(out: Outcome) -> Rollouts:
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
     """As :func:`simulate`, but what comes out stays on the device."""
+    from sim_mjx.engines.lanes import Lanes  # which is made of this module's functions
+
     count = batch_size(params)
-    # a compiler may round the last lanes of a batch differently from full vectors: batches are filled up
-    rows = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
-    params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
-    layout, fixed = layout_of(scene), _fixed(scene, params, impl)
-    start, stretch, seated = _programs(jax.default_backend())
-    state = start(layout, fixed)
-    logs: list[LogRow] = []
-    settling = -(-SETTLING // scene.substeps)
-    limit = settling + int(np.ceil(np.max(scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
-    for _ in range(-(-limit // STRETCH)):
-        state, log = stretch(layout, fixed, state)
-        logs.append(log)
-        if progress is not None:
-            progress(int((log.phase[:, :count] < scene.program.ended).sum()))
-        if jax.device_get((log.phase[-1] == scene.program.ended).all()):  # explicit: nothing else goes to the host
-            break
-    return _outcome(settling, count, scene.program, logs, seated(layout, fixed, state))
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _outcome(settling: int, count: int, program: Program, logs: list[LogRow], seated: Array) -> Outcome:
-    """The stretches as one log of the trials from time zero."""
-    whole: LogRow = jax.tree.map(lambda *pieces: jnp.concatenate(pieces)[settling:, :count].swapaxes(0, 1), *logs)
-    return Outcome(whole.wrench, whole.joints, whole.phase, seated[:count], program)
-
-
-@lru_cache
-def _programs(backend: str) -> tuple[Callable[..., Any], ...]:
-    """Compiled functions of a backend: start, stretch, seated."""
-    jit = partial(jax.jit, static_argnums=0, compiler_options=compiler_options(backend))
-    return jit(_start), jit(_stretch, donate_argnums=2), jit(_seated)
+    ((_, out),) = Lanes(scene, impl, count, at_once=count).run([(0, params)], progress=progress)
+    return out
 
 
 def layout_of(scene: Scene) -> Layout:
@@ -161,11 +133,6 @@ def layout_of(scene: Scene) -> Layout:
         tuple(int(i) for i in column) for column in (scene.joints, readings, scene.tips, scene.lips)
     )
     return Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated)
-
-
-def _fixed(scene: Scene, params: Any, impl: str) -> _Fixed:
-    model, empty = put_scene(scene, batch_size(params), impl)
-    return _Fixed(model, fields_of(scene, params), as_float32(params), empty)
 
 
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
@@ -202,20 +169,21 @@ def _most_rows(model: mujoco.MjModel) -> int:
     return int(contacts.sum() + model.jnt_limited.sum())
 
 
-def _start(layout: Layout, fixed: _Fixed) -> _State:
+def start(layout: Layout, fixed: Fixed) -> State:
     """In the home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
     body: Any = jax.vmap(lambda _: fixed.empty.replace(qpos=jnp.zeros_like(fixed.empty.qpos)))(jnp.arange(count))
     if fixed.model.impl == mjx.Impl.JAX:
         body = body_of(body)
-    return _State(body, _begin(layout, fixed, body), -jnp.int32(-(-SETTLING // layout.substeps)))
+    tick = jnp.full(count, -(-SETTLING // layout.substeps), jnp.int32)
+    return State(body, _begin(layout, fixed, body), -tick)
 
 
-def _begin(layout: Layout, fixed: _Fixed, body: Any) -> Any:
+def _begin(layout: Layout, fixed: Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
-def _stretch(layout: Layout, fixed: _Fixed, state: _State) -> tuple[_State, LogRow]:
+def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
     """``STRETCH`` control periods; the log leads with time.
 
     Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
@@ -225,28 +193,29 @@ def _stretch(layout: Layout, fixed: _Fixed, state: _State) -> tuple[_State, LogR
     shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
     unroll = fixed.model.impl == mjx.Impl.WARP  # quick to compile, and a loop would copy its buffers
 
-    def period(state: _State, _: None) -> tuple[_State, LogRow]:
+    def period(state: State, _: None) -> tuple[State, LogRow]:
         body, settling = state.body, state.tick < 0
         loop = _chosen(state.tick > 0, state.loop, _begin(layout, fixed, body))
         joints = home + body.qpos[:, jnp.array(layout.joints)]
         loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
-        before, after = (jnp.where(settling, 0.0, ends[:, i] - home) for i in (0, 1))
+        before, after = (jnp.where(settling[:, None], 0.0, ends[:, i] - home) for i in (0, 1))
 
         def substep(at: Any, share: Array) -> tuple[Any, None]:
             return _step(fixed, at, before + share * (after - before)), None
 
         moved, _ = jax.lax.scan(substep, body, shares, unroll=unroll)
-        moved = _kept(body, moved, (log.phase == layout.program.ended) & ~settling)
-        return _State(moved, loop, state.tick + 1), log
+        moved = kept(body, moved, (log.phase == layout.program.ended) & ~settling)
+        return State(moved, loop, state.tick + 1), log
 
     return jax.lax.scan(period, state, length=STRETCH)
 
 
 def _chosen(which: Array, first: Any, second: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(which, a, b), first, second)
+    """Lane by lane one of two trees of arrays [lane, ...]."""
+    return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
 
 
-def _step(fixed: _Fixed, body: Any, wanted: Array) -> Any:
+def _step(fixed: Fixed, body: Any, wanted: Array) -> Any:
     """One physics step of all trials."""
 
     def one(fields: dict[str, Array], at: Any, ctrl: Array) -> Any:
@@ -269,7 +238,7 @@ def body_of(data: mjx.Data) -> Body:
     return Body(data.qpos, data.qvel, data.qacc_warmstart, data.sensordata)
 
 
-def _kept(old: Any, new: Any, still: Array) -> Any:
+def kept(old: Any, new: Any, still: Array) -> Any:
     """The new bodies, but the old ones where the trial keeps still [trial]."""
     names = [field.name for field in dataclasses.fields(Body)]
     chosen = {name: jnp.where(still[:, None], getattr(old, name), getattr(new, name)) for name in names}
@@ -281,7 +250,7 @@ def _raw(layout: Layout, body: Any) -> Array:
     return -body.sensordata[:, jnp.array(layout.readings)]
 
 
-def _seated(layout: Layout, fixed: _Fixed, state: _State) -> Array:
+def seated(layout: Layout, fixed: Fixed, state: State) -> Array:
     def one(fields: dict[str, Array], qpos: Array) -> Array:
         return seated_tabs(layout, mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos)))
 

@@ -1,0 +1,261 @@
+"""Trials in lanes: a lane whose trial has ended takes the next one, so that none waits for the longest.
+
+A lane is a place in the batch that the device steps together. After each stretch of control periods the host learns
+which trials have ended; new ones begin in their lanes. What a lane logs goes to its trial's slot of a buffer on the
+device, from where finished trials are taken out together. A trial's bytes do not depend on its lane or its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from rcbht_jax.types import Array
+from sim_mjx.assembly.rollout import LogRow, Program, as_float32, batch_size
+from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.engines import device
+from sim_mjx.engines.common import SETTLING, compiler_options
+from sim_mjx.engines.device import Fixed, Layout, Outcome, State
+
+Trial = tuple[Hashable, int]  # key of its batch, and number in it
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Logs:
+    """What trials logged, each in a slot: blocks of one stretch; the last slot takes what nobody wants."""
+
+    wrench: Float[Array, "slot block time reading"]
+    joints: Float[Array, "slot block time joint"]
+    phase: Int[Array, "slot block time"]
+    seated: Bool[Array, "slot tab"]
+
+
+@dataclass
+class Lanes:
+    """Lanes of one scene on JAX's default device.
+
+    Attributes:
+        scene: what is simulated.
+        impl: "jax" or "warp".
+        count: lanes; rounded up to full vectors.
+        at_once: finished trials that are taken out together.
+    """
+
+    scene: Scene
+    impl: str
+    count: int
+    at_once: int
+    _busy: int = field(default=0, init=False)
+    _offered: int = field(default=0, init=False)
+
+    @property
+    def utilisation(self) -> float:
+        """Share of the control periods of all lanes that moved a trial which had not ended."""
+        return self._busy / max(self._offered, 1)
+
+    def run(
+        self, batches: Iterable[tuple[Hashable, Any]], *, progress: Callable[[int], None] | None = None
+    ) -> Iterator[tuple[list[Trial], Outcome]]:
+        """Simulate batches of trials; yields the finished trials by ``at_once``, in order of their end.
+
+        Args:
+            batches: (key, parameters of the scene's program), best none larger than the first; one is asked for when
+                lanes are free.
+            progress: called with the number of control periods done since the last call, summed over trials.
+        """
+        layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
+        queue = _Queue(self.scene, iter(batches))
+        if not queue.refilled():
+            return
+        lanes = -(-self.count // device.LANES) * device.LANES
+        slots = lanes + (self.at_once if self.at_once < self.count else 0)  # all trials at once need no second slot
+        fixed = self._fixed(queue, lanes)
+        state = programs.start(layout, fixed)
+        free, done = list(range(slots))[::-1], list[tuple[Trial, int, int]]()
+        trial: list[Trial | None] = [None] * lanes
+        slot, age = np.full(lanes, slots), np.zeros(lanes, np.int64)
+        logs: Logs | None = None
+        fresh = True  # lanes begin with the first trials: nothing to copy
+        while True:
+            while (idle := [lane for lane in range(lanes) if trial[lane] is None]) and free and queue.refilled():
+                rows = queue.take(min(len(idle), len(free)))
+                chosen = idle[: len(rows)]
+                for lane, row in zip(chosen, rows, strict=True):
+                    trial[lane], slot[lane], age[lane] = (queue.key, row), free.pop(), 0
+                if not fresh:
+                    begin = np.full(lanes, -1, np.int32)
+                    begin[chosen] = rows
+                    fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
+                fresh = False
+            working = np.array([one is not None for one in trial])
+            if not working.any():
+                break
+            state, log = programs.stretch(layout, fixed, state)
+            if logs is None:
+                logs = _empty(log, slots + 1, queue.blocks, len(layout.tips))
+            elif logs.phase.shape[1] < queue.blocks:
+                logs = _longer(logs, queue.blocks)
+            seated = programs.seated(layout, fixed, state)
+            logs = programs.write(logs, log, seated, slot, np.minimum(age, logs.phase.shape[1] - 1))
+            ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: all that goes to the host
+            age += 1
+            self._busy += int(running[working].sum())
+            self._offered += lanes * device.STRETCH
+            if progress is not None:
+                progress(int(running[working].sum()))
+            for lane in np.flatnonzero(working & (ended | (age >= queue.blocks))).tolist():
+                done.append((trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
+                trial[lane], slot[lane] = None, slots
+            last = not queue.refilled() and all(one is None for one in trial)
+            while len(done) >= self.at_once or (last and done):
+                batch, done = done[: self.at_once], done[self.at_once :]
+                yield self._taken_out(batch, logs)
+                free += [place for _, place, _ in batch]
+
+    def _fixed(self, queue: _Queue, lanes: int) -> Fixed:
+        """The lanes with the first trials of the queue; a spare lane repeats the last of them."""
+        model, empty = device.put_scene(self.scene, lanes, self.impl)
+        rows = np.minimum(np.arange(lanes), queue.left - 1)
+        fields, params = jax.tree.map(lambda leaf: leaf[rows], queue.pool)
+        return Fixed(model, fields, params, empty)
+
+    def _taken_out(self, batch: list[tuple[Trial, int, int]], logs: Logs) -> tuple[list[Trial], Outcome]:
+        """The trials of some slots, in the order of the slots."""
+        batch = sorted(batch, key=lambda one: one[1])
+        trials, slots, ages = zip(*batch, strict=True)
+        spare = self.at_once - len(batch)
+        padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
+        settling = -(-SETTLING // self.scene.substeps)
+        out = _outcome(settling, len(batch), max(ages), self.scene.program, logs, *padded)
+        return list(trials), out
+
+
+class _Queue:
+    """The trials that have not begun, a batch at a time on the device."""
+
+    def __init__(self, scene: Scene, batches: Iterator[tuple[Hashable, Any]]) -> None:
+        self._scene, self._batches, self._size = scene, batches, 0
+        self._next = self._stop = 0
+        self.key: Hashable = None
+        self.pool: Any = None  # model fields and parameters of the batch [trial, ...]
+        self.blocks = 0  # stretches that the longest trial can take
+
+    @property
+    def left(self) -> int:
+        """Trials of the present batch that have not begun."""
+        return self._stop - self._next
+
+    def refilled(self) -> bool:
+        """Whether a trial is left, if need be of the next batch."""
+        if self.left:
+            return True
+        drawn = next(self._batches, None)
+        if drawn is None:
+            return False
+        self.key, params = drawn
+        self._next, self._stop = 0, batch_size(params)
+        self._size = max(self._size, self._stop)
+        rows = np.minimum(np.arange(self._size), self._stop - 1)  # always as many: one compiled program
+        params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
+        self.pool = jax.device_put((device.fields_of(self._scene, params), as_float32(params)))
+        longest = int(np.ceil(np.max(self._scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
+        settling = -(-SETTLING // self._scene.substeps)
+        self.blocks = max(self.blocks, -(-(settling + longest) // device.STRETCH))
+        return True
+
+    def take(self, count: int) -> list[int]:
+        """The next trials' numbers in the batch, at most ``count``."""
+        rows = list(range(self._next, min(self._next + count, self._stop)))
+        self._next += len(rows)
+        return rows
+
+
+@dataclass(frozen=True)
+class _Programs:
+    start: Callable[..., Any]
+    stretch: Callable[..., Any]
+    seated: Callable[..., Any]
+    refill: Callable[..., Any]
+    write: Callable[..., Any]
+    ended: Callable[..., Any]
+
+
+@lru_cache
+def _programs(backend: str) -> _Programs:
+    """Compiled functions of a backend."""
+    jit = partial(jax.jit, static_argnums=0, compiler_options=compiler_options(backend))
+    return _Programs(
+        jit(device.start), jit(device.stretch, donate_argnums=2), jit(device.seated),
+        jit(_refill, donate_argnums=2), jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
+    )  # fmt: skip
+
+
+def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:
+    """New trials in the lanes whose row of the pool is not negative."""
+    new, taken = rows >= 0, jnp.maximum(rows, 0)
+
+    def chosen(first: Array, second: Array) -> Array:
+        return jnp.where(new.reshape(-1, *[1] * (first.ndim - 1)), first, second)
+
+    fields, params = jax.tree.map(lambda leaf, old: chosen(leaf[taken], old), pool, (fixed.fields, fixed.params))
+    fixed = Fixed(fixed.model, fields, params, fixed.empty)
+    fresh = device.start(layout, fixed)
+    body = device.kept(fresh.body, state.body, new)
+    loop, tick = jax.tree.map(chosen, (fresh.loop, fresh.tick), (state.loop, state.tick))
+    return fixed, State(body, loop, tick)
+
+
+def _write(logs: Logs, log: LogRow, seated: Array, slot: Array, block: Array) -> Logs:
+    """The logs with one more stretch of every lane."""
+
+    def written(old: Array, rows: Array) -> Array:
+        return old.at[slot, block].set(jnp.swapaxes(rows, 0, 1))
+
+    wrench, joints = written(logs.wrench, log.wrench), written(logs.joints, log.joints)
+    return Logs(wrench, joints, written(logs.phase, log.phase), logs.seated.at[slot].set(seated))
+
+
+def _ended(program: Program, log: LogRow) -> tuple[Array, Array]:
+    """Which lanes' trials have ended, and for how many control periods of the stretch they had not."""
+    return log.phase[-1] == program.ended, (log.phase < program.ended).sum(0, dtype=jnp.int32)
+
+
+def _empty(log: LogRow, slots: int, blocks: int, tabs: int) -> Logs:
+
+    def zeros(leaf: Array) -> Array:
+        return jnp.zeros((slots, blocks, device.STRETCH, *leaf.shape[2:]), leaf.dtype)
+
+    return Logs(zeros(log.wrench), zeros(log.joints), zeros(log.phase), jnp.zeros((slots, tabs), jnp.bool_))
+
+
+def _longer(logs: Logs, blocks: int) -> Logs:
+    """The logs with room for longer trials."""
+
+    def grown(leaf: Array) -> Array:
+        return jnp.pad(leaf, [(0, 0), (0, blocks - leaf.shape[1]), *[(0, 0)] * (leaf.ndim - 2)])
+
+    return Logs(grown(logs.wrench), grown(logs.joints), grown(logs.phase), logs.seated)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _outcome(
+    settling: int, count: int, blocks: int, program: Program, logs: Logs, slots: Array, ages: Array
+) -> Outcome:
+    """The first ``count`` of some slots, from time zero; ``ages`` are the blocks that each has written."""
+
+    def whole(leaf: Array) -> Array:
+        there = leaf[slots, :blocks]
+        return there.reshape(len(slots), -1, *leaf.shape[3:])[:count, settling:]
+
+    there = jnp.repeat(jnp.arange(blocks)[None] < ages[:, None], device.STRETCH, axis=1)[:count, settling:]
+    phase = jnp.where(there, whole(logs.phase), program.ended)
+    return Outcome(whole(logs.wrench), whole(logs.joints), phase, logs.seated[slots][:count], program)
