@@ -123,7 +123,7 @@ def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None]
     from sim_mjx.engines.lanes import Lanes  # which is made of this module's functions
 
     count = batch_size(params)
-    ((_, out),) = Lanes(scene, impl, count, at_once=count).run([(0, params)], progress=progress)
+    ((_, out),) = Lanes(scene, impl, count, at_once=count, spare=0).run([(0, params)], progress=progress)
     return out
 
 

@@ -48,12 +48,14 @@ class Lanes:
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
+        spare: slots for finished trials, beside one of each lane; default ``at_once``. With 0 none is refilled early.
     """
 
     scene: Scene
     impl: str
     count: int
     at_once: int
+    spare: int | None = None
     _busy: int = field(default=0, init=False)
     _offered: int = field(default=0, init=False)
 
@@ -77,7 +79,7 @@ class Lanes:
         if not queue.refilled():
             return
         lanes = -(-self.count // device.LANES) * device.LANES
-        slots = lanes + (self.at_once if self.at_once < self.count else 0)  # all trials at once need no second slot
+        slots = lanes + (self.at_once if self.spare is None else self.spare)
         fixed = self._fixed(queue, lanes)
         state = programs.start(layout, fixed)
         free, done = list(range(slots))[::-1], list[tuple[Trial, int, int]]()

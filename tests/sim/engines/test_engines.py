@@ -6,7 +6,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,7 +20,6 @@ from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
 from sim_mjx.engines import native as native_engine
-from sim_mjx.engines.lanes import Lanes
 from sim_mjx.engines.native import LANES
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
@@ -75,36 +73,6 @@ def test_mjx_gives_the_wrench_of_native(
     peaks = np.abs(expected.wrench[..., 2]).max(1)
     assert (peaks > 5).all()
     np.testing.assert_allclose(np.abs(out.wrench[..., 2]).max(1), peaks, rtol=0.1)
-
-
-def test_lanes_of_the_device_are_refilled_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty trials of unequal length through eight lanes, and the same ones by eights that wait for each other."""
-    monkeypatch.setattr(device, "LANES", 8)
-    params = short_trials(20, longest=1.6)
-    timeout = 0.1 + 0.15 * (np.arange(20) * 7 % 11)
-    params = replace(params, task=replace(params.task, timeout=timeout))
-    batches = [
-        (key, take(params, list(rows))) for key, rows in (("a", range(8)), ("b", range(8, 14)), ("c", range(14, 20)))
-    ]
-    first = dict(zip("abc", (0, 8, 14), strict=True))
-    lanes, found = Lanes(SCENE, "jax", 8, at_once=5), {}
-    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
-        for trials, out in lanes.run(iter(batches)):
-            for (key, row), rollout in zip(trials, each(device.to_host(out)), strict=True):
-                found[first[key] + row] = rollout
-        for rows in (range(8), range(8, 16), range(12, 20)):
-            waiting = each(engines.simulate(SCENE, take(params, list(rows)), "mjx"))
-            for row, rollout in zip(rows, waiting, strict=True):
-                jax.tree.map(np.testing.assert_array_equal, found[row], rollout)
-    assert sorted(found) == list(range(20))
-    assert len({len(wrench) for wrench, *_ in found.values()}) > 5
-    assert 0.4 < lanes.utilisation < 1.0
-
-
-def each(out: Rollouts) -> list[tuple[Any, ...]]:
-    """Everything about each trial, cut where it ended."""
-    cut = [(out.wrench[row, :n], out.joints[row, :n]) for row, n in enumerate(out.length)]
-    return [(*logs, out.onset[row], out.seated[row], out.diverged[row]) for row, logs in enumerate(cut)]
 
 
 def test_parity_sees_what_differs(native: Rollouts, watched: tuple[Rollouts, Int[np.ndarray, " trial"]]) -> None:

@@ -1,0 +1,91 @@
+"""Lanes: what a trial gives does not depend on its lane, its neighbours, or what was in the lane before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.engines import device
+from sim_mjx.engines.lanes import Lanes
+from tests.support.plunger import PlungerParams, plunger, plunger_trials
+
+SCENE = plunger()
+TIMEOUT = 0.1 + 0.1 * (np.arange(40) * 7 % 11)
+
+
+@pytest.fixture(autouse=True)
+def _few_lanes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(device, "LANES", 8)
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # MJX is not strict
+        yield
+
+
+def some(params: PlungerParams, rows: range) -> PlungerParams:
+    return jax.tree.map(lambda leaf: leaf[list(rows)], params)
+
+
+def each(out: Rollouts) -> list[tuple[Any, ...]]:
+    """Everything about each trial, cut where it ended."""
+    cut = [(out.wrench[row, :n], out.joints[row, :n]) for row, n in enumerate(out.length)]
+    return [(*logs, out.onset[row], out.seated[row], out.diverged[row]) for row, logs in enumerate(cut)]
+
+
+def waiting(params: PlungerParams) -> list[tuple[Any, ...]]:
+    """The trials by eights, each of which waits for its longest."""
+    blocks = (range(start, start + 8) for start in range(0, len(params.timeout), 8))
+    return [trial for rows in blocks for trial in each(device.simulate(SCENE, some(params, rows), "jax"))]
+
+
+def queued(params: PlungerParams, sizes: list[int], lanes: Lanes) -> list[tuple[Any, ...]]:
+    """The trials in batches of these sizes through lanes that are refilled."""
+    starts = np.cumsum([0, *sizes]).tolist()
+    batches = [(start, some(params, range(start, start + size))) for start, size in zip(starts, sizes, strict=False)]
+    found = {}
+    for trials, out in lanes.run(iter(batches)):
+        for (start, row), rollout in zip(trials, each(device.to_host(out)), strict=True):
+            assert start + row not in found
+            found[start + row] = rollout
+    assert sorted(found) == list(range(sum(sizes)))
+    return [found[index] for index in range(sum(sizes))]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "at_once"), [([40], 3), ([8, 8, 3, 1, 13, 7], 5), ([3, 37], 8), ([2, 5], 1), ([1], 4)]
+)
+def test_a_trial_does_not_depend_on_its_lane(sizes: list[int], at_once: int) -> None:
+    params, lanes = plunger_trials(TIMEOUT), Lanes(SCENE, "jax", 8, at_once)
+    found = queued(some(params, range(sum(sizes))), sizes, lanes)
+    expected = waiting(params)[: sum(sizes)]
+    for one, other in zip(found, expected, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+    assert 0 < lanes.utilisation <= 1
+
+
+def test_logs_hold_the_whole_trial_and_the_scene_does_something() -> None:
+    found = waiting(plunger_trials(TIMEOUT))
+    lengths = [len(wrench) for wrench, *_ in found]
+    np.testing.assert_allclose(lengths, np.round(TIMEOUT / 0.005) + 1, atol=1)
+    assert len({wrench.tobytes() for wrench, *_ in found}) == len(found)
+    assert max(np.abs(wrench[:, 2]).max() for wrench, *_ in found) > 5  # some press the floor
+    assert {bool(seated.all()) for *_, seated, _ in found} == {True, False}
+
+
+def test_lanes_that_wait_for_nobody_are_busy() -> None:
+    """Forty trials through eight lanes; by eights the lanes would be idle for half the time."""
+    params = plunger_trials(np.where(np.arange(40) % 8 == 0, 4.0, 0.45))
+    lanes = Lanes(SCENE, "jax", 8, 8)
+    queued(params, [40], lanes)
+    longest = 5 * (4.0 + 0.5)  # settling and the longest of each eight, s
+    assert lanes.utilisation > 2.0 * (params.timeout + 0.5).sum() / (8 * longest)
+
+
+def test_trials_longer_than_all_before_fit() -> None:
+    params = plunger_trials(np.array([0.1] * 8 + [3.0] * 8))
+    found = queued(params, [8, 8], Lanes(SCENE, "jax", 8, 2))
+    for one, other in zip(found, waiting(params), strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one, other)
