@@ -7,7 +7,7 @@ by side. Written in Pallas for Triton.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -22,11 +22,12 @@ from rcbht_jax.encoding import segments
 from rcbht_jax.encoding.encoder import (
     FLUSH_SLOTS,
     EncoderConfig,
-    EncoderState,
     chain,
-    drain,
+    drain_segments,
     track_of,
+    unpack_segments,
 )
+from rcbht_jax.encoding.segments import Rounded
 from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 
 BLOCK = 128  # lanes of one program
@@ -34,7 +35,6 @@ WARPS = 4  # one lane a thread
 _HELD = 8
 _INTEGERS = ("label", "t0", "t1", "emit")
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
-_AHEAD = 32  # samples of windows up to this long are loaded one window ahead
 _LARGEST = 2**31 - 1  # elements that 32-bit offsets reach
 
 
@@ -45,11 +45,9 @@ def fits(config: EncoderConfig, wrench: Array) -> bool:
     return wrench.dtype == jnp.float32 and max(slots, wrench.size) <= _LARGEST
 
 
-Divide = Callable[[Array, Array], Array]
 Scan = Callable[[EncoderConfig, Array, Array, Array], LabelTracks]
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def encode_where_gpu(config: EncoderConfig, scan: Scan, limits: Array, wrench: Array, length: Array) -> LabelTracks:
     """Labels ``[trial, axis, slot]``: by the kernel where the program runs on a CUDA GPU, by ``scan`` elsewhere.
 
@@ -58,19 +56,31 @@ def encode_where_gpu(config: EncoderConfig, scan: Scan, limits: Array, wrench: A
         scan: the same from (config, limits, wrench, length), also for derivatives.
         limits: ``[4, lane]``. wrench: ``[trial, time, axis]``. length: ``[trial]``.
     """
+    columns = iter(_leaves_where_gpu(config, scan, limits, wrench, length))
+    return LabelTracks(*(LabelTrack(*(next(columns) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _leaves_where_gpu(
+    config: EncoderConfig, scan: Scan, limits: Array, wrench: Array, length: Array
+) -> tuple[Array, ...]:
+    """The columns of the tracks: tangents of integers could not be tracks."""
     trials, _, axes = wrench.shape
 
-    def kernel(limits: Array, wrench: Array, length: Array) -> LabelTracks:
-        tracks = encode(config, limits, wrench, length)
-        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf.reshape(-1, trials, axes), 0, -1), tracks)
+    def kernel(limits: Array, wrench: Array, length: Array) -> tuple[Array, ...]:
+        columns = jax.tree.leaves(encode(config, limits, wrench, length))
+        return tuple(jnp.moveaxis(column.reshape(-1, trials, axes), 0, -1) for column in columns)
 
-    scanned = partial(scan, config)
-    return jax.lax.platform_dependent(limits, wrench, length, cuda=kernel, default=scanned)
+    return jax.lax.platform_dependent(limits, wrench, length, cuda=kernel, default=partial(_scanned, config, scan))
 
 
-@encode_where_gpu.defjvp
-def _differentiate(config: EncoderConfig, scan: Scan, at: Any, along: Any) -> tuple[LabelTracks, LabelTracks]:
-    return jax.jvp(partial(scan, config), at, along)
+def _scanned(config: EncoderConfig, scan: Scan, limits: Array, wrench: Array, length: Array) -> tuple[Array, ...]:
+    return tuple(jax.tree.leaves(scan(config, limits, wrench, length)))
+
+
+@_leaves_where_gpu.defjvp
+def _differentiate(config: EncoderConfig, scan: Scan, at: Any, along: Any) -> Any:
+    return jax.jvp(partial(_scanned, config, scan), at, along)
 
 
 def encode(
@@ -99,7 +109,12 @@ def encode(
     """
     trials, samples, axes = wrench.shape
     lanes, windows = trials * axes, -(-samples // config.window)
-    shapes = [
+    rounded = segments.XLA if interpret else _IEEE
+    launch = partial(
+        pl.pallas_call, grid=(pl.cdiv(lanes, block),), interpret=interpret,
+        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
+    )  # fmt: skip
+    columns = [
         jax.ShapeDtypeStruct(((windows + extra) * lanes,), _dtype(name)) for extra in FLUSH_SLOTS for name in _FIELDS
     ]
     state = [
@@ -107,104 +122,132 @@ def encode(
         jax.ShapeDtypeStruct((4 * _HELD * lanes,), jnp.float32),
         jax.ShapeDtypeStruct((lanes,), jnp.int32),
     ]
-    call = pl.pallas_call(
-        partial(_kernel, config, samples, axes, lanes, block, jnp.true_divide if interpret else _divide),
-        grid=(pl.cdiv(lanes, block),),
-        out_shape=[*shapes, *state],
-        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
-        interpret=interpret,
-        name="rcbht_encode",
+    kernel = partial(_walk, config, rounded, samples, axes, lanes, block)
+    # loaded, not compiled in: a compiler must not regroup products of what it knows
+    table = jnp.asarray([*segments.squared_offsets(config.window, config.dt), config.dt], jnp.float32)
+    *begun, ints, reals, time = launch(kernel, out_shape=[*columns, *state], name="rcbht_encode")(
+        limits.reshape(-1), table, jnp.repeat(length, axes), wrench.reshape(-1)
     )
-    spread = jnp.asarray(segments.squared_offsets(config.window, config.dt), jnp.float32)
-    *columns, ints, reals, time = call(limits.reshape(-1), spread, jnp.repeat(length, axes), wrench.reshape(-1))
-    state_after = EncoderState(time, ints.reshape(-1, lanes), reals.reshape(-1, lanes))
-    ends = drain(config, state_after)
-    tracks, width = [], len(_FIELDS)
-    for number, end in enumerate((ends.primitive, ends.mc, ends.llb)):
-        own = [column.reshape(-1, lanes) for column in columns[number * width : (number + 1) * width]]
-        last = [getattr(end, name).T for name in _FIELDS]
-        joined = (jax.lax.dynamic_update_slice(a, b, (windows, 0)) for a, b in zip(own, last, strict=True))  # in place
-        tracks.append(LabelTrack(*joined))
-    return LabelTracks(*tracks)
+    ends = drain_segments(config, unpack_segments(ints.reshape(-1, lanes), reals.reshape(-1, lanes)))
+    held = [leaf.reshape(-1) for end in ends for leaf in jax.tree.leaves(end)]
+    places = {1 + len(held) + place: place for place in range(len(begun))}  # written in place: a copy costs as much
+    kernel = partial(_append, rounded, windows, lanes, block)
+    whole = launch(kernel, out_shape=columns, input_output_aliases=places, name="rcbht_end")(time, *held, *begun)
+    layers = (whole[place : place + len(_FIELDS)] for place in range(0, len(whole), len(_FIELDS)))
+    return LabelTracks(*(LabelTrack(*(column.reshape(-1, lanes) for column in layer)) for layer in layers))
 
 
 def _dtype(name: str) -> Any:
     return jnp.int8 if name == "label" else jnp.int32 if name in _INTEGERS else jnp.float32
 
 
-def _kernel(
-    config: EncoderConfig, samples: int, axes: int, lanes: int, block: int, divide: Divide,
-    limits_ref: Any, spread_ref: Any, length_ref: Any, wrench_ref: Any, *outputs: Any,
+class _Lanes:
+    """The lanes of one program, and their rows in flat arrays ``[row * lane]``."""
+
+    def __init__(self, lanes: int, block: int) -> None:
+        self.number = pl.program_id(0) * block + jnp.arange(block, dtype=jnp.int32)
+        self._lanes, self._inside = lanes, self.number < lanes
+
+    def load(self, ref: Any, where: Array) -> Array:
+        """Elements of a flat array."""
+        return triton.load(ref.at[where], mask=self._inside, other=0)
+
+    def row(self, ref: Any, row: Any) -> Array:
+        """The lanes' elements of a row."""
+        return self.load(ref, row * self._lanes + self.number)
+
+    def store(self, ref: Any, row: Any, values: Array) -> None:
+        """Write the lanes' elements of a row."""
+        triton.store(ref.at[row * self._lanes + self.number], values.astype(ref.dtype), mask=self._inside)
+
+    def publish(self, columns: Sequence[Any], row: Any, segment: Segment, emit: Array, rounded: Rounded) -> None:
+        """Write a layer's label, or the zeros of none."""
+        track = track_of(segment, emit, rounded.quotient)
+        for ref, name in zip(columns, _FIELDS, strict=True):
+            self.store(ref, row, getattr(track, name))
+
+
+def _walk(
+    config: EncoderConfig, rounded: Rounded, samples: int, axes: int, lanes: int, block: int,
+    limits_ref: Any, table_ref: Any, length_ref: Any, wrench_ref: Any, *outputs: Any,
 ) -> None:  # fmt: skip
     """One block of lanes from the first window to the last."""
     *columns, ints_ref, reals_ref, time_ref = outputs
-    lane = pl.program_id(0) * block + jnp.arange(block, dtype=jnp.int32)
-    inside = lane < lanes
-    trial = lane // axes
-    first = trial * (samples * axes) + (lane - trial * axes)
-
-    def load(ref: Any, where: Any) -> Array:
-        return triton.load(ref.at[where], mask=inside, other=0)
-
-    def store(ref: Any, row: Any, values: Array) -> None:
-        triton.store(ref.at[row * lanes + lane], values.astype(ref.dtype), mask=inside)
-
-    limits = tuple(load(limits_ref, row * lanes + lane) for row in range(4))
-    length = load(length_ref, lane)
+    own = _Lanes(lanes, block)
+    trial = own.number // axes
+    first = trial * (samples * axes) + (own.number - trial * axes)
+    limits = tuple(own.row(limits_ref, row) for row in range(4))
+    length = own.row(length_ref, 0)
+    period = own.load(table_ref, jnp.full(block, config.window + 1, jnp.int32))
 
     def sample(index: int | Array) -> Array:
         at = jnp.minimum(index, samples - 1)  # beyond the array nothing counts
-        return load(wrench_ref, first + at * axes)
-
-    def window_from(begin: int | Array) -> list[Array]:
-        """The samples of a window; of a long one none, which is read as it is summed."""
-        return [sample(begin + index) for index in range(config.window)] if config.window <= _AHEAD else []
+        return own.load(wrench_ref, first + at * axes)
 
     def body(window: Array, carry: Any) -> Any:
-        time, held, values = carry
+        time, held = carry
         begin = window * config.window
-        following = window_from(begin + config.window)  # asked for now, needed a window later
         count = jnp.clip(length - begin, 0, config.window)
         most = jnp.maximum(count, 2)
         n = most.astype(jnp.float32)
         sums = (jnp.zeros(block, jnp.float32), jnp.zeros(block, jnp.float32))
 
         def add(index: Any, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-            y = values[index] if values else sample(begin + index)
-            return segments.accumulate(sums, jnp.asarray(index, jnp.int32), y, count, (n - 1) / 2)
+            return segments.accumulate(sums, jnp.asarray(index, jnp.int32), sample(begin + index), count, (n - 1) / 2)
 
-        if values:
+        if segments.unrolled(config.window) is True:
             for index in range(config.window):
                 sums = add(index, sums)
         else:
             sums = jax.lax.fori_loop(0, config.window, add, sums)
-        spread, period = load(spread_ref, most), jnp.float32(config.dt)
-        slope, x = segments.line_of(*sums, n, spread, period, time, count, divide)
+        slope, x = segments.line_of(*sums, n, own.load(table_ref, most), period, time, count, rounded)
         label = jnp.where(count >= 2, segments.gradient_label(slope, limits), 0)
         size = jnp.where(label > 0, count, 0)
         x = Segment(label, time, time + size, x.vmax, x.vmin, x.area, x.rise)
         held, out = chain(config, held, x)
         for number, segment in enumerate(out):
-            track = track_of(segment, time + size, divide)
-            for place, name in enumerate(_FIELDS):
-                store(columns[number * len(_FIELDS) + place], window, getattr(track, name))
-        return time + size, held, following
+            layer = columns[number * len(_FIELDS) : (number + 1) * len(_FIELDS)]
+            own.publish(layer, window, segment, time + size, rounded)
+        return time + size, held
 
     whole, real = jnp.zeros(block, jnp.int32), jnp.zeros(block, jnp.float32)
     empty = [Segment(whole, whole, whole, real, real, real, real)] * _HELD
-    time, held, _ = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty, window_from(0)))
+    time, held = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty))
     for number, segment in enumerate(held):
         for place, values in enumerate((segment.label, segment.t0, segment.t1)):
-            store(ints_ref, 3 * number + place, values)
+            own.store(ints_ref, 3 * number + place, values)
         for place, values in enumerate((segment.vmax, segment.vmin, segment.area, segment.rise)):
-            store(reals_ref, 4 * number + place, values)
-    store(time_ref, 0, time)
+            own.store(reals_ref, 4 * number + place, values)
+    own.store(time_ref, 0, time)
 
 
-def _divide(x: Array, y: Array) -> Array:
-    """The quotient as IEEE 754 rounds it, and as a CPU does; Triton's own may be two digits off."""
-    kind = jax.ShapeDtypeStruct(x.shape, jnp.float32)
-    (out,) = triton.elementwise_inline_asm(
-        "div.rn.f32 $0, $1, $2;", args=[x, y], constraints="=f,f,f", pack=1, result_shape_dtypes=[kind]
-    )
-    return out
+def _append(rounded: Rounded, windows: int, lanes: int, block: int, time_ref: Any, *refs: Any) -> None:
+    """What the end of the stream publishes, behind the labels of the windows.
+
+    ``refs`` are the segments that are published, seven arrays a layer, the columns as they were, and the columns.
+    """
+    own, width = _Lanes(lanes, block), len(fields(Segment))
+    columns = refs[-len(FLUSH_SLOTS) * len(_FIELDS) :]
+    time = own.row(time_ref, 0)
+    for layer, slots in enumerate(FLUSH_SLOTS):
+        mine = columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)]
+        for slot in range(slots):
+            segment = Segment(*(own.row(ref, slot) for ref in refs[layer * width : (layer + 1) * width]))
+            own.publish(mine, windows + slot, segment, time, rounded)
+
+
+def _assembled(instruction: str) -> Callable[[Array, Array], Array]:
+    """An instruction of two float32 operands that no compiler changes."""
+
+    def run(x: Array, y: Array) -> Array:
+        kind = jax.ShapeDtypeStruct(x.shape, jnp.float32)
+        (out,) = triton.elementwise_inline_asm(
+            f"{instruction} $0, $1, $2;", args=[x, y], constraints="=f,f,f", pack=1, result_shape_dtypes=[kind]
+        )
+        return out
+
+    return run
+
+
+# As IEEE 754 rounds, and a CPU: Triton's own quotient may be two digits off.
+_IEEE = Rounded(_assembled("div.rn.f32"), _assembled("mul.rn.f32"))

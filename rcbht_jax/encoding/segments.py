@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,16 @@ from rcbht_jax.types import Array, Segment
 _UNROLLED = 64  # windows up to this many samples become straight-line code
 _TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
 _SURE = 40.0  # logit of the sign of a slope far above the small limit
+
+
+class Rounded(NamedTuple):
+    """How a compiler is made to round."""
+
+    quotient: Callable[[Array, Array], Array]
+    product: Callable[[Array, Array], Array]  # never part of a fused multiply-add
+
+
+XLA = Rounded(jnp.true_divide, lambda x, y: x / (1 / y))  # which it turns into a product, and fuses with no sum
 
 
 def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Segment:
@@ -50,13 +61,13 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
 
 def line_of(
     total: Array, moment: Array, n: Array, spread: Array, period: Array, t0: Array, count: Array,
-    divide: Callable[[Array, Array], Array] = jnp.true_divide,
+    rounded: Rounded = XLA,
 ) -> tuple[Array, Segment]:  # fmt: skip
     """What :func:`line` returns, from the sums over ``n`` samples; the compiler must not know ``n`` and ``spread``."""
-    slope = divide(moment, spread)
+    slope = rounded.quotient(moment, spread)
     half = jnp.abs(slope) * (n - 1) * period * 0.5
-    mean = divide(total, n)
-    rise = divide(slope, divide(jnp.ones_like(n), n))
+    mean = rounded.quotient(total, n)
+    rise = rounded.product(slope, n)
     return slope, Segment(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
 
 

@@ -1,0 +1,66 @@
+"""The kernel for GPUs, without one: its arithmetic in Pallas's interpreter, and that it compiles for CUDA."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rcbht_jax.encoding import encoder, gpu
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.types import LabelTracks
+from tests.encoding.test_encoder import wrench_of
+from tests.support.trees import assert_trees_equal
+
+SAMPLES = 163
+LIMITS = jnp.asarray(preset().limits, jnp.float32)
+LENGTH = jnp.asarray([SAMPLES, SAMPLES - 2, 100, 1, 0], jnp.int32)
+CONFIGS = {
+    "default": EncoderConfig(),
+    "long window": EncoderConfig(window=70, latency_cap=0.1, contact_first=True, adj_exempt=False, gate=False),
+}
+
+
+def recordings() -> jax.Array:
+    styles = ("steps", "ramps", "noise", "steps", "ramps")
+    return jnp.asarray(np.stack([wrench_of(seed, style, SAMPLES) for seed, style in enumerate(styles)]), jnp.float32)
+
+
+def by_kernel(config: EncoderConfig, wrench: jax.Array) -> LabelTracks:
+    trials, _, axes = wrench.shape
+    limits = jnp.tile(LIMITS.T, (1, trials))
+    tracks = gpu.encode(config, limits, wrench, LENGTH, block=16, interpret=True)
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf.reshape(-1, trials, axes), 0, -1), tracks)
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=list(CONFIGS))
+def test_the_kernel_gives_the_labels_of_the_scan(config: EncoderConfig) -> None:
+    wrench = recordings()
+    expected = jax.jit(encoder.encode, static_argnums=0)(config, LIMITS, wrench, LENGTH)
+    assert all((np.asarray(track.label) != 0).sum() > 0 for track in (expected.primitive, expected.mc, expected.llb))
+    assert_trees_equal(by_kernel(config, wrench), expected)
+
+
+def test_what_gpu_users_call_compiles_for_cuda_and_has_derivatives(monkeypatch: pytest.MonkeyPatch) -> None:
+    config, wrench = EncoderConfig(), recordings()
+
+    def push(wrench: jax.Array) -> jax.Array:
+        return encoder.encode(config, LIMITS, wrench, LENGTH).llb.avg.sum()
+
+    slope = jax.jvp(push, (wrench,), (wrench,))
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    encode = jax.jit(partial(encoder.encode, config))
+    for_cuda = encode.trace(LIMITS, wrench, LENGTH).lower(lowering_platforms=("cuda",)).as_text()
+    assert "triton" in for_cuda
+    np.testing.assert_array_equal(jax.jvp(push, (wrench,), (wrench,)), slope)  # here, on a CPU: the scan
+    assert np.abs(slope).min() > 0
+
+
+def test_what_the_kernel_cannot_do_is_left_to_the_scan() -> None:
+    assert gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float32))
+    assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float64))
+    assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((4_000_000, 100, 6), jnp.float32))
