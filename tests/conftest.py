@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 from jaxtyping import install_import_hook
@@ -58,10 +57,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def garbage_of_one_file() -> Iterator[None]:
+def garbage_of_one_file() -> None:
     """Collections look at nothing that earlier files have made."""
     set_aside()
-    yield
 
 
 def _external(variable: str, default: str) -> Path:
