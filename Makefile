@@ -11,6 +11,8 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 PIP := --quiet --disable-pip-version-check --no-compile # a module is compiled when it is first imported
 
+unexport PYTHONDONTWRITEBYTECODE # dozens of processes would each compile all that they import again
+
 .DEFAULT_GOAL := help
 .PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints clean
 

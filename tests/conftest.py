@@ -9,6 +9,8 @@ from jaxtyping import install_import_hook
 
 import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
 from tests.support.compiler import UNOPTIMISED
+from tests.support.garbage import collect_rarely, set_aside
+from tests.support.order import LONGEST, place
 from tests.support.small_blocks import shrink
 
 # Shapes and types are checked at run time under pytest only; must come before any import of the packages.
@@ -38,11 +40,26 @@ if os.environ.get("RCBHT_STANDARD_COMPILER") is None:
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+collect_rarely()
+
 hypothesis.settings.register_profile("dev", deadline=None, max_examples=60)
 hypothesis.settings.register_profile("ci", deadline=None, max_examples=30, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first; what pytest has ordered stays in its order otherwise."""
+    missing = [name for name in LONGEST if not (ROOT / name).is_file()]
+    assert not missing, f"tests/support/order.py names files that are not there: {missing}"
+    items.sort(key=lambda item: place(item.nodeid))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def garbage_of_one_file() -> None:
+    """Collections look at nothing that earlier files have made."""
+    set_aside()
 
 
 def _external(variable: str, default: str) -> Path:

@@ -184,7 +184,7 @@ def resample(sentence: Sentence, slots: int) -> Row:
         label, until = sentence.label[i], sentence.end[i] - origin
         while until >= end and len(winners) < slots:
             durations[label] = durations.get(label, 0) + (end - last)
-            winners.append(_NUMBER[_winner(durations)])
+            winners.append(_NUMBER[label if len(durations) == 1 else _winner(durations)])
             durations, last = {}, end
             end = duration * ((len(winners) + 1) / slots)
         durations[label] = durations.get(label, 0) + (until - last)

@@ -86,6 +86,8 @@ def test_sub_tasks_and_wrong_input():
     with pytest.raises(InputError, match="not a finite"):
         stream.push([[np.nan, 0.0]])
     assert stream.received == 7
+    stream.reset()
+    assert stream.received == 0
     with pytest.raises(InputError, match=r"expected \[3, 4\]"):
         WordIntrospector(CONFIG, rj.preset("hiro", ["a", "b"]), ["a", "b", "c"])
 

@@ -8,6 +8,7 @@ differ.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ def _labels(trials: Sequence[Path], version: str, arm: str = "R") -> list[Offlin
     return encode_all([job(path, arm, version, given) for path, given in zip(trials, states, strict=True)])
 
 
+@cache
 def _columns(lengths: pub.Lengths, layer: str, axis: str = "") -> NDArray[np.bool_]:
     return np.array([name.startswith(f"{layer}_{axis}") for name in pub.feature_names(lengths)])
 
