@@ -1,0 +1,59 @@
+"""Trials in the order of their end become shards again, whatever the order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcbht_jax.types import LabelTrack, LabelTracks
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.synthesis.regroup import Regroup
+from tests.support.trees import assert_trees_equal
+
+SIZES = {"a": 7, "b": 5, "c": 1}
+ALL = [(key, row) for key, size in SIZES.items() for row in range(size)]
+
+
+def trials_of(which: list[tuple[str, int]]) -> tuple[Rollouts, LabelTracks]:
+    """Made-up trials of two wrists that tell their shard and number, as an engine and an encoder give them."""
+    number = np.array([ALL.index(one) for one in which])
+    length = (3 + number % 4).astype(np.int32)
+    longest = int(length.max())
+    inside = np.arange(longest) < length[:, None]
+    wrench = np.where(inside[..., None], number[:, None, None] + np.arange(1, 13), 0).astype(np.float32)
+    onset = np.stack([number * 1.0, number * 2.0], 1)
+    out = Rollouts(wrench, wrench[..., :3], length, onset, (number % 2 == 0)[:, None], number % 5 == 0)
+    slots = int((number % 3).max()) + 1
+    labels = np.where(np.arange(slots) <= (number % 3)[:, None], number[:, None] + 1, 0)
+    tracks = np.repeat(labels, 2, 0)[:, None] * np.ones((1, 6, 1), int)
+    whole, real = tracks.astype(np.int32), tracks.astype(np.float32)
+    track = LabelTrack(tracks.astype(np.int8), whole, whole, whole, real, real, real, real)
+    return out, LabelTracks(track, track, track)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("labelled", [True, False])
+def test_shards_are_those_of_trials_in_order(seed: int, labelled: bool) -> None:
+    rng = np.random.default_rng(seed)
+    order = [ALL[place] for place in rng.permutation(len(ALL))]
+    cuts = np.sort(rng.choice(np.arange(1, len(ALL)), 3, replace=False))
+    group, found = Regroup(), dict[Any, Any]()
+    for key, size in SIZES.items():
+        group.expect(key, size)
+    for part in np.split(np.arange(len(ALL)), cuts):
+        which = [order[place] for place in part]
+        out, tracks = trials_of(which)
+        for shard in group.add(which, out, tracks if labelled else None):
+            assert shard.key not in found
+            found[shard.key] = shard
+    assert set(found) == set(SIZES)
+    for key, size in SIZES.items():
+        out, tracks = trials_of([(key, row) for row in range(size)])
+        for name, expected in vars(out).items():
+            np.testing.assert_array_equal(getattr(found[key].trials, name), expected)
+        if labelled:
+            assert_trees_equal(found[key].tracks, tracks)
+        else:
+            assert found[key].tracks is None
