@@ -57,13 +57,15 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
 
 
 def of_labels(tracks: LabelTracks, trials: int) -> Arrays:
-    """Labels of ``trials`` trials: arrays [trial, wrist, 6, slot] called ``layer.field``."""
-    return {
-        f"{layer}.{name}": np.asarray(getattr(getattr(tracks, layer), name)).reshape(trials, -1, 6, width)
-        for layer in LAYERS
-        for name in LABEL_FIELDS
-        for width in (getattr(tracks, layer).label.shape[-1],)
-    }
+    """Labels of ``trials`` trials: arrays [trial, wrist, 6, slot] called ``layer.field``, as long as the longest row."""
+    arrays = {}
+    for layer in LAYERS:
+        track = getattr(tracks, layer)
+        used = max(1, int(np.count_nonzero(track.label, axis=-1).max()))  # how many are spare depends on the batch
+        for name in LABEL_FIELDS:
+            values = np.asarray(getattr(track, name))[..., :used]
+            arrays[f"{layer}.{name}"] = values.reshape(trials, -1, 6, used)
+    return arrays
 
 
 def _diverged(out: Rollouts) -> NDArray[np.bool_]:
