@@ -57,7 +57,7 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
 
 
 def of_labels(tracks: LabelTracks, trials: int) -> Arrays:
-    """Labels of ``trials`` trials: arrays [trial, wrist, 6, slot] called ``layer.field``, as long as the longest row."""
+    """Labels of ``trials`` trials: arrays [trial, wrist, 6, slot] called ``layer.field``, no longer than needed."""
     arrays = {}
     for layer in LAYERS:
         track = getattr(tracks, layer)
