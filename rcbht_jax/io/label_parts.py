@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Field, Layout
-from rcbht_jax.io.store_schema import HASH
+from rcbht_jax.io.store_schema import HASH, LABELS
 from rcbht_jax.io.store_writer import seal_whole
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
@@ -50,6 +50,21 @@ def create(
     group = zarr_io.create_group(folder, {**attrs, "rcbht_jax_version": rcbht_jax.__version__, "created": date})
     axes, real = np.shape(sample.llb.label)[1], str(np.asarray(sample.llb.avg).dtype)
     parts.create(group, layout, _fields(axes, real))
+
+
+def create_in(
+    path: Path,
+    name: str,
+    layout: Layout,
+    sample: LabelTracks,
+    attrs: Mapping[str, Any],
+    *,
+    created: str | None = None,
+) -> None:
+    """Label tracks in a store that is being written; the rest as for :func:`create`."""
+    if not (path / LABELS).exists():
+        zarr.create_group(path / LABELS, zarr_format=3)
+    create(path / LABELS / name, layout, sample, attrs, created=created)
 
 
 def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:

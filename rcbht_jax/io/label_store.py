@@ -16,6 +16,7 @@ from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, recording_rows
+from rcbht_jax.io.store_schema import LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
@@ -82,8 +83,8 @@ def write_batches(
             places = rows[ends[number] - sizes[number] : ends[number]] - span.start
             label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
         label_parts.finish(draft)
-        if not (path / "labels" / "zarr.json").exists():
-            zarr.create_group(path / "labels", zarr_format=3)
+        if not (path / LABELS / "zarr.json").exists():
+            zarr.create_group(path / LABELS, zarr_format=3)
     zarr_io.consolidate(path)
 
 
@@ -166,14 +167,14 @@ def list_tracks(path: Path) -> list[str]:
         InputError: ``path`` is not a store.
     """
     open_store(path)
-    entries = [entry for entry in (path / "labels").glob("*") if entry.is_dir() and not entry.name.startswith(".")]
+    entries = [entry for entry in (path / LABELS).glob("*") if entry.is_dir() and not entry.name.startswith(".")]
     return sorted(entry.name for entry in entries if NAME.fullmatch(entry.name))
 
 
 def _folder(path: Path, name: str) -> Path:
     if not NAME.fullmatch(name):
         raise InputError(f"{name!r} is not a name for label tracks; expected letters, digits and . _ - only.")
-    return path / "labels" / name
+    return path / LABELS / name
 
 
 def _read_old(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks:

@@ -42,11 +42,12 @@ with needs_extra("store"):
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
-    "open_store", "read_attrs", "read_batches", "read_recordings", "read_rows", "read_simulation", "read_table",
-    "validate", "verify", "write_recordings",
+    "open_store", "read_attrs", "read_batches", "read_lengths", "read_recordings", "read_rows", "read_sample",
+    "read_simulation", "read_table", "validate", "verify", "write_recordings",
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
+SAMPLE_BYTES = 2**28  # of wrenches that tell what is true of all
 
 
 def check_target(path: Path, overwrite: bool) -> None:
@@ -117,12 +118,7 @@ def read_recordings(path: Path | str) -> Recordings:
     """
     path = Path(path)
     group = open_store(path)
-    recordings = store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group)
-    try:
-        validate(recordings)
-    except InputError as error:
-        raise InputError(f"{path} holds contradictory recordings: {error}") from error
-    return recordings
+    return _valid(path, store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group))
 
 
 def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
@@ -141,8 +137,8 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
         raise InputError(f"{path} has recordings 0 to {count - 1}; asked for {numbers.tolist()[:9]}.")
     group = open_store(path)
     if not _in_parts(group):
-        return _read_old(path, group).take(numbers)
-    return store_reader.read_rows(Stored.of(path, group), numbers.astype(np.int64))
+        return _valid(path, _read_old(path, group)).take(numbers)
+    return _valid(path, store_reader.read_rows(Stored.of(path, group), numbers.astype(np.int64)))
 
 
 def read_batches(path: Path | str, most: int = BATCH_BYTES) -> Iterator[Recordings]:
@@ -160,9 +156,10 @@ def read_batches(path: Path | str, most: int = BATCH_BYTES) -> Iterator[Recordin
     path = Path(path)
     group = open_store(path)
     if _in_parts(group):
-        yield from store_reader.read_parts(Stored.of(path, group), most)
+        for batch in store_reader.read_parts(Stored.of(path, group), most):
+            yield _valid(path, batch)
     else:
-        yield _read_old(path, group)
+        yield _valid(path, _read_old(path, group))
 
 
 def read_table(path: Path) -> Recordings:
@@ -181,6 +178,29 @@ def read_table(path: Path) -> Recordings:
     if _in_parts(group):
         return store_reader.read_table(Stored.of(path, group))
     return _read_old(path, group)
+
+
+def read_sample(path: Path, most: int = SAMPLE_BYTES) -> tuple[Recordings, NDArray[np.int64]]:
+    """All recordings of a store, or, of a large one, recordings spread evenly over it.
+
+    Args:
+        path: the store.
+        most: bytes of padded wrenches beyond which it is large.
+
+    Returns:
+        the recordings, and their numbers.
+
+    Raises:
+        InputError: as for :func:`read_recordings`.
+    """
+    length, group = read_lengths(path), open_store(path)
+    with zarr_io.reading(path):
+        axes = group["wrench"].shape[2]  # type: ignore[union-attr]
+    room = most // (4 * axes * int(length.max()))
+    if room >= len(length):
+        return read_recordings(path), np.arange(len(length))
+    numbers = np.linspace(0, len(length) - 1, max(1, room)).round().astype(np.int64)
+    return read_rows(path, numbers), numbers
 
 
 def verify(path: Path) -> None:
@@ -246,11 +266,22 @@ def count_recordings(path: Path) -> int:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group = open_store(path)
+    if _in_parts(group) and HASH in group.attrs:
+        return len(Stored.of(path, group).rows())
+    return len(read_lengths(path))
+
+
+def read_lengths(path: Path) -> NDArray[np.int32]:
+    """Samples of each recording; while the store is being written, of those that are there.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
     with zarr_io.reading(path):
-        if not _in_parts(group):
-            return len(zarr_io.read_array(group, "length", "int32"))
-        stored = Stored.of(path, group)
-        return len(stored.rows()) if stored.finished else store_reader.count_there(stored)
+        if _in_parts(group):
+            return store_reader.read_lengths(Stored.of(path, group))
+        return zarr_io.read_array(group, "length", "int32")
 
 
 def recording_rows(path: Path) -> NDArray[np.int64]:
@@ -265,6 +296,14 @@ def recording_rows(path: Path) -> NDArray[np.int64]:
 
 def _in_parts(group: zarr.Group) -> bool:
     return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
+
+
+def _valid(path: Path, recordings: Recordings) -> Recordings:
+    try:
+        validate(recordings)
+    except InputError as error:
+        raise InputError(f"{path} holds contradictory recordings: {error}") from error
+    return recordings
 
 
 def _read_old(path: Path, group: zarr.Group) -> Recordings:

@@ -150,10 +150,10 @@ def read_table(stored: Stored) -> Recordings:
     return _recordings(stored, small, np.zeros((int(used.sum()), 0, len(stored.schema.axes)), np.float32))
 
 
-def count_there(stored: Stored) -> int:
-    """Number of recordings in the parts that are there."""
+def read_lengths(stored: Stored) -> NDArray[np.int32]:
+    """Samples of each recording, as far as they are there."""
     length = parts.read(stored.group, "length", slice(None), stored.schema.fields["length"])
-    return int(((length > 0) & _there(stored)).sum())
+    return length[(length > 0) & _there(stored)]
 
 
 def read_small(stored: Stored, number: int) -> Arrays:
