@@ -2,9 +2,10 @@
 
 Each shard is simulated and saved in a work folder beside the target (``sim_mjx.synthesis.shards``); when all are there
 they are joined into one store, of which each is a part. A trial depends on seed and index alone, so the shard size
-decides only how much an interruption costs and how the files of the store are divided. The store holds no date. Its group ``simulation/`` has one row per recording: index, fault,
-failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). A two-arm trial is two
-recordings, right arm and left arm, as the importer stores them.
+decides only how much an interruption costs and how the files of the store are divided. The store holds no date. Its
+group ``simulation/`` has one row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn
+parameters (``Scenario.parameters``). A two-arm trial is two recordings, right arm and left arm, as the importer stores
+them.
 """
 
 from __future__ import annotations
