@@ -35,6 +35,8 @@ from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES, validate
 from rcbht_jax.io.store_reader import Stored
 from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, SIMULATION, open_store, schema_of
+from rcbht_jax.io.summary import Summary, summary_of
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
@@ -42,8 +44,8 @@ with needs_extra("store"):
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
-    "open_store", "read_attrs", "read_batches", "read_lengths", "read_recordings", "read_rows", "read_sample",
-    "read_simulation", "read_table", "validate", "verify", "write_recordings",
+    "open_store", "progress_of", "read_attrs", "read_batches", "read_lengths", "read_recordings", "read_rows",
+    "read_sample", "read_simulation", "read_summary", "read_table", "validate", "verify", "write_recordings",
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
@@ -178,6 +180,40 @@ def read_table(path: Path) -> Recordings:
     if _in_parts(group):
         return store_reader.read_table(Stored.of(path, group))
     return _read_old(path, group)
+
+
+def read_summary(path: Path) -> Summary:
+    """What is counted in a store (:func:`rcbht_jax.io.summary.summary_of`), so far as it is there; no row is read.
+
+    A store of version 1 or 2 is read whole.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    if _in_parts(group):
+        return store_reader.read_summary(Stored.of(path, group))
+    return summary_of(_read_old(path, group))
+
+
+def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
+    """How much of a store is there.
+
+    Returns:
+        recordings that are there; how many there will be (some of them gaps, while it is being written); the axes and
+        their units; and bytes of the wrenches, padded.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group, there = open_store(path), count_recordings(path)
+    with zarr_io.reading(path):
+        wrench: Any = group["wrench"]
+        if group.attrs["format_version"] == 1:
+            return there, there, dict(zip(AXES, UNITS, strict=True)), wrench.nbytes
+        names = zarr_io.read_array(group, "axis", "string").tolist()
+        axes = dict(zip(names, map(str, group.attrs["axis_units"]), strict=True))  # type: ignore[arg-type]
+        return there, there if HASH in group.attrs else wrench.shape[0], axes, wrench.nbytes
 
 
 def read_sample(path: Path, most: int = SAMPLE_BYTES) -> tuple[Recordings, NDArray[np.int64]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,18 +17,21 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import VARIABLES
+from rcbht_jax.io.parts import Field
 from rcbht_jax.io.store_schema import (
     ANNOTATIONS,
     COLUMNS,
     GAPS,
     HASH,
     SIMULATION,
+    SUMMARIES,
     WRENCH_HASH,
     Schema,
     part_digest,
     schema_in,
     wrench_digests,
 )
+from rcbht_jax.io.summary import Summary, merged
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
@@ -154,6 +158,14 @@ def read_lengths(stored: Stored) -> NDArray[np.int32]:
     """Samples of each recording, as far as they are there."""
     length = parts.read(stored.group, "length", slice(None), stored.schema.fields["length"])
     return length[(length > 0) & _there(stored)]
+
+
+def read_summary(stored: Stored) -> Summary:
+    """What is counted in the parts that are there."""
+    with zarr_io.reading(stored.path):
+        texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
+        there = [True] * len(texts) if stored.finished else [found is not None for found in parts.digests(stored.group)]
+        return merged(json.loads(text) for text, counts in zip(texts, there, strict=True) if counts)
 
 
 def read_small(stored: Stored, number: int) -> Arrays:

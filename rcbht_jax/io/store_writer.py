@@ -7,6 +7,7 @@ does not exist, such as a simulated trial that diverged; readers leave it out.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import validate
+from rcbht_jax.io.parts import Field
 from rcbht_jax.io.store_schema import (
     ANNOTATIONS,
     COLUMNS,
@@ -28,6 +30,7 @@ from rcbht_jax.io.store_schema import (
     GAPS,
     HASH,
     SIMULATION,
+    SUMMARIES,
     Schema,
     open_store,
     part_digest,
@@ -35,6 +38,7 @@ from rcbht_jax.io.store_schema import (
     schema_of,
     values_of,
 )
+from rcbht_jax.io.summary import summary_of
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
@@ -66,6 +70,7 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
     for name in (COLUMNS, ANNOTATIONS):
         group.create_group(name)
     parts.create(group, schema.layout, schema.fields)
+    zarr_io.create_array(group, SUMMARIES, (len(schema.layout),), "string", ("part",), {}, (1,))
     zarr_io.write_array(group, "dt", np.float64(schema.dt), (), "float64", {"units": "s"})
     zarr_io.write_array(group, "axis", np.array(schema.axes), ("axis",), "string", {})
     if schema.simulation:
@@ -99,6 +104,9 @@ def write_part(
         parts.seal(path / SIMULATION, number, parts.digest_of(simulation, schema.simulation))
     values = values_of(recordings)
     parts.write(path, schema.layout, number, schema.fields, values)
+    text = np.array([json.dumps(summary_of(recordings))])
+    group, place = zarr_io.open_group(path, "r+"), slice(number, number + 1)
+    parts.write_rows(group, SUMMARIES, Field("string"), place, text)
     parts.seal(path, number, part_digest(values, schema.fields))
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import random
 import resource
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,12 @@ import pytest
 import xarray as xr
 
 from rcbht_jax.annotations import Annotations
+from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, label_store, store, store_reader, store_writer
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store_schema import schema_of
+from rcbht_jax.io.summary import merged, quantiles, summary_of
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from tests.support.old_stores import write_version_2
 from tests.support.store_cases import files, same
@@ -155,6 +159,7 @@ def test_two_processes_write_parts_at_the_same_time(parted: Path, tmp_path: Path
     path = begun(tmp_path / "two.zarr")
     code = """
 import sys
+from collections import Counter
 from pathlib import Path
 from tests.io.test_parts import add
 for number in sys.argv[2:]:
@@ -216,6 +221,46 @@ def test_gaps_keep_their_place_and_are_left_out(tmp_path: Path) -> None:
     with xr.open_zarr(path) as data:
         assert data["length"].values[list(GAPS)].tolist() == [0, 0]
         assert data["wrench"].shape[0] == COUNT
+
+
+@pytest.mark.parametrize("gaps", [(), GAPS])
+def test_counts_of_the_parts_add_up_to_those_of_the_whole(gaps: tuple[int, ...], tmp_path: Path) -> None:
+    path = begun(tmp_path / "counted.zarr", gaps)
+    for number in range(3):
+        add(path, number, gaps)
+    finish(path)
+    whole = summary_of(store.read_recordings(path))
+    assert store.read_summary(path) == merged([whole])
+    assert sum(sum(counts.values()) for *_, counts in whole["groups"]) == COUNT - len(gaps)
+    lengths = np.delete(ragged().length, gaps)
+    merged_lengths: Counter[str] = Counter()
+    for *_, counts in whole["groups"]:
+        merged_lengths.update(counts)
+    np.testing.assert_allclose(quantiles(merged_lengths), np.quantile(lengths, (0, 0.5, 1)))
+    assert whole["columns"]["hook"] == {"texts": {"x": COUNT - 1 - len(gaps)}}
+    assert whole["annotations"]["track0"]["label2"] == [2, 2]
+
+
+def test_a_growing_or_large_store_is_described(
+    parted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = begun(tmp_path / "growing.zarr")
+    add(path, 1)
+    assert main(["info", str(path)]) == 0
+    assert "4 of 11 recordings are there; still being written" in capsys.readouterr().out
+    assert main(["encode", str(path)]) == 2
+    assert "still being written: 1 of 3 parts" in capsys.readouterr().err
+    assert main(["info", str(parted), "--json"]) == 0
+    small = json.loads(capsys.readouterr().out)
+    monkeypatch.setattr(store, "SAMPLE_BYTES", 1)
+    assert main(["info", str(parted), "--json"]) == 0
+    large = json.loads(capsys.readouterr().out)
+    assert small["verified"]
+    assert small["tasks"]
+    assert not large["verified"]
+    assert large | {"verified": True, "tasks": small["tasks"]} == small
+    assert main(["info", str(parted), "--json", "--check"]) == 0
+    assert json.loads(capsys.readouterr().out)["verified"]
 
 
 def test_a_store_of_gaps_alone_is_refused(tmp_path: Path) -> None:
