@@ -76,13 +76,13 @@ class Info(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks
-        from rcbht_jax.io.store import SAMPLE_BYTES, progress_of, read_attrs, read_recordings, read_summary, verify
+        from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_recordings, read_summary, verify
         from rcbht_jax.io.summary import summary_of
         from rcbht_jax.learning.tasks import task_names
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), False
-        if there == expected and size <= SAMPLE_BYTES:
+        if there == expected and size <= SMALL_BYTES:
             recordings = read_recordings(self.store)
             summary, verified = summary_of(recordings), True
             tasks = {name: _task(recordings, name) for name in task_names(recordings)}

@@ -49,7 +49,8 @@ __all__ = [
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
-SAMPLE_BYTES = 2**28  # of wrenches that tell what is true of all
+SAMPLE_BYTES = 2**26  # of wrenches that tell what is true of all: looking at them takes ten times as much
+SMALL_BYTES = 2**28  # of wrenches that "rcbht info" reads all of
 
 
 def check_target(path: Path, overwrite: bool) -> None:

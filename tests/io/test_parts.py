@@ -252,7 +252,7 @@ def test_a_growing_or_large_store_is_described(
     assert "still being written: 1 of 3 parts" in capsys.readouterr().err
     assert main(["info", str(parted), "--json"]) == 0
     small = json.loads(capsys.readouterr().out)
-    monkeypatch.setattr(store, "SAMPLE_BYTES", 1)
+    monkeypatch.setattr(store, "SMALL_BYTES", 1)
     assert main(["info", str(parted), "--json"]) == 0
     large = json.loads(capsys.readouterr().out)
     assert small["verified"]
