@@ -135,13 +135,14 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
         InputError: there is no such recording, or as for :func:`read_recordings`.
     """
     path, numbers = Path(path), np.atleast_1d(np.asarray(rows))
-    count = count_recordings(path)
+    group = open_store(path, collected=True)
+    stored = Stored.of(path, group) if _in_parts(group) else None
+    count = count_recordings(path) if stored is None else len(stored.rows())
     if numbers.dtype.kind not in "iu" or not len(numbers) or numbers.min() < 0 or numbers.max() >= count:
         raise InputError(f"{path} has recordings 0 to {count - 1}; asked for {numbers.tolist()[:9]}.")
-    group = open_store(path)
-    if not _in_parts(group):
+    if stored is None:
         return _valid(path, _read_old(path, group)).take(numbers)
-    return _valid(path, store_reader.read_rows(Stored.of(path, group), numbers.astype(np.int64)))
+    return _valid(path, store_reader.read_rows(stored, numbers.astype(np.int64)))
 
 
 def read_batches(path: Path | str, most: int = BATCH_BYTES) -> Iterator[Recordings]:

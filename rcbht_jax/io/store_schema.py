@@ -29,7 +29,7 @@ SIMULATION, COLUMNS, ANNOTATIONS, LABELS = "simulation", "columns", "annotations
 HASH, WRENCH_HASH, GAPS = "content_sha256", "wrench_sha256", "gaps"  # gaps: rows that are no recording
 SUMMARIES = "part_summary"  # of each part: rcbht_jax.io.summary as JSON
 PART_BYTES = 2**26  # of wrenches in one part, unless the caller chooses
-MOST_ROWS = 8192  # in such a part
+MOST_ROWS = 4096  # in such a part
 
 WRENCH = Field("float32", ("time", "axis"), (None, 0), 512)
 MARKS = {
@@ -118,13 +118,13 @@ def schema_in(group: zarr.Group) -> Schema:
         )  # fmt: skip
 
 
-def open_store(path: Path) -> zarr.Group:
-    """Open the store's group for reading.
+def open_store(path: Path, *, collected: bool = False) -> zarr.Group:
+    """Open the store's group for reading; ``collected`` as for :func:`rcbht_jax.io.zarr.open_group`.
 
     Raises:
         InputError: ``path`` does not exist or is not a store of this format and version.
     """
-    group = zarr_io.open_group(path)
+    group = zarr_io.open_group(path, collected=collected)
     if group.attrs.get("format") != FORMAT:
         raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
     if group.attrs.get("format_version") not in range(1, FORMAT_VERSION + 1):

@@ -55,8 +55,14 @@ def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
     return zarr.create_group(path, zarr_format=3, attributes=dict(attrs))
 
 
-def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> zarr.Group:
+def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = False) -> zarr.Group:
     """Open a group, for reading or for changing it.
+
+    Args:
+        path: of the group.
+        mode: "r" to read, "r+" to change.
+        collected: take the metadata of its members from its own, where :func:`consolidate` collected them: quicker, but
+            it is not seen that they are lost.
 
     Raises:
         InputError: ``path`` is not a readable Zarr v3 group.
@@ -64,7 +70,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> zarr.Group:
     try:
         if not path.is_dir():
             raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
-        return zarr.open_group(path, mode=mode, zarr_format=3, use_consolidated=False)
+        return zarr.open_group(path, mode=mode, zarr_format=3, use_consolidated=None if collected else False)
     except InputError:
         raise
     except Exception as error:  # a foreign folder can fail in any way inside zarr
