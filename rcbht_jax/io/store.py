@@ -44,8 +44,9 @@ with needs_extra("store"):
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
-    "open_store", "progress_of", "read_attrs", "read_batches", "read_lengths", "read_recordings", "read_rows",
-    "read_sample", "read_simulation", "read_summary", "read_table", "validate", "verify", "write_recordings",
+    "longest_of", "open_store", "progress_of", "read_attrs", "read_batches", "read_lengths", "read_recordings",
+    "read_rows", "read_sample", "read_simulation", "read_summary", "read_table", "validate", "verify",
+    "write_recordings",
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
@@ -196,6 +197,18 @@ def read_summary(path: Path) -> Summary:
     if _in_parts(group):
         return store_reader.read_summary(Stored.of(path, group))
     return summary_of(_read_old(path, group))
+
+
+def longest_of(path: Path) -> int:
+    """Samples to which :func:`read_recordings` pads all recordings.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    with zarr_io.reading(path):
+        wrench: Any = group["wrench"]
+        return int(wrench.shape[1])
 
 
 def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
