@@ -21,94 +21,25 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, label_store, store, store_reader, store_writer
-from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.io.summary import merged, quantiles, summary_of
-from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from rcbht_jax.types import Recordings
 from tests.support.old_stores import write_version_2
-from tests.support.store_cases import files, same
+from tests.support.parted_stores import (
+    COUNT,
+    GAPS,
+    PART,
+    add,
+    begun,
+    finish,
+    ragged,
+    tracks_of,
+    tree,
+    trimmed,
+    truth,
+)
+from tests.support.store_cases import same
 from tests.support.trees import assert_trees_equal
-
-COUNT, PART, GAPS = 11, 4, (5, 8)
-
-
-def ragged(count: int = COUNT, gaps: tuple[int, ...] = ()) -> Recordings:
-    """Recordings of lengths from 3 to 600 samples with 0 to 3 intervals each; nothing in the rows of ``gaps``."""
-    rng = np.random.default_rng(1)
-    wrenches = [rng.normal(size=(int(n), 2)) for n in rng.integers(3, 600, count)]
-    marks = [
-        (row, f"track{number % 2}", f"label{number}", 0.1 * number, 0.1 * number + 0.05)
-        for row in range(count)
-        for number in range(row % 4)
-        if row not in gaps
-    ]
-    labels = {"track0": ["label0", "label2"], "track1": ["label1"]}
-    texts = {
-        "outcome": [f"ö{n}" for n in range(count)],
-        "mass": rng.normal(size=count),
-        "hook": ["", *"x" * (count - 1)],
-    }
-    made = Recordings.from_arrays(
-        wrenches, 100.0, axes=("grip", "push"), units=("N", "V"),
-        annotations=Annotations.from_rows(marks, labels), **texts,
-    )  # fmt: skip
-    for row in gaps:
-        made.wrench[row] = 0
-        made.length[row] = 0
-    return made
-
-
-def truth(count: int = COUNT) -> dict[str, Any]:
-    rng = np.random.default_rng(2)
-    words = np.array([f"fault{n % 3}" for n in range(count)])
-    return {"seated": rng.random((count, 4)) > 0.5, "fault": words, "mass": rng.normal(size=count)}
-
-
-def tracks_of(count: int = COUNT, gaps: tuple[int, ...] = ()) -> LabelTracks:
-    """Label tracks with up to 100 slots, none in the rows of ``gaps``."""
-    rng = np.random.default_rng(3)
-
-    def layer(slots: int) -> LabelTrack:
-        used = np.arange(slots) < rng.integers(1, slots + 1, (count, 2, 1))
-        used[list(gaps)] = False
-        whole = {
-            name: np.where(used, rng.integers(0, 9, used.shape), 0).astype(np.int32) for name in ("t0", "t1", "emit")
-        }
-        real = {name: np.where(used, rng.normal(size=used.shape), 0) for name in ("vmax", "vmin", "avg", "grad")}
-        label = np.where(used, rng.integers(1, 9, used.shape), 0).astype(np.int8)
-        return LabelTrack(label=label, **whole, **{name: values.astype(np.float32) for name, values in real.items()})
-
-    return LabelTracks(layer(100), layer(70), layer(3))
-
-
-def begun(path: Path, gaps: tuple[int, ...] = ()) -> Path:
-    """A store without parts, and label tracks in it."""
-    schema = schema_of(ragged(gaps=gaps), truth(), COUNT, PART)
-    store_writer.create(path, schema, {"importer": "none"}, "then")
-    label_parts.create_in(path, "x", schema.layout, tracks_of(), {"window": 5}, created="then")
-    return path
-
-
-def add(path: Path, number: int, gaps: tuple[int, ...] = ()) -> None:
-    rows = Layout(COUNT, PART).span(number)
-    some = {name: values[rows] for name, values in truth().items()}
-    label_parts.write_part(path / "labels" / "x", number, label_parts.taken(tracks_of(gaps=gaps), rows))
-    store_writer.write_part(path, number, trimmed(ragged(gaps=gaps).take(np.arange(rows.start, rows.stop))), some)
-
-
-def trimmed(part: Recordings) -> Recordings:
-    """As who writes a part has it: as long as its longest recording."""
-    return dataclasses.replace(part, wrench=part.wrench[:, : int(part.length.max())])
-
-
-def finish(path: Path) -> Path:
-    label_parts.finish(path / "labels" / "x")
-    store_writer.finish(path)
-    return path
-
-
-def tree(path: Path) -> dict[str, bytes]:
-    return {str(entry.relative_to(path)): entry.read_bytes() for entry in files(path)}
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +92,7 @@ def test_two_processes_write_parts_at_the_same_time(parted: Path, tmp_path: Path
 import sys
 from collections import Counter
 from pathlib import Path
-from tests.io.test_parts import add
+from tests.support.parted_stores import add
 for number in sys.argv[2:]:
     add(Path(sys.argv[1]), int(number))
 """
@@ -309,10 +240,10 @@ def test_a_part_counts_only_with_its_digest(tmp_path: Path, monkeypatch: pytest.
     assert store.count_recordings(path) == 0
 
 
+@pytest.mark.parametrize("chunk", ["wrench/c/2/0/0", "outcome/c/2"])  # of part 2
 @pytest.mark.parametrize("rows", [[0], [9]])
-def test_damage_is_found_in_what_is_read_and_only_there(copied: Path, rows: list[int]) -> None:
-    chunk = copied / "wrench" / "c" / "2" / "0" / "0"  # of part 2
-    chunk.unlink()
+def test_damage_is_found_in_what_is_read_and_only_there(copied: Path, rows: list[int], chunk: str) -> None:
+    (copied / chunk).unlink()
     stored = store_reader.Stored.of(copied, store.open_store(copied))
     if rows == [0]:
         same(store.read_rows(copied, rows), trimmed(ragged().take(rows)))
