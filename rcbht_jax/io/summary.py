@@ -20,8 +20,8 @@ def summary_of(recordings: Recordings) -> Summary:
 
     Example:
         >>> counts = summary_of(Recordings.example())
-        >>> counts["groups"]
-        [['', '', 'failure', 'R', {'300': 4}], ['', '', 'success', 'R', {'300': 4}]]
+        >>> [group[2:] for group in counts["groups"]]
+        [['failure', 'R', {'300': 4}], ['success', 'R', {'300': 4}]]
     """
     used = np.flatnonzero(recordings.length)
     rows = recordings if len(used) == len(recordings) else recordings.take(used)
