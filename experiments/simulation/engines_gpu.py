@@ -133,7 +133,7 @@ class _stopwatch:
     PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "fields_of"),
              (records, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
              (pipeline, "assemble"),
-             (pipeline.store, "write_recordings"), (assemble, "write_tracks"))  # fmt: skip
+             (assemble.store_writer, "write_part"), (assemble.label_parts, "write_part"))  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
         spans.clear()

@@ -29,8 +29,13 @@ def content_hash(arrays: Iterable[NDArray[Any] | np.generic]) -> str:
 _V1_TRACKS = {"states": "onset", "states-harmonised": "onset_harmonised", "states-merged": ""}
 
 
-def data_hash(recordings: Any) -> str:
+def data_hash(recordings: Any, wrenches: Iterable[NDArray[Any]] | None = None, samples: int = 0) -> str:
     """Digest of the wrenches, lengths, annotations, names and classes of a :class:`rcbht_jax.types.Recordings`.
+
+    Args:
+        recordings: the data set; where ``wrenches`` are given, its own do not matter.
+        wrenches: of all recordings, in batches ``[recording, time, axis]``, where they are not in memory.
+        samples: to which all batches are padded.
 
     Of data with the annotations of version 0.1 it is the digest of that version, which stands in its models.
     """
@@ -44,8 +49,13 @@ def data_hash(recordings: Any) -> str:
         starts |= {name: getattr(marks, name) for name in ("recording", "track", "code", "start", "end")}
         columns = {name: recordings.columns[name] for name in sorted(recordings.columns)}
     fields = {name: getattr(recordings, name) for name in ("trial", "arm", "session", "outcome")}
-    fields = {"wrench": recordings.wrench, "length": recordings.length} | starts | fields | columns
+    fields = {"length": recordings.length} | starts | fields | columns
     digest = hashlib.sha256()
+    if wrenches is None:
+        wrenches, samples = [recordings.wrench], recordings.wrench.shape[1]
+    digest.update(f"wrench {(len(recordings.length), samples, recordings.wrench.shape[2])} ".encode())
+    for wrench in wrenches:
+        digest.update(np.pad(wrench, ((0, 0), (0, samples - wrench.shape[1]), (0, 0))).tobytes())
     for name, values in fields.items():
         digest.update(f"{name} {values.shape} ".encode())
         digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())

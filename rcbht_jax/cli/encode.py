@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax.cli.command import Flag, RuleCommand, Store, checked_tolerance, progress_bar
 from rcbht_jax.errors import InputError
@@ -24,7 +27,8 @@ class Encode(RuleCommand):
     """Encode every recording of a store as labels and add the label tracks to the store.
 
     The online mode is the streaming encoder of this library, as the paper defines it. The offline mode is the authors'
-    published program, which sees the whole trial.
+    published program, which sees the whole trial. A store may be larger than memory; where thresholds or tolerances
+    come from the recordings (--robot auto, --rule fit), they then come from recordings spread evenly over it.
 
     Example: rcbht encode hiro.zarr --mode online --window 5
     """
@@ -56,9 +60,7 @@ class Encode(RuleCommand):
     """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.io.label_store import list_tracks, write_tracks
-        from rcbht_jax.io.store import read_recordings
-        from rcbht_jax.labels import LAYERS
+        from rcbht_jax.io.label_store import list_tracks, write_batches
 
         name = self.name or self._default_name()
         if (self.thresholds is not None or self.scale != 1) and self.mode == "offline":
@@ -72,16 +74,16 @@ class Encode(RuleCommand):
             raise InputError(f"--scale is {self.scale}; expected a positive number.")
         if name in list_tracks(self.store):
             raise InputError(f"{self.store} has label tracks {name} already; choose another --name.")
-        recordings = read_recordings(self.store)
-        start = time.perf_counter()
-        tracks, how = self._online(recordings) if self.mode == "online" else self._offline(recordings)
-        seconds = time.perf_counter() - start
-        write_tracks(self.store, name, tracks, how)
-        counts = {layer: int(np.count_nonzero(getattr(tracks, layer).label)) for layer in LAYERS}
-        samples = int(recordings.length.sum()) * len(recordings.axes)
-        restless = _restless(recordings, tracks, self.window) if self.mode == "online" else {}
-        facts = {"labels": counts, "samples": samples, "seconds": seconds, "rest_not_constant": restless}
-        return {"store": str(self.store), "name": name, **facts, **how}
+        run = self._online() if self.mode == "online" else self._offline()
+        write_batches(self.store, name, run.tracks(self.store), run.how)
+        restless = {} if run.teachers is None else _restless(run.teachers, run.labels_of_teachers(), self.window)
+        facts = {
+            "labels": run.counts,
+            "samples": run.samples,
+            "seconds": run.seconds,
+            "rest_not_constant": restless,
+        }
+        return {"store": str(self.store), "name": name, **facts, **run.how}
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
@@ -109,18 +111,23 @@ class Encode(RuleCommand):
         words += [] if self.scale == 1 else [f"x{self.scale:g}"]
         return "-".join([f"online-W{self.window}", *words])
 
-    def _online(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
+    def _online(self) -> _Run:
         from rcbht_jax.encoding.batch import encode_batch
         from rcbht_jax.encoding.rules import made_by
+        from rcbht_jax.io.store import read_lengths, read_sample
 
-        thresholds, source = self.read_limits(recordings, self.store, self.scale)
-        config = self.config(recordings.dt)
-        limits = self.limits(config, thresholds, recordings)
-        total = int(recordings.length.sum())
-        with progress_bar("encode", "samples", total, unit_scale=True) as bar:
-            tracks = encode_batch(config, limits, recordings.wrench, recordings.length, progress=bar.update)
-        how = {"semantics": "online", "window": self.window, **made_by(config, limits)}
-        return tracks, {**how, "thresholds_from": source}
+        teachers, rows = read_sample(self.store)
+        thresholds, source = self.read_limits(teachers, self.store, self.scale)
+        config = self.config(teachers.dt)
+        limits = self.limits(config, thresholds, teachers)
+        how = {"semantics": "online", "window": self.window, **made_by(config, limits), "thresholds_from": source}
+        total = int(read_lengths(self.store).sum())
+        bar = progress_bar("encode", "samples", total, unit_scale=True)
+
+        def encode(batch: Recordings) -> LabelTracks:
+            return encode_batch(config, limits, batch.wrench, batch.length, progress=bar.update)
+
+        return _Run(encode, how, bar, teachers, rows)
 
     def config(self, dt: float) -> AnyConfig:
         from rcbht_jax.encoding.encoder import EncoderConfig
@@ -134,18 +141,66 @@ class Encode(RuleCommand):
         cap = FitConfig.latency_cap if self.latency_cap is None else self.latency_cap
         return FitConfig(self.window, dt, *pairs, cap)
 
-    def _offline(self, recordings: Recordings) -> tuple[LabelTracks, dict[str, Any]]:
+    def _offline(self) -> _Run:
+        from rcbht_jax.io.store import count_recordings
         from rcbht_jax.reference.dataset import encode_dataset
 
-        tracks = encode_dataset(
-            recordings,
-            robot=self.robot or "hiro",
-            version=self.version,
-            clean=self.clean,
-            progress=lambda indices: progress_bar("encode", "trials", iterable=indices),
-        )
-        choices = {"robot": self.robot or "hiro", "version": self.version, "clean": self.clean}
-        return tracks, {"semantics": "offline", "config": choices}
+        bar = progress_bar("encode", "trials", count_recordings(self.store))
+
+        def counted(indices: Iterable[int]) -> Iterator[int]:
+            for index in indices:
+                yield index
+                bar.update(1)
+
+        choices: dict[str, Any] = {"robot": self.robot or "hiro", "version": self.version, "clean": self.clean}
+
+        def encode(batch: Recordings) -> LabelTracks:
+            return encode_dataset(batch, **choices, progress=counted)
+
+        return _Run(encode, {"semantics": "offline", "config": choices}, bar)
+
+
+@dataclass
+class _Run:
+    """Label tracks of a store, batch by batch; what is counted on the way."""
+
+    encode: Callable[[Recordings], LabelTracks]
+    how: dict[str, Any]
+    bar: Any
+    teachers: Recordings | None = None  # that are asked whether rest is labelled constant
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))  # their numbers
+    samples: int = 0
+    seconds: float = 0.0
+    counts: dict[str, int] = field(default_factory=dict)
+    _kept: list[LabelTracks] = field(default_factory=list)
+
+    def tracks(self, store: Path) -> Iterator[LabelTracks]:
+        """Encode the batches of a store."""
+        from rcbht_jax.io.label_parts import taken
+        from rcbht_jax.io.store import read_batches
+        from rcbht_jax.labels import LAYERS
+
+        first = 0
+        with self.bar:
+            for batch in read_batches(store):
+                start = time.perf_counter()
+                tracks = self.encode(batch)
+                self.seconds += time.perf_counter() - start
+                self.samples += int(batch.length.sum()) * len(batch.axes)
+                for layer in LAYERS:
+                    used = int(np.count_nonzero(getattr(tracks, layer).label))
+                    self.counts[layer] = self.counts.get(layer, 0) + used
+                mine = self.rows[(self.rows >= first) & (self.rows < first + len(batch))] - first
+                if len(mine):
+                    self._kept.append(taken(tracks, mine))
+                first += len(batch)
+                yield tracks
+
+    def labels_of_teachers(self) -> LabelTracks:
+        """The label tracks of the teachers."""
+        from rcbht_jax.io.label_parts import joined
+
+        return joined(self._kept)
 
 
 def _restless(recordings: Recordings, tracks: LabelTracks, window: int) -> dict[str, float]:

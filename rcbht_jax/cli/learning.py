@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -215,7 +215,8 @@ class Classify(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
-        from rcbht_jax.io.store import read_recordings
+        from rcbht_jax._util.digest import data_hash
+        from rcbht_jax.io.store import longest_of, read_batches, read_table
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import classify, task_of
 
@@ -223,11 +224,13 @@ class Classify(Command):
             raise InputError(f"{self.out} must end in .csv or .jsonl, which selects the format.")
         model = load(self.model)
         spec = task_of(model, self.source, self.session, self.outcome)
-        tracks = self._read_tracks(model)
-        recordings = read_recordings(self.store)
+        recordings = read_table(self.store)
+        tracks = self._read_tracks(model, len(recordings))
         write = _csv if self.out.suffix == ".csv" else _json_lines
         with progress_bar("classify", "steps", 2) as bar:
-            classification = classify(model, recordings, tracks, spec)
+            wrenches = (batch.wrench for batch in read_batches(self.store))
+            data = data_hash(recordings, wrenches, longest_of(self.store))
+            classification = classify(model, recordings, tracks, spec, data)
             bar.update(1)
             with atomic_write(self.out) as draft:
                 draft.write_text(write(classification, lines_of(classification, recordings)), encoding="utf-8")
@@ -245,9 +248,10 @@ class Classify(Command):
             "accuracy_of_those": classification.accuracy(seen=True),
         }
 
-    def _read_tracks(self, model: TrainedModel) -> dict[str, LabelTracks]:
-        """The labels that the model reads, by the names that it gives them."""
-        from rcbht_jax.io.label_store import choose_tracks
+    def _read_tracks(self, model: TrainedModel, count: int) -> Iterator[dict[str, LabelTracks]]:
+        """The labels that the model reads, by the names that it gives them, in batches."""
+        from rcbht_jax.io.label_parts import PART
+        from rcbht_jax.io.label_store import choose_name, read_batches, read_tracks_attrs
         from rcbht_jax.learning.predict import check_encoders, encoders_of
 
         names = list(encoders_of(model))
@@ -256,9 +260,11 @@ class Classify(Command):
             raise InputError(
                 f"the model reads {len(names)} label tracks ({' + '.join(names)}); --tracks names {len(given)}."
             )
-        read = {name: choose_tracks(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
-        check_encoders(model, {name: attrs for name, (_, _, attrs) in read.items()})
-        return {name: labels for name, (_, labels, _) in read.items()}
+        chosen = {name: choose_name(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
+        check_encoders(model, {name: read_tracks_attrs(self.store, wanted) for name, wanted in chosen.items()})
+        sizes = [min(PART, count - first) for first in range(0, count, PART)]
+        batches = [read_batches(self.store, wanted, sizes) for wanted in chosen.values()]
+        return (dict(zip(chosen, tracks, strict=True)) for tracks in zip(*batches, strict=True))
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())

@@ -62,45 +62,61 @@ def sentence(path: str, reason: str) -> str:
 class Info(Command):
     """Summarise a store: recordings by source, session and outcome, annotations, columns, tasks, label tracks.
 
-    Reads the whole store and verifies its checksum.
+    A small store is read whole, which verifies its checksums, and its tasks are examined. Of one larger than 256 MiB
+    only what was counted when it was written is shown; --check reads all of it, part by part. A store that is still
+    being written is described as far as it is there.
 
     Example: rcbht info hiro.zarr
     """
 
     store: Store
     """Store to describe."""
+    check: Flag = False
+    """Read all of a large store too and compare it with its checksums."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks
-        from rcbht_jax.io.store import read_attrs, read_recordings
+        from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_recordings, read_summary, verify
+        from rcbht_jax.io.summary import summary_of
         from rcbht_jax.learning.tasks import task_names
 
-        recordings, attrs = read_recordings(self.store), read_attrs(self.store)
-        keys = zip(recordings.source, recordings.session, recordings.outcome, recordings.arm, strict=True)
-        rows = [tuple(str(word) for word in key) for key in keys]
-        groups = [_describe(recordings, key, np.array([row == key for row in rows])) for key in dict.fromkeys(rows)]
-        flags = Counter(
-            flag.split(":")[0].split("=")[0] for note in recordings.note for flag in note.split(";") if flag
-        )
+        there, expected, axes, size = progress_of(self.store)
+        attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), False
+        if there == expected and size <= SMALL_BYTES:
+            recordings = read_recordings(self.store)
+            summary, verified = summary_of(recordings), True
+            tasks = {name: _task(recordings, name) for name in task_names(recordings)}
+        else:
+            summary = read_summary(self.store)
+            if self.check:
+                verify(self.store)
+                verified = True
+        dt = float(attrs["dt"])
         return {
             "store": str(self.store),
-            "recordings": len(recordings),
-            "dt": recordings.dt,
-            "axes": dict(zip(recordings.axes, recordings.units, strict=True)),
-            "groups": groups,
-            "annotations": _annotations(recordings),
-            "columns": {name: _column(values) for name, values in recordings.columns.items()},
-            "tasks": {name: _task(recordings, name) for name in task_names(recordings)},
-            "notes": dict(sorted(flags.items())),
+            "recordings": there,
+            "expected": expected,
+            "verified": verified,
+            "dt": dt,
+            "axes": axes,
+            "groups": [_group(group, dt) for group in summary["groups"]],
+            "annotations": summary["annotations"],
+            "columns": {name: _column(values) for name, values in summary["columns"].items()},
+            "tasks": tasks,
+            "notes": dict(sorted(summary["notes"].items())),
             "label_tracks": list_tracks(self.store),
             "created": attrs["created"],
             "rcbht_jax_version": attrs["rcbht_jax_version"],
-            "content_sha256": attrs["content_sha256"],
+            "content_sha256": attrs.get("content_sha256"),
         }
 
     def text(self, result: dict[str, Any]) -> str:
         axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
         head = f"{result['store']}: {result['recordings']} recordings of {axes} at {1 / result['dt']:g} Hz"
+        if result["content_sha256"] is None:
+            head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
+        elif not result["verified"]:
+            head += "\nlarge: checksums not compared, tasks not examined; --check compares the checksums"
         columns = f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)"
         lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", "", columns]
         for group in result["groups"]:
@@ -120,14 +136,15 @@ class Info(Command):
         return "\n".join([*lines, "", f"notes: {notes or 'none'}", f"label tracks: {tracks}"])
 
 
-def _describe(recordings: Recordings, key: tuple[str, ...], member: np.ndarray) -> dict[str, Any]:
-    """One row of the summary: the recordings that ``member`` [recording] selects."""
+def _group(group: list[Any], dt: float) -> dict[str, Any]:
+    """One row of the summary."""
+    from rcbht_jax.io.summary import quantiles
 
-    seconds = recordings.length[member] * recordings.dt
+    *key, lengths = group
     return {
         **dict(zip(("source", "session", "outcome", "arm"), key, strict=True)),
-        "recordings": int(member.sum()),
-        "seconds": [round(float(value), 6) for value in np.quantile(seconds, (0.0, 0.5, 1.0))],
+        "recordings": sum(lengths.values()),
+        "seconds": [round(samples * dt, 6) for samples in quantiles(lengths)],
     }
 
 
@@ -147,27 +164,17 @@ def _task(recordings: Recordings, name: str) -> dict[str, Any]:
     return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 
 
-def _annotations(recordings: Recordings) -> dict[str, dict[str, list[int]]]:
-    """By track and label: intervals, and recordings that have one."""
-    return {
-        track: {
-            label: [int((marks.code == code).sum()), len(np.unique(marks.recording[marks.code == code]))]
-            for code, label in enumerate(marks.labels[track])
-        }
-        for track in recordings.annotations.tracks
-        for marks in [recordings.annotations.of(track)]
-    }
-
-
 def _counts(labels: dict[str, list[int]]) -> str:
     return ", ".join(f"{label} {count} (in {recordings} recordings)" for label, (count, recordings) in labels.items())
 
 
-def _column(values: np.ndarray) -> str:
+def _column(found: dict[str, Any]) -> str:
     """Values of a column in a few words."""
-    if values.dtype.kind != "U":
-        finite = values[np.isfinite(values)]
-        return f"{len(finite)} numbers" + (f", {finite.min():g} to {finite.max():g}" if len(finite) else "")
-    counts = Counter(text for text in values.tolist() if text)
+    if "numbers" in found:
+        low, high = found["range"] or (0.0, 0.0)
+        return f"{found['numbers']} numbers" + (f", {low:g} to {high:g}" if found["range"] else "")
+    if found["texts"] is None:
+        return "texts, most of them different"
+    counts = Counter(found["texts"])
     shown = ", ".join(f"{text} {count}" for text, count in counts.most_common(8))
     return (shown or "empty") + (f", {len(counts) - 8} more" if len(counts) > 8 else "")

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import fields
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import rcbht_jax
 from rcbht_jax._util.atomic import atomic_folder
-from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.store import count_recordings, open_store
+from rcbht_jax.io.parts import Layout
+from rcbht_jax.io.store import count_recordings, open_store, recording_rows
+from rcbht_jax.io.store_schema import LABELS
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 with needs_extra("store"):
     import zarr
 
-DIMENSIONS = ("trial", "axis", "slot")
-INTEGERS = {"label": "int8", "t0": "int32", "t1": "int32", "emit": "int32"}
-FIELDS = {field.name: INTEGERS.get(field.name, "float") for field in fields(LabelTrack)}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -49,24 +45,46 @@ def write_tracks(
             is not JSON.
     """
     count = count_recordings(path)
-    target = _folder(path, name)
-    if target.exists():
+    for layer in LAYERS:
+        label_parts.checked(getattr(tracks, layer), layer, count)
+    write_batches(path, name, [tracks], attrs, created=created)
+
+
+def write_batches(
+    path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any], *, created: str | None = None
+) -> None:
+    """Add a set of label tracks that is made in batches, of which one at a time is in memory.
+
+    >>> tracks = (encode(batch.wrench, batch.length) for batch in read_batches(path))  # doctest: +SKIP
+    >>> write_batches(path, "online-W5", tracks, {"window": 5})  # doctest: +SKIP
+
+    Args:
+        path: an existing store.
+        name: as for :func:`write_tracks`.
+        batches: label tracks of consecutive recordings, together of all.
+        attrs: how the labels were made: JSON values.
+        created: creation date to store; default now.
+
+    Raises:
+        InputError: as for :func:`write_tracks`.
+    """
+    rows, folder = recording_rows(path), _folder(path, name)
+    if folder.exists():
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
-    arrays = {layer: _checked(getattr(tracks, layer), layer, count) for layer in LAYERS}
-    header = {
-        "rcbht_jax_version": rcbht_jax.__version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
-        "content_sha256": content_hash(a for layer in arrays.values() for a in layer.values()),
-    }
+    layout = Layout(int(rows[-1]) + 1, min(label_parts.PART, int(rows[-1]) + 1))
+    ends = np.searchsorted(rows, [layout.span(number).stop for number in range(len(layout))]).tolist()
+    sizes = np.diff([0, *ends]).tolist()
     # The draft is outside the store: readers list every folder inside it.
-    with atomic_folder(target, near=path) as draft:
-        group = zarr_io.create_group(draft, {**attrs, **header})
-        for layer, by_field in arrays.items():
-            sub = group.create_group(layer)
-            for field_name, values in by_field.items():
-                zarr_io.write_array(sub, field_name, values, DIMENSIONS, str(values.dtype), {})
-        if not (path / "labels" / "zarr.json").exists():
-            zarr.create_group(path / "labels", zarr_format=3)
+    with atomic_folder(folder, near=path) as draft:
+        for number, batch in enumerate(label_parts.regroup(batches, sizes)):
+            if number == 0:
+                label_parts.create(draft, layout, batch, attrs, created=created)
+            span = layout.span(number)
+            places = rows[ends[number] - sizes[number] : ends[number]] - span.start
+            label_parts.write_part(draft, number, label_parts.spread(batch, places, span.stop - span.start))
+        label_parts.finish(draft)
+        if not (path / LABELS / "zarr.json").exists():
+            zarr.create_group(path / LABELS, zarr_format=3)
     zarr_io.consolidate(path)
 
 
@@ -78,23 +96,54 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
+    attrs = read_tracks_attrs(path, name)
     count = count_recordings(path)
+    [tracks] = read_batches(path, name, [count])
+    return tracks, attrs
+
+
+def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelTracks]:
+    """Label tracks of consecutive recordings in batches of the given sizes, which add up to all recordings.
+
+    >>> counts = [100] * 10  # of a store of 1000 recordings
+    >>> batches = read_batches(Path("trials.zarr"), "online-W5", counts)  # doctest: +SKIP
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
+    folder = _folder(path, name)
+    attrs = read_tracks_attrs(path, name)
+    rows = recording_rows(path)
+    found = label_parts.read(folder, rows) if "part_rows" in attrs else iter([_read_old(folder, attrs, len(rows))])
+    yield from label_parts.regroup(found, sizes)
+
+
+def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
+    """How a set of label tracks was made.
+
+    Raises:
+        InputError: ``path`` is not a store, or has no such tracks.
+    """
+    open_store(path)
     folder = _folder(path, name)
     if not folder.is_dir():
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
-    group = zarr_io.open_group(folder)
-    with zarr_io.reading(folder):
-        arrays = {layer: _read_layer(group, layer) for layer in LAYERS}
-        expected = group.attrs["content_sha256"]
-        by_layer = {layer: _checked(LabelTrack(**arrays[layer]), layer, count) for layer in LAYERS}
-    if content_hash(a for layer in by_layer.values() for a in layer.values()) != expected:
-        raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
-    return LabelTracks(*(LabelTrack(**arrays[layer]) for layer in LAYERS)), dict(group.attrs)
+    return dict(zarr_io.open_group(folder).attrs)
 
 
 def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
     """Name, label tracks and attributes of the tracks ``name``; without a name, of the only ones in the store.
+
+    Raises:
+        InputError: there are none, none of that name, or several and no name is given.
+    """
+    chosen = choose_name(path, name)
+    return (chosen, *read_tracks(path, chosen))
+
+
+def choose_name(path: Path, name: str = "") -> str:
+    """``name`` if the store has such label tracks; without a name, that of the only ones in the store.
 
     Raises:
         InputError: there are none, none of that name, or several and no name is given.
@@ -108,7 +157,7 @@ def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[st
         raise InputError(
             f'{path} has no label tracks {name}; run "rcbht encode" first, or choose one it has: {", ".join(names)}.'
         )
-    return (name or names[0], *read_tracks(path, name or names[0]))
+    return name or names[0]
 
 
 def list_tracks(path: Path) -> list[str]:
@@ -118,34 +167,30 @@ def list_tracks(path: Path) -> list[str]:
         InputError: ``path`` is not a store.
     """
     open_store(path)
-    entries = [entry for entry in (path / "labels").glob("*") if entry.is_dir() and not entry.name.startswith(".")]
+    entries = [entry for entry in (path / LABELS).glob("*") if entry.is_dir() and not entry.name.startswith(".")]
     return sorted(entry.name for entry in entries if NAME.fullmatch(entry.name))
 
 
 def _folder(path: Path, name: str) -> Path:
     if not NAME.fullmatch(name):
         raise InputError(f"{name!r} is not a name for label tracks; expected letters, digits and . _ - only.")
-    return path / "labels" / name
+    return path / LABELS / name
 
 
-def _read_layer(group: zarr.Group, layer: str) -> dict[str, Any]:
+def _read_old(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks:
+    """Label tracks that were written in one piece, by versions 1 and 2."""
+    group = zarr_io.open_group(folder)
+    with zarr_io.reading(folder):
+        layers = {layer: _read_layer(group, layer) for layer in LAYERS}
+        arrays = [label_parts.checked(track, layer, count) for layer, track in layers.items()]
+    if store_v2.tracks_hash(arrays) != attrs["content_sha256"]:
+        raise InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
+    return LabelTracks(*layers.values())
+
+
+def _read_layer(group: zarr.Group, layer: str) -> LabelTrack:
     sub = group[layer]
     if not isinstance(sub, zarr.Group):
         raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
-    return {name: zarr_io.read_array(sub, name, None if dtype == "float" else dtype) for name, dtype in FIELDS.items()}
-
-
-def _checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
-    """The fields of a layer as host arrays of agreeing shape."""
-    arrays = {name: np.asarray(getattr(track, name)) for name in FIELDS}
-    shape = arrays["label"].shape
-    if len(shape) != 3 or shape[0] != count:
-        raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, axes, slots].")
-    for name, expected in FIELDS.items():
-        dtype = arrays[name].dtype
-        matches = dtype in (np.float32, np.float64) if expected == "float" else dtype == expected
-        if arrays[name].shape != shape or not matches:
-            raise InputError(
-                f"{layer} {name} is {dtype} of shape {arrays[name].shape}; expected {expected} of shape {shape}."
-            )
-    return arrays
+    dtypes = {name: None if dtype == "float" else dtype for name, dtype in label_parts.FIELDS.items()}
+    return LabelTrack(**{name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()})

@@ -1,60 +1,57 @@
 """The store: a Zarr v3 group with one row per recording, readable by ``xarray.open_zarr``.
 
-Layout of version 2 (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero beyond ``length [trial]``;
+Layout of version 3 (dimensions in brackets): ``wrench [trial, time, axis]`` float32, zero beyond ``length [trial]``;
 the coordinates ``trial`` (names), ``time`` (s) and ``axis`` (names; their units in the attribute ``axis_units``);
 the string variables ``arm``, ``source``, ``session``, ``outcome``, ``note`` ``[trial]``; ``dt`` (scalar and attribute);
-further columns ``[trial]`` in ``columns/``; the table of annotations in ``annotations/`` (``recording``, ``track``,
-``label``, ``start``, ``end`` ``[interval]``); label tracks in ``labels/<name>/<layer>/``
-(``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in ``simulation/``, every array
-``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. Version 1 is read as well
-(:mod:`rcbht_jax.io.store_v1`).
+further columns ``[trial]`` in ``columns/``; annotations in ``annotations/`` (``track``, ``label``, ``start``, ``end``
+``[trial, interval]``; the codes count from 1 in the attribute ``annotation_labels``, 0 = no interval); label tracks in
+``labels/<name>/<layer>/`` (``rcbht_jax.io.label_store``); parameters and ground truth of a simulation in
+``simulation/``, every array ``[trial, ...]``. The dimension "trial" counts recordings: one arm of one trial. A row of
+length 0, listed in the attribute ``gaps``, is no recording, and readers leave it out. Versions 1 and 2 are read as well
+(:mod:`rcbht_jax.io.store_v1`, :mod:`rcbht_jax.io.store_v2`).
 
-Every chunk carries a CRC-32C and the group a SHA-256 of its content, so that reading detects truncation and loss.
-Stores are written atomically (:mod:`rcbht_jax._util.atomic`).
+A store is written in parts of consecutive rows (:mod:`rcbht_jax.io.store_writer`), each with files of its own, and read
+whole, by rows or in batches, so that it may be larger than memory. Every chunk carries a CRC-32C, every recording's
+samples and every part a SHA-256 (``wrench_sha256 [trial, byte]``, ``part_sha256 [part, byte]``), and the store that of
+its parts (attribute ``content_sha256``, which an unfinished store lacks): reading detects truncation and loss.
+:func:`write_recordings` writes atomically (:mod:`rcbht_jax._util.atomic`).
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-import rcbht_jax
 from rcbht_jax._util.atomic import atomic_folder
-from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import store_v1
+from rcbht_jax.io import store_reader, store_v1, store_v2, store_writer
 from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.checks import VARIABLES, validate
+from rcbht_jax.io.store_reader import Stored
+from rcbht_jax.io.store_schema import FORMAT, FORMAT_VERSION, HASH, SIMULATION, open_store, schema_of
+from rcbht_jax.io.summary import Summary, summary_of
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
     import zarr
 
-FORMAT, FORMAT_VERSION = "rcbht-recordings", 2
-SIMULATION, COLUMNS, ANNOTATIONS = "simulation", "columns", "annotations"
+__all__ = [
+    "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
+    "longest_of", "open_store", "progress_of", "read_attrs", "read_batches", "read_lengths", "read_recordings",
+    "read_rows", "read_sample", "read_simulation", "read_summary", "read_table", "validate", "verify",
+    "write_recordings",
+]  # fmt: skip
 
-# Variable of the store -> (field of Recordings, dimensions, dtype, attributes).
-VARIABLES: dict[str, tuple[str, tuple[str, ...], str, dict[str, str]]] = {
-    "wrench": ("wrench", ("trial", "time", "axis"), "float32", {}),
-    "length": ("length", ("trial",), "int32", {"units": "samples"}),
-    "trial": ("trial", ("trial",), "string", {}),
-    "arm": ("arm", ("trial",), "string", {}),
-    "source": ("source", ("trial",), "string", {}),
-    "session": ("session", ("trial",), "string", {}),
-    "outcome": ("outcome", ("trial",), "string", {}),
-    "note": ("note", ("trial",), "string", {}),
-}
-SHORTEST, LONGEST = 1e-9, 1e6  # s between samples: beyond these it is another unit
-LARGEST = 1e30  # in any unit: sums over hours stay far from the largest single precision number
-NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
-INTERVALS = {"recording": "int32", "track": "string", "label": "string", "start": "float64", "end": "float64"}
+BATCH_BYTES = 2**26  # of wrenches that are in memory at once
+SAMPLE_BYTES = 2**26  # of wrenches that tell what is true of all: looking at them takes ten times as much
+SMALL_BYTES = 2**28  # of wrenches that "rcbht info" reads all of
 
 
 def check_target(path: Path, overwrite: bool) -> None:
@@ -75,6 +72,7 @@ def write_recordings(
     *,
     created: str | None = None,
     simulation: Mapping[str, NDArray[Any]] | None = None,
+    part: int | None = None,
 ) -> None:
     """Write recordings as a store, atomically.
 
@@ -87,41 +85,28 @@ def write_recordings(
         overwrite: replace an existing store once the new one is complete.
         created: creation date to store; default now. With a fixed text, equal content gives equal bytes.
         simulation: arrays ``[recording, ...]`` for the group ``simulation/``; text as NumPy strings.
+        part: recordings in a part; default: so many that a part has about 64 MiB.
 
     Raises:
         InputError: the recordings contradict themselves, ``path`` exists, or ``attrs`` is not JSON.
     """
     check_target(path, overwrite)
     validate(recordings)
-    arrays = {variable: getattr(recordings, spec[0]) for variable, spec in VARIABLES.items()}
-    intervals = _intervals(recordings.annotations)
-    header: dict[str, Any] = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "rcbht_jax_version": rcbht_jax.__version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds") if created is None else created,
-        "dt": recordings.dt,
-        "axis_units": list(recordings.units),
-        "annotation_labels": {track: list(names) for track, names in recordings.annotations.labels.items()},
-        "content_sha256": _hash(recordings, arrays, intervals),
-    }
+    for name, values in (simulation or {}).items():
+        if len(values) != len(recordings):
+            raise InputError(
+                f"{SIMULATION}/{name} has {len(values)} rows; expected {len(recordings)}, one per recording."
+            )
+    schema = schema_of(recordings, simulation, part=part)
+    date = datetime.now(UTC).isoformat(timespec="seconds") if created is None else created
     with atomic_folder(path) as draft:
-        group = zarr_io.create_group(draft, {**attrs, **header})
-        for variable, (_, dimensions, dtype, attributes) in VARIABLES.items():
-            zarr_io.write_array(group, variable, arrays[variable], dimensions, dtype, attributes)
-        zarr_io.write_array(group, "dt", np.float64(recordings.dt), (), "float64", {"units": "s"})
-        zarr_io.write_array(group, "axis", np.array(recordings.axes), ("axis",), "string", {})
-        time = np.arange(recordings.wrench.shape[1]) * recordings.dt
-        zarr_io.write_array(group, "time", time, ("time",), "float64", {"units": "s"})
-        sub = group.create_group(COLUMNS)
-        for name, values in recordings.columns.items():
-            zarr_io.write_array(sub, name, values, ("trial",), _dtype(values), {})
-        sub = group.create_group(ANNOTATIONS)
-        for name, dtype in INTERVALS.items():
-            zarr_io.write_array(sub, name, intervals[name], ("interval",), dtype, {})
-        if simulation is not None:
-            _write_simulation(group, simulation, len(recordings))
-        zarr_io.consolidate(draft)
+        store_writer.create(draft, schema, attrs, date)
+        for number in range(len(schema.layout)):
+            rows = schema.layout.span(number)
+            some = None if simulation is None else {name: values[rows] for name, values in simulation.items()}
+            block = recordings if len(schema.layout) == 1 else recordings.take(np.arange(rows.start, rows.stop))
+            store_writer.write_part(draft, number, block, some)
+        store_writer.finish(draft)
 
 
 def read_recordings(path: Path | str) -> Recordings:
@@ -132,98 +117,188 @@ def read_recordings(path: Path | str) -> Recordings:
     (21, 3354, 6)
 
     Raises:
-        InputError: ``path`` does not exist, is not a store of this format, or is damaged (a chunk is missing,
-            truncated or altered).
+        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged (a
+            chunk is missing, truncated or altered).
     """
     path = Path(path)
     group = open_store(path)
-    with zarr_io.reading(path):
-        read = store_v1.read if group.attrs["format_version"] == 1 else _read
-        recordings, digest = read(group)
-        expected = group.attrs["content_sha256"]
-    if digest != expected:
-        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
-    try:
-        validate(recordings)
-    except InputError as error:
-        raise InputError(f"{path} holds contradictory recordings: {error}") from error
-    return recordings
+    return _valid(path, store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group))
 
 
-def _read(group: zarr.Group) -> tuple[Recordings, str]:
-    """Recordings and digest of a store of version 2."""
-    arrays = {variable: zarr_io.read_array(group, variable, spec[2]) for variable, spec in VARIABLES.items()}
-    sub = zarr_io.subgroup(group, COLUMNS)
-    columns = {
-        name: zarr_io.read_array(sub, name, None if array.dtype.kind in "biuf" else "string")
-        for name, array in sorted(sub.arrays())
-    }
-    sub = zarr_io.subgroup(group, ANNOTATIONS)
-    intervals = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in INTERVALS.items()}
-    try:
-        marks = Annotations.from_table(intervals, dict(group.attrs["annotation_labels"]))  # type: ignore[arg-type]
-    except InputError as error:
-        raise InputError(f"{group.store_path} is damaged: {error} Import or copy it again.") from error
-    recordings = Recordings(
-        dt=float(zarr_io.read_array(group, "dt", "float64")[()]),
-        annotations=marks,
-        columns=columns,
-        axes=tuple(zarr_io.read_array(group, "axis", "string").tolist()),
-        units=tuple(map(str, group.attrs["axis_units"])),  # type: ignore[arg-type]
-        **{spec[0]: arrays[variable] for variable, spec in VARIABLES.items()},
-    )
-    return recordings, _hash(recordings, arrays, intervals)
+def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
+    """Read some recordings, by number, in the given order; of their wrenches only the chunks that hold them are read.
 
+    >>> one = read_rows(Path("trials.zarr"), [17])  # doctest: +SKIP
 
-def _hash(recordings: Recordings, arrays: Mapping[str, Any], intervals: Mapping[str, Any]) -> str:
-    names = np.array([*recordings.axes, *recordings.units, *sorted(recordings.columns)], np.str_)
-    order = [[track, *labels] for track, labels in recordings.annotations.labels.items()]
-    texts = np.array([label for labels in order for label in [str(len(labels)), *labels]], np.str_)
-    columns = [recordings.columns[name] for name in sorted(recordings.columns)]
-    return content_hash([*arrays.values(), np.float64(recordings.dt), names, texts, *intervals.values(), *columns])
-
-
-def _intervals(annotations: Annotations) -> dict[str, NDArray[Any]]:
-    """The table of annotations as columns, with names in place of codes."""
-    tracks = np.array(annotations.tracks, np.str_)
-    track = tracks[annotations.track] if len(annotations) else np.zeros(0, np.str_)
-    rest = {name: getattr(annotations, name) for name in ("recording", "start", "end")}
-    return {name: ({"track": track, "label": annotations.names()} | rest)[name] for name in INTERVALS}
-
-
-def _dtype(values: NDArray[Any]) -> str:
-    return "string" if values.dtype.kind == "U" else str(values.dtype)
-
-
-def _write_simulation(group: zarr.Group, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
-    sub = group.create_group(SIMULATION, attributes={"content_sha256": _simulation_hash(arrays)})
-    for name, values in arrays.items():
-        if len(values) != count:
-            raise InputError(f"{SIMULATION}/{name} has {len(values)} rows; expected {count}, one per recording.")
-        dimensions = ("trial", *(f"{name}_{i}" for i in range(1, values.ndim)))
-        zarr_io.write_array(sub, name, values, dimensions, _dtype(values), {})
-
-
-def read_simulation(path: Path) -> dict[str, NDArray[Any]]:
-    """Parameters and ground truth of simulated recordings: arrays ``[recording, ...]`` by name.
+    A store of version 1 or 2 is read whole.
 
     Raises:
-        InputError: ``path`` is not a store, holds no simulation, or is damaged.
+        InputError: there is no such recording, or as for :func:`read_recordings`.
     """
-    sub = open_store(path).get(SIMULATION)
+    path, numbers = Path(path), np.atleast_1d(np.asarray(rows))
+    group = open_store(path, collected=True)
+    stored = Stored.of(path, group) if _in_parts(group) else None
+    count = count_recordings(path) if stored is None else len(stored.rows())
+    if numbers.dtype.kind not in "iu" or not len(numbers) or numbers.min() < 0 or numbers.max() >= count:
+        raise InputError(f"{path} has recordings 0 to {count - 1}; asked for {numbers.tolist()[:9]}.")
+    if stored is None:
+        return _valid(path, _read_old(path, group)).take(numbers)
+    return _valid(path, store_reader.read_rows(stored, numbers.astype(np.int64)))
+
+
+def read_batches(path: Path | str, most: int = BATCH_BYTES) -> Iterator[Recordings]:
+    """All recordings of a store in their order, in batches: what is done to each needs the memory of one.
+
+    >>> samples = sum(int(batch.length.sum()) for batch in read_batches(Path("trials.zarr")))  # doctest: +SKIP
+
+    Args:
+        path: the store; of version 1 or 2 it is read whole.
+        most: bytes of wrenches in a batch.
+
+    Raises:
+        InputError: as for :func:`read_recordings`.
+    """
+    path = Path(path)
+    group = open_store(path)
+    if _in_parts(group):
+        for batch in store_reader.read_parts(Stored.of(path, group), most):
+            yield _valid(path, batch)
+    else:
+        yield _valid(path, _read_old(path, group))
+
+
+def read_table(path: Path) -> Recordings:
+    """All recordings of a store without their samples: names, lengths, columns and annotations.
+
+    Of a store that is still being written, those that are there. The chunks are verified by their CRC alone;
+    :func:`verify` does more.
+
+    Returns:
+        recordings whose ``wrench`` has no samples ``[recording, 0, axis]``.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    if _in_parts(group):
+        return store_reader.read_table(Stored.of(path, group))
+    return _read_old(path, group)
+
+
+def read_summary(path: Path) -> Summary:
+    """What is counted in a store (:func:`rcbht_jax.io.summary.summary_of`), so far as it is there; no row is read.
+
+    A store of version 1 or 2 is read whole.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    if _in_parts(group):
+        return store_reader.read_summary(Stored.of(path, group))
+    return summary_of(_read_old(path, group))
+
+
+def longest_of(path: Path) -> int:
+    """Samples to which :func:`read_recordings` pads all recordings.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group = open_store(path)
+    with zarr_io.reading(path):
+        wrench: Any = group["wrench"]
+        return int(wrench.shape[1])
+
+
+def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
+    """How much of a store is there.
+
+    Returns:
+        recordings that are there; how many there will be (some of them gaps, while it is being written); the axes and
+        their units; and bytes of the wrenches, padded.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
+    """
+    group, there = open_store(path), count_recordings(path)
+    with zarr_io.reading(path):
+        wrench: Any = group["wrench"]
+        if group.attrs["format_version"] == 1:
+            return there, there, dict(zip(AXES, UNITS, strict=True)), wrench.nbytes
+        names = zarr_io.read_array(group, "axis", "string").tolist()
+        axes = dict(zip(names, map(str, group.attrs["axis_units"]), strict=True))  # type: ignore[arg-type]
+        return there, there if HASH in group.attrs else wrench.shape[0], axes, wrench.nbytes
+
+
+def read_sample(path: Path, most: int = SAMPLE_BYTES) -> tuple[Recordings, NDArray[np.int64]]:
+    """All recordings of a store, or, of a large one, recordings spread evenly over it.
+
+    Args:
+        path: the store.
+        most: bytes of padded wrenches beyond which it is large.
+
+    Returns:
+        the recordings, and their numbers.
+
+    Raises:
+        InputError: as for :func:`read_recordings`.
+    """
+    length, group = read_lengths(path), open_store(path)
+    with zarr_io.reading(path):
+        axes = group["wrench"].shape[2]  # type: ignore[union-attr]
+    room = most // (4 * axes * int(length.max()))
+    if room >= len(length):
+        return read_recordings(path), np.arange(len(length))
+    numbers = np.linspace(0, len(length) - 1, max(1, room)).round().astype(np.int64)
+    return read_rows(path, numbers), numbers
+
+
+def verify(path: Path) -> None:
+    """Read everything but the label tracks, part by part, and compare it with its checksums.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
+    """
+    group = open_store(path)
+    if not _in_parts(group):
+        _read_old(path, group)
+        if SIMULATION in group:
+            read_simulation(path)
+        return
+    stored = Stored.of(path, group)
+    store_reader.check_whole(stored)
+    for number in range(len(stored.schema.layout)):
+        store_reader.check_part(stored, number)
+
+
+def is_finished(path: Path) -> bool:
+    """Whether all of a store has been written.
+
+    Raises:
+        InputError: ``path`` does not exist or is not a store of this format.
+    """
+    return HASH in open_store(path).attrs
+
+
+def read_simulation(path: Path, *names: str) -> dict[str, NDArray[Any]]:
+    """Parameters and ground truth of simulated recordings: arrays ``[recording, ...]`` by name; all, or those named.
+
+    Raises:
+        InputError: ``path`` is not a store, holds no simulation or no such array, or is damaged.
+    """
+    group = open_store(path)
+    sub = group.get(SIMULATION)
     if not isinstance(sub, zarr.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
+    if _in_parts(group):
+        return store_reader.read_simulation(Stored.of(path, group), names)
     with zarr_io.reading(path):
-        dtypes = {name: None if array.dtype.kind in "biuf" else "string" for name, array in sub.arrays()}
-        arrays = {name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()}
-        expected = sub.attrs["content_sha256"]
-    if _simulation_hash(arrays) != expected:
+        arrays = store_v2.read_arrays(sub)
+        expected = sub.attrs[HASH]
+    if store_v2.arrays_hash(arrays) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
-    return arrays
-
-
-def _simulation_hash(arrays: Mapping[str, NDArray[Any]]) -> str:
-    return content_hash(arrays[name] for name in sorted(arrays))
+    return {name: arrays[name] for name in names or arrays}
 
 
 def read_attrs(path: Path) -> dict[str, Any]:
@@ -235,88 +310,59 @@ def read_attrs(path: Path) -> dict[str, Any]:
     return dict(open_store(path).attrs)
 
 
-def open_store(path: Path) -> zarr.Group:
-    """Open the store's group for reading.
+def count_recordings(path: Path) -> int:
+    """Number of recordings in a store; while it is being written, of those that are there.
 
     Raises:
-        InputError: ``path`` does not exist or is not a store of this format and version.
+        InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = zarr_io.open_group(path)
-    if group.attrs.get("format") != FORMAT:
-        raise InputError(f'{path} is not a store of recordings; expected one made by "rcbht import" or "simulate".')
-    if group.attrs.get("format_version") not in range(1, FORMAT_VERSION + 1):
-        raise InputError(
-            f"{path} has format version {group.attrs.get('format_version')}; expected 1 to {FORMAT_VERSION}. "
-            "Import it again with this version of rcbht."
-        )
-    return group
+    group = open_store(path)
+    if _in_parts(group) and HASH in group.attrs:
+        return len(Stored.of(path, group).rows())
+    return len(read_lengths(path))
 
 
-def count_recordings(path: Path) -> int:
-    """Number of recordings in a store.
+def read_lengths(path: Path) -> NDArray[np.int32]:
+    """Samples of each recording; while the store is being written, of those that are there.
 
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
     group = open_store(path)
     with zarr_io.reading(path):
-        return len(zarr_io.read_array(group, "length", "int32"))
+        if _in_parts(group):
+            return store_reader.read_lengths(Stored.of(path, group))
+        return zarr_io.read_array(group, "length", "int32")
 
 
-def validate(recordings: Recordings) -> None:
-    """Check that the fields of recordings agree with each other.
+def recording_rows(path: Path) -> NDArray[np.int64]:
+    """Row in the store of each recording: ascending, and without gaps where no recording is missing.
 
     Raises:
-        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
-            finite within the length or not zero beyond it, or an annotation is about no recording.
+        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
     """
-    wrench = np.asarray(recordings.wrench)
-    if wrench.ndim != 3 or 0 in wrench.shape:
-        raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, axes], none of them 0.")
-    _check_shapes(recordings, len(wrench))
-    if not SHORTEST <= recordings.dt <= LONGEST:
-        raise InputError(f"dt is {recordings.dt}; expected {SHORTEST:g} to {LONGEST:g} s.")
-    axes = (recordings.axes, recordings.units)
-    if any(len(names) != wrench.shape[2] for names in axes) or len(set(recordings.axes)) < wrench.shape[2]:
-        raise InputError(
-            f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units."
-        )
-    for row, samples in enumerate(recordings.length):
-        where = f"recording {row} ({recordings.trial[row]})"
-        if not 1 <= samples <= wrench.shape[1]:
-            raise InputError(f"{where}: length is {samples}; expected 1 to {wrench.shape[1]} samples.")
-        if not (np.abs(wrench[row, :samples]) <= LARGEST).all():  # NaN compares as false
-            raise InputError(
-                f"{where}: the wrench is not finite everywhere, or beyond {LARGEST:g}; expected numbers whose sums are "
-                "finite in single precision."
-            )
-        if wrench[row, samples:].any():
-            raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
-    _check_annotations(recordings)
+    group = open_store(path)
+    return Stored.of(path, group).rows() if _in_parts(group) else np.arange(count_recordings(path))
 
 
-def _check_annotations(recordings: Recordings) -> None:
-    marks = recordings.annotations
-    if len(marks) and not (marks.recording.min() >= 0 and marks.recording.max() < len(recordings)):
-        raise InputError(
-            f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
-            f"{len(recordings)}, from 0."
-        )
-    if not np.isfinite(marks.start).all() or np.isinf(marks.end).any():
-        raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
+def _in_parts(group: zarr.Group) -> bool:
+    return int(group.attrs["format_version"]) > 2  # type: ignore[arg-type]
 
 
-def _check_shapes(recordings: Recordings, count: int) -> None:
-    for name, _, dtype, _ in VARIABLES.values():
-        array = np.asarray(getattr(recordings, name))
-        shape = recordings.wrench.shape if name == "wrench" else (count,)
-        matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
-        if array.shape != shape or not matches:
-            raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
-    for name, values in recordings.columns.items():
-        if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
-            raise InputError(
-                f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}]."
-            )
-        if not NAME.fullmatch(name) or name in VARIABLES:
-            raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")
+def _valid(path: Path, recordings: Recordings) -> Recordings:
+    try:
+        validate(recordings)
+    except InputError as error:
+        raise InputError(f"{path} holds contradictory recordings: {error}") from error
+    return recordings
+
+
+def _read_old(path: Path, group: zarr.Group) -> Recordings:
+    """Recordings of a store of version 1 or 2, verified."""
+    with zarr_io.reading(path):
+        read = store_v1.read if group.attrs["format_version"] == 1 else store_v2.read
+        recordings, digest = read(group)
+        expected = group.attrs[HASH]
+    if digest != expected:
+        raise InputError(f"{path} is damaged: its content does not match its checksum. Import or copy it again.")
+    return recordings

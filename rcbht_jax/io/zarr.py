@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from rcbht_jax.errors import InputError
 with needs_extra("store"):
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
-
-CHUNK_BYTES = 2**20
-CHUNKS_PER_SHARD = 32
 
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
@@ -59,8 +55,14 @@ def create_group(path: Path, attrs: Mapping[str, Any]) -> zarr.Group:
     return zarr.create_group(path, zarr_format=3, attributes=dict(attrs))
 
 
-def open_group(path: Path) -> zarr.Group:
-    """Open a group for reading.
+def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = False) -> zarr.Group:
+    """Open a group, for reading or for changing it.
+
+    Args:
+        path: of the group.
+        mode: "r" to read, "r+" to change.
+        collected: take the metadata of its members from its own, where :func:`consolidate` collected them: quicker, but
+            it is not seen that they are lost.
 
     Raises:
         InputError: ``path`` is not a readable Zarr v3 group.
@@ -68,7 +70,7 @@ def open_group(path: Path) -> zarr.Group:
     try:
         if not path.is_dir():
             raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
-        return zarr.open_group(path, mode="r", zarr_format=3, use_consolidated=False)
+        return zarr.open_group(path, mode=mode, zarr_format=3, use_consolidated=None if collected else False)
     except InputError:
         raise
     except Exception as error:  # a foreign folder can fail in any way inside zarr
@@ -88,6 +90,31 @@ def reading(path: Path) -> Iterator[None]:
 
 
 @uninterrupted()
+def create_array(
+    group: zarr.Group,
+    name: str,
+    shape: tuple[int, ...],
+    dtype: str,
+    dimensions: tuple[str, ...],
+    attrs: Mapping[str, str],
+    chunks: tuple[int, ...],
+    shards: tuple[int, ...] | None = None,
+) -> zarr.Array[Any]:
+    """An array of zeros or empty texts, compressed, with a CRC per chunk; an array of that name is replaced."""
+    return group.create_array(
+        name,
+        shape=shape,
+        dtype=np.dtypes.StringDType() if dtype == "string" else dtype,
+        chunks=chunks,
+        shards=shards,
+        compressors=[ZstdCodec(level=3), Crc32cCodec()],
+        dimension_names=dimensions,
+        attributes=dict(attrs),
+        overwrite=True,
+    )
+
+
+@uninterrupted()
 def write_array(
     group: zarr.Group,
     name: str,
@@ -96,19 +123,9 @@ def write_array(
     dtype: str,
     attrs: Mapping[str, str],
 ) -> None:
-    """Write one array: chunked and sharded along its first dimension, compressed, with a CRC per chunk."""
+    """Write one small array in one piece."""
     values = np.asarray(values)
-    chunks, shards = _layout(values, dtype)
-    array = group.create_array(
-        name,
-        shape=values.shape,
-        dtype=np.dtypes.StringDType() if dtype == "string" else dtype,
-        chunks=chunks,
-        shards=shards,
-        compressors=[ZstdCodec(level=3), Crc32cCodec()],
-        dimension_names=dimensions,
-        attributes=dict(attrs),
-    )
+    array = create_array(group, name, values.shape, dtype, dimensions, attrs, tuple(max(1, n) for n in values.shape))
     array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
 
 
@@ -149,14 +166,3 @@ def consolidate(path: Path) -> None:
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path, zarr_format=3)
-
-
-def _layout(values: NDArray[Any], dtype: str) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
-    """Chunk and shard shapes: about 1 MiB per chunk, whole rows; strings and scalars in one piece."""
-    if values.ndim == 0:
-        return (), None
-    if dtype == "string" or values.size == 0:
-        return tuple(max(1, size) for size in values.shape), None
-    rows = max(1, min(len(values), CHUNK_BYTES // max(1, values[0].nbytes)))
-    per_shard = rows * min(CHUNKS_PER_SHARD, math.ceil(len(values) / rows))
-    return (rows, *values.shape[1:]), (per_shard, *values.shape[1:])

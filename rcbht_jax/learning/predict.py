@@ -6,7 +6,7 @@ Probabilities while a stream goes on are :mod:`rcbht_jax.introspection`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
-from rcbht_jax.learning.tasks import TaskSpec, UnlabelledIntervals, extract_features, unlabelled_intervals
+from rcbht_jax.learning.tasks import TaskSpec, UnlabelledIntervals, extract_batched_features, unlabelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
@@ -109,7 +109,11 @@ def _difference(wanted: Any, items: Any) -> str:
 
 
 def classify(
-    model: TrainedModel, recordings: Recordings, tracks: Mapping[str, LabelTracks], spec: TaskSpec
+    model: TrainedModel,
+    recordings: Recordings,
+    tracks: Mapping[str, LabelTracks] | Iterable[Mapping[str, LabelTracks]],
+    spec: TaskSpec,
+    data: str | None = None,
 ) -> Classification:
     """Apply a model.
 
@@ -117,8 +121,9 @@ def classify(
         model: trained by :func:`rcbht_jax.learning.evaluation.train`.
         recordings: the data set.
         tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``; see
-            :func:`check_encoders`.
+            :func:`check_encoders`; or batches of them, of consecutive recordings.
         spec: of :func:`task_of`.
+        data: digest of the data set (:func:`rcbht_jax._util.digest.data_hash`), if the recordings have no samples.
 
     Raises:
         InputError: no sentence passes the filters, or the labels give other features than the model reads.
@@ -138,7 +143,8 @@ def classify(
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")
-    features = extract_features(dict(tracks), items, model.feature_spec)
+    batches = [tracks] if isinstance(tracks, Mapping) else tracks
+    features = extract_batched_features(batches, items, model.feature_spec)
     if features.names != model.feature_names:
         raise InputError(
             f"the labels give {len(features.names)} features and the model of version {model.version} reads "
@@ -150,12 +156,12 @@ def classify(
             "the model's decision values are not finite on these recordings; they are too large, or it is."
         )
     predicted = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
-    return Classification(model.svm.classes, items, predicted, decision, _seen(model, recordings)[items.row])
+    return Classification(model.svm.classes, items, predicted, decision, _seen(model, recordings, data)[items.row])
 
 
-def _seen(model: TrainedModel, recordings: Recordings) -> NDArray[np.bool_]:
+def _seen(model: TrainedModel, recordings: Recordings, data: str | None) -> NDArray[np.bool_]:
     """Recordings that the model was trained on ``[recording]``, as far as its file tells."""
-    seen = np.full(len(recordings), data_hash(recordings) == model.data_hash)
+    seen = np.full(len(recordings), (data or data_hash(recordings)) == model.data_hash)
     for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
         if model.task.get(kept):
             seen &= np.isin(values, model.task[kept])

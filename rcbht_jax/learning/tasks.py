@@ -7,8 +7,8 @@ recordings are classified.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,10 +178,41 @@ def extract_features(
         >>> features.values.shape, features.names[0]
         ((2, 96), 'histogram.llb.Fx.time.FX')
     """
-    if isinstance(tracks, LabelTracks):
-        arms = [interval_features(tracks, intervals, spec) for intervals in items.intervals]
-        return arms[0] if len(arms) == 1 else concatenate_arms(arms[0], arms[1])
-    return concatenate_features({name: extract_features(one, items, spec) for name, one in tracks.items()})
+    return extract_batched_features([tracks if isinstance(tracks, Mapping) else {"": tracks}], items, spec)
+
+
+def extract_batched_features(
+    batches: Iterable[Mapping[str, LabelTracks]], items: LabelledIntervals | UnlabelledIntervals, spec: FeatureSpec
+) -> Features:
+    """As :func:`extract_features`, of label tracks that come in batches: the features alone are kept.
+
+    Args:
+        batches: label tracks by name, of consecutive recordings from the first on.
+        items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
+        spec: which features.
+    """
+    found: dict[tuple[str, int], tuple[list[NDArray[np.int64]], list[Features]]] = {}
+    first = 0
+    for batch in batches:
+        count = len(next(iter(batch.values())).llb.label)
+        for arm, intervals in enumerate(items.intervals):
+            mine = np.flatnonzero((intervals.recording >= first) & (intervals.recording < first + count))
+            part = intervals.take(mine)
+            part = replace(part, recording=part.recording - first)
+            for name, tracks in batch.items():
+                places, features = found.setdefault((name, arm), ([], []))
+                if len(mine) or not features:
+                    places.append(mine)
+                    features.append(interval_features(tracks, part, spec))
+        first += count
+    by_name: dict[str, list[Features]] = {}
+    for (name, _), (places, features) in found.items():
+        order = np.argsort(np.concatenate(places), kind="stable")
+        values = np.concatenate([part.values for part in features])[order]
+        by_name.setdefault(name, []).append(replace(features[0], values=values))
+    return concatenate_features(
+        {name: arms[0] if len(arms) == 1 else concatenate_arms(arms[0], arms[1]) for name, arms in by_name.items()}
+    )
 
 
 @dataclass(frozen=True)

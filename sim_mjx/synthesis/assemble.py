@@ -1,22 +1,24 @@
-"""Join the shards of a synthesis into one store."""
+"""Join the shards of a synthesis into one store, shard by shard: each is a part of it, and one is in memory at a time.
+
+Every trial has its place from the start. One that diverged keeps it, as a row of length 0 that readers leave out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict
+import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import store
-from rcbht_jax.io.label_store import write_tracks
+from rcbht_jax.io import label_parts, store_writer
+from rcbht_jax.io.parts import Layout
+from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.labels import LAYERS
-from rcbht_jax.types import LabelTrack, LabelTracks
-from sim_mjx.engines.common import blocks
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import records, shards, tables
@@ -34,85 +36,106 @@ def assemble(
     drawn: dict[int, Drawn],
 ) -> Path:
     """Join the shards into a store in the work folder; ``drawn`` holds the trials of this run's shards."""
-    loaded = [shards.load(folder, shard) for shard in range(-(-job.trials // job.shard))]
-    parts = [part for part in loaded if part is not None]
-    if len(parts) < len(loaded):
-        raise InputError(f"A shard in {folder} was damaged just now; run the same command again.")
-    diverged = np.concatenate([part["diverged"] for part in parts])
-    stored = np.flatnonzero(~diverged)
-    if len(stored) == 0:
-        raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
-    batches = [
-        drawn.get(shard) or scenario.draw_batch(job.seed, indices(job, shard), job.spec) for shard in range(len(parts))
-    ]
-    params = jax.tree.map(lambda *leaves: np.concatenate(leaves)[stored], *(params for params, _ in batches))
-    all_faults = [fault for _, faults in batches for fault in faults]
-    faults = [all_faults[index] for index in stored]
-    plain = [name for name in parts[0] if name != "wrench" and "." not in name]
-    rows = {name: np.concatenate([part[name] for part in parts])[stored] for name in plain}
-    recordings = tables.recordings_of(
-        job.preset, scenario, rows, _wrench(parts, stored, rows["length"]), stored, faults
-    )
-    attrs = {
-        "frames": tables.frames_of(scenario),
-        "simulated": provenance(manifest),
-        "diverged": np.flatnonzero(diverged).tolist(),
-    }
-    if not scenario.recorded:
-        attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
     draft = folder / "store.zarr"
-    store.write_recordings(
-        draft, recordings, attrs, overwrite=True, created=CREATED,
-        simulation=tables.simulation_of(scenario, rows, stored, params, faults),
-    )  # fmt: skip
+    if draft.exists():  # of a run that was interrupted while it joined them
+        shutil.rmtree(draft)
+    diverged: list[int] = []
+    for shard in range(-(-job.trials // job.shard)):
+        arrays = shards.load(folder, shard)
+        if arrays is None:
+            raise InputError(f"A shard in {folder} was damaged just now; run the same command again.")
+        batch = drawn.get(shard) or scenario.draw_batch(job.seed, indices(job, shard), job.spec)
+        write_shard(draft, job, scenario, manifest, shard, batch, arrays)
+        diverged += (indices(job, shard).start + np.flatnonzero(arrays["diverged"])).tolist()
+    if len(diverged) == job.trials:
+        raise InputError(f"The physics diverged in all {job.trials} trials; nothing to store. Check the distributions.")
     if job.window is not None:
-        _write_labels(draft, job, parts, stored)
+        label_parts.finish(_labels_of(draft, job))
+    store_writer.finish(draft, {"diverged": diverged})
     return draft
 
 
-def _write_labels(draft: Path, job: SynthesisConfig, parts: list[shards.Arrays], stored: NDArray[np.int64]) -> None:
-    """Add the labels to the store, under the name and with the attributes of ``rcbht encode``."""
+def write_shard(
+    draft: Path,
+    job: SynthesisConfig,
+    scenario: Scenario,
+    manifest: dict[str, Any],
+    shard: int,
+    drawn: Drawn,
+    arrays: shards.Arrays,
+) -> None:
+    """Write a shard to its place in the draft of the store, which the first one creates.
 
-    def joined(name: str) -> NDArray[Any]:
-        shapes = [part[name].shape for part in parts]
-        out = np.zeros((len(stored), *shapes[0][1:-1], max(shape[-1] for shape in shapes)), parts[0][name].dtype)
-        row = 0
-        for rows, part in _stored_of(parts, stored):
-            out[row : row + len(rows), ..., : part[name].shape[-1]] = part[name][rows]
-            row += len(rows)
-        return out.reshape(-1, 6, out.shape[-1])
-
-    layers = {
-        layer: LabelTrack(**{name: joined(f"{layer}.{name}") for name in records.LABEL_FIELDS}) for layer in LAYERS
-    }
-    config = encoder_config(job)
-    attrs = {
-        "semantics": "online",
-        "window": config.window,
-        "config": asdict(config),
-        "thresholds": label_limits().tolist(),
-    }
-    write_tracks(draft, f"online-W{config.window}", LabelTracks(*layers.values()), attrs, created=CREATED)
-
-
-def _wrench(parts: list[shards.Arrays], stored: NDArray[np.int64], length: NDArray[np.int32]) -> NDArray[np.float32]:
-    """All stored trials [trial, time, 6K], padded to the longest of them."""
-    out = np.zeros((len(stored), int(length.max()), parts[0]["wrench"].shape[2]), np.float32)
-    row = 0
-    for rows, part in _stored_of(parts, stored):
-        samples = min(out.shape[1], part["wrench"].shape[1])
-        for block in blocks(len(rows)):
-            out[row + block.start : row + block.stop, :samples] = part["wrench"][rows[block], :samples]
-        row += len(rows)
-    return out
+    Args:
+        draft: the store that is being written.
+        job: what is simulated. scenario: likewise. manifest: of the job.
+        shard: its number.
+        drawn: parameters and faults of its trials.
+        arrays: of :func:`records.of_trials` and :func:`records.of_labels`.
+    """
+    (params, faults), index = drawn, np.array(indices(job, shard))
+    plain = {name: values for name, values in arrays.items() if "." not in name}
+    rows = _without(plain, arrays["diverged"])
+    recordings = tables.recordings_of(job.preset, scenario, rows, rows["wrench"], index, faults)
+    recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
+    simulation = tables.simulation_of(scenario, rows, index, params, faults)
+    tracks = None if job.window is None else _labels(arrays)
+    arms = len(scenario.arms)
+    layout = Layout(job.trials * arms, min(job.shard, job.trials) * arms)
+    if not draft.exists():
+        _create(draft, job, scenario, manifest, layout, recordings, simulation, tracks)
+    if tracks is not None:
+        label_parts.write_part(_labels_of(draft, job), shard, tracks)
+    store_writer.write_part(draft, shard, recordings, simulation)
 
 
-def _stored_of(
-    parts: list[shards.Arrays], stored: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[np.int64], shards.Arrays]]:
-    """Each shard with the rows of its trials that are stored."""
-    start = 0
-    for part in parts:
-        stop = start + len(part["diverged"])
-        yield stored[(stored >= start) & (stored < stop)] - start, part
-        start = stop
+def _create(
+    draft: Path,
+    job: SynthesisConfig,
+    scenario: Scenario,
+    manifest: dict[str, Any],
+    layout: Layout,
+    recordings: Recordings,
+    simulation: shards.Arrays,
+    tracks: LabelTracks | None,
+) -> None:
+    attrs: dict[str, Any] = {"frames": tables.frames_of(scenario), "simulated": provenance(manifest)}
+    if not scenario.recorded:
+        attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
+    schema = schema_of(recordings, simulation, layout.rows, layout.part)
+    store_writer.create(draft, schema, attrs, CREATED)
+    if tracks is not None:
+        config = encoder_config(job)
+        how = {  # as "rcbht encode" says it
+            "semantics": "online",
+            "window": config.window,
+            "config": asdict(config),
+            "thresholds": label_limits().tolist(),
+        }
+        label_parts.create_in(draft, _labels_of(draft, job).name, layout, tracks, how, created=CREATED)
+
+
+def _labels_of(draft: Path, job: SynthesisConfig) -> Path:
+    return draft / "labels" / f"online-W{job.window}"
+
+
+def _without(rows: shards.Arrays, diverged: Bool[np.ndarray, " trial"]) -> shards.Arrays:
+    """The arrays of a shard with nothing in the rows of diverged trials, as long as the longest of the others."""
+    empty = {"length": 0, "wrench": 0, "onset": np.nan, "onset_harmonised": np.nan, "note": "", "seated": False}
+    out = dict(rows)
+    if diverged.any():
+        for name, nothing in empty.items():
+            out[name] = out[name].copy()
+            out[name][diverged] = nothing
+    return out | {"wrench": out["wrench"][:, : max(1, int(out["length"].max()))]}
+
+
+def _labels(arrays: shards.Arrays) -> LabelTracks:
+    """The labels ``[recording, 6, slot]`` of a shard, none in the rows of diverged trials."""
+    layers = []
+    for layer in LAYERS:
+        found = {name: arrays[f"{layer}.{name}"] for name in records.LABEL_FIELDS}
+        kept = ~arrays["diverged"][:, None, None, None]
+        made = {name: np.where(kept, values, np.zeros((), values.dtype)) for name, values in found.items()}
+        layers.append(LabelTrack(**{name: v.reshape(-1, 6, v.shape[-1]) for name, v in made.items()}))
+    return LabelTracks(*layers)

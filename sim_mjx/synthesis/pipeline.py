@@ -1,10 +1,11 @@
 """Simulate trials into a store: in shards, resumable, with the same bytes however often it was interrupted.
 
 Each shard is simulated and saved in a work folder beside the target (``sim_mjx.synthesis.shards``); when all are there
-they are joined into one store. A trial depends on seed and index alone, so the shard size decides only how much an
-interruption costs. The store holds no date. Its group ``simulation/`` has one row per recording: index, fault,
-failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). A two-arm trial is two
-recordings, right arm and left arm, as the importer stores them.
+they are joined into one store, of which each is a part. A trial depends on seed and index alone, so the shard size
+decides only how much an interruption costs and how the files of the store are divided. The store holds no date. Its
+group ``simulation/`` has one row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn
+parameters (``Scenario.parameters``). A two-arm trial is two recordings, right arm and left arm, as the importer stores
+them.
 """
 
 from __future__ import annotations
@@ -111,8 +112,7 @@ def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
         return False
     try:
         known = store.read_attrs(target).get("simulated")
-        store.read_recordings(target)  # a damaged one is no result: its shards are still there
-        store.read_simulation(target)
+        store.verify(target)  # a damaged one is no result: its shards are still there
     except InputError:
         return False
     return known is not None and shards.as_json(known) == shards.as_json(provenance(manifest))
@@ -163,7 +163,7 @@ def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | Non
 
 def _report(target: Path, arms: int, resumed: int) -> SynthesisReport:
     """What the finished store holds."""
-    simulation = {name: rows[::arms] for name, rows in store.read_simulation(target).items()}
+    simulation = {name: rows[::arms] for name, rows in store.read_simulation(target, "seated", "fault").items()}
     seated, kinds = np.asarray(simulation["seated"].all(1)), simulation["fault"]
     faults = {str(k): (int((kinds == k).sum()), int(seated[kinds == k].sum())) for k in np.unique(kinds)}
     return SynthesisReport(len(seated), int(seated.sum()), store.read_attrs(target)["diverged"], resumed, faults)

@@ -14,7 +14,7 @@ import xarray as xr
 from hypothesis import given, settings
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import label_store, store, zarr
+from rcbht_jax.io import label_store, parts, store
 from rcbht_jax.types import LabelTrack, LabelTracks
 from tests.support.store_cases import files, folder_is_clean, same, simple
 
@@ -111,14 +111,14 @@ def test_missing_and_damaged_tracks(path: Path) -> None:
 
 
 def test_interrupted_tracks_leave_the_store_as_it_was(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = zarr.write_array
+    real = parts.write_rows
 
     def failing(group: Any, name: str, *rest: Any) -> None:
-        if name == "grad":
+        if name == "mc/grad":
             raise OSError("stopped")
         real(group, name, *rest)
 
-    monkeypatch.setattr(zarr, "write_array", failing)
+    monkeypatch.setattr(parts, "write_rows", failing)
     with pytest.raises(OSError, match="stopped"):
         label_store.write_tracks(path, "x", label_tracks(), {})
     assert label_store.list_tracks(path) == []

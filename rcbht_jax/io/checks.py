@@ -1,0 +1,82 @@
+"""What recordings must fulfil to be stored."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.types import Recordings
+
+# Variable of the store, which is the field of Recordings -> dtype.
+VARIABLES: dict[str, str] = {
+    "wrench": "float32", "length": "int32", "trial": "string", "arm": "string", "source": "string",
+    "session": "string", "outcome": "string", "note": "string",
+}  # fmt: skip
+SHORTEST, LONGEST = 1e-9, 1e6  # s between samples: beyond these it is another unit
+LARGEST = 1e30  # in any unit: sums over hours stay far from the largest single precision number
+NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
+
+
+def validate(recordings: Recordings, gaps: bool = False) -> None:
+    """Check that the fields of recordings agree with each other.
+
+    Args:
+        recordings: to be stored.
+        gaps: allow recordings of length 0, which keep a place.
+
+    Raises:
+        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
+            finite within the length or not zero beyond it, or an annotation is about no recording.
+    """
+    wrench = np.asarray(recordings.wrench)
+    if wrench.ndim != 3 or 0 in (wrench.shape[::2] if gaps else wrench.shape):
+        raise InputError(f"wrench has shape {wrench.shape}; expected [recordings, samples, axes], none of them 0.")
+    _check_shapes(recordings, len(wrench))
+    if not SHORTEST <= recordings.dt <= LONGEST:
+        raise InputError(f"dt is {recordings.dt}; expected {SHORTEST:g} to {LONGEST:g} s.")
+    axes = (recordings.axes, recordings.units)
+    if any(len(names) != wrench.shape[2] for names in axes) or len(set(recordings.axes)) < wrench.shape[2]:
+        raise InputError(
+            f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units."
+        )
+    for row, samples in enumerate(recordings.length):
+        where = f"recording {row} ({recordings.trial[row]})"
+        if not (0 if gaps else 1) <= samples <= wrench.shape[1]:
+            raise InputError(f"{where}: length is {samples}; expected 1 to {wrench.shape[1]} samples.")
+        if not (np.abs(wrench[row, :samples]) <= LARGEST).all():  # NaN compares as false
+            raise InputError(
+                f"{where}: the wrench is not finite everywhere, or beyond {LARGEST:g}; expected numbers whose sums are "
+                "finite in single precision."
+            )
+        if wrench[row, samples:].any():
+            raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
+    _check_annotations(recordings)
+
+
+def _check_annotations(recordings: Recordings) -> None:
+    marks = recordings.annotations
+    if len(marks) and not (marks.recording.min() >= 0 and marks.recording.max() < len(recordings)):
+        raise InputError(
+            f"annotations are about recordings {marks.recording.min()} to {marks.recording.max()}; there are "
+            f"{len(recordings)}, from 0."
+        )
+    if not np.isfinite(marks.start).all() or np.isinf(marks.end).any():
+        raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
+
+
+def _check_shapes(recordings: Recordings, count: int) -> None:
+    for name, dtype in VARIABLES.items():
+        array = np.asarray(getattr(recordings, name))
+        shape = recordings.wrench.shape if name == "wrench" else (count,)
+        matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
+        if array.shape != shape or not matches:
+            raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
+    for name, values in recordings.columns.items():
+        if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
+            raise InputError(
+                f"column {name} is {values.dtype} of shape {values.shape}; expected text or numbers [{count}]."
+            )
+        if not NAME.fullmatch(name) or name in VARIABLES:
+            raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")

@@ -1,0 +1,250 @@
+"""Label tracks as a table in parts: create, write each part, finish, read part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import parts
+from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.parts import Field, Layout
+from rcbht_jax.io.store_schema import HASH, LABELS
+from rcbht_jax.io.store_writer import seal_whole
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks
+
+with needs_extra("store"):
+    import zarr
+
+PART = 1024  # recordings in a part, unless the caller chooses
+INTEGERS = {"label": "int8", "t0": "int32", "t1": "int32", "emit": "int32"}
+FIELDS = {field.name: INTEGERS.get(field.name, "float") for field in fields(LabelTrack)}
+
+
+def create(
+    folder: Path, layout: Layout, sample: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
+) -> None:
+    """Label tracks of which all parts are missing.
+
+    Args:
+        folder: to create.
+        layout: of the table.
+        sample: some of the label tracks, ``[recording, axis, slot]``.
+        attrs: how the labels are made: JSON values.
+        created: creation date to store; default now.
+
+    Raises:
+        InputError: ``attrs`` are not JSON values.
+    """
+    date = datetime.now(UTC).isoformat(timespec="seconds") if created is None else created
+    group = zarr_io.create_group(folder, {**attrs, "rcbht_jax_version": rcbht_jax.__version__, "created": date})
+    axes, real = np.shape(sample.llb.label)[1], str(np.asarray(sample.llb.avg).dtype)
+    parts.create(group, layout, _fields(axes, real))
+
+
+def create_in(
+    path: Path,
+    name: str,
+    layout: Layout,
+    sample: LabelTracks,
+    attrs: Mapping[str, Any],
+    *,
+    created: str | None = None,
+) -> None:
+    """Label tracks in a store that is being written; the rest as for :func:`create`."""
+    if not (path / LABELS).exists():
+        zarr.create_group(path / LABELS, zarr_format=3)
+    create(path / LABELS / name, layout, sample, attrs, created=created)
+
+
+def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:
+    """Write one part: label tracks ``[row of the part, axis, slot]``, empty where there is no recording.
+
+    Raises:
+        InputError: a shape or dtype is wrong, or there is no such part.
+    """
+    group = zarr_io.open_group(folder)
+    made, layout = _fields_in(group), parts.layout_of(group)
+    rows = layout.span(number)
+    values = {
+        f"{layer}/{name}": array
+        for layer in LAYERS
+        for name, array in checked(getattr(tracks, layer), layer, rows.stop - rows.start).items()
+    }
+    parts.write(folder, layout, number, made, values)
+    parts.seal(folder, number, parts.digest_of(values, made))
+
+
+def finish(folder: Path) -> None:
+    """Complete label tracks of which all parts are there.
+
+    Raises:
+        InputError: a part is missing.
+    """
+    group = zarr_io.open_group(folder, "r+")
+    seal_whole(group, _header(group))
+
+
+def check_part(folder: Path, number: int) -> None:
+    """Read a part and compare it with its digest.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    _read_part(folder, zarr_io.open_group(folder), number)
+
+
+def read(folder: Path, rows: NDArray[np.int64]) -> Iterator[LabelTracks]:
+    """The label tracks of each part that has any of the recordings, without empty rows; every part is verified.
+
+    Args:
+        folder: of the label tracks.
+        rows: row of each recording, ascending.
+
+    Raises:
+        InputError: the label tracks are damaged.
+    """
+    group = zarr_io.open_group(folder)
+    with zarr_io.reading(folder):
+        layout = parts.layout_of(group)
+        digests = [digest or "" for digest in parts.digests(group)]
+        if parts.whole_digest(_header(group), digests) != group.attrs.get(HASH) or layout.rows <= rows[-1]:
+            raise _damaged(folder)
+    for number in range(len(layout)):
+        span = layout.span(number)
+        first, last = np.searchsorted(rows, [span.start, span.stop]).tolist()
+        if first < last:
+            yield taken(_read_part(folder, group, number), rows[first:last] - span.start)
+
+
+def regroup(batches: Iterable[LabelTracks], sizes: Iterable[int]) -> Iterator[LabelTracks]:
+    """Label tracks of consecutive recordings in batches of other sizes.
+
+    Raises:
+        InputError: there are more or fewer recordings than the sizes add up to.
+    """
+    source, waiting = iter(batches), list[LabelTracks]()
+    for size in sizes:
+        while sum(map(_count, waiting)) < size:
+            batch = next(source, None)
+            if batch is None:
+                raise InputError(f"the labels end after {sum(map(_count, waiting))} of {size} recordings.")
+            waiting.append(batch)
+        whole = joined(waiting)
+        yield taken(whole, slice(0, size))
+        waiting = [taken(whole, slice(size, None))] if _count(whole) > size else []
+    if waiting or next(source, None) is not None:
+        raise InputError("there are labels of more recordings than expected.")
+
+
+def spread(tracks: LabelTracks, rows: Int[np.ndarray, " recording"], count: int) -> LabelTracks:
+    """Label tracks ``[row, axis, slot]`` of ``count`` rows, those of the recordings in ``rows``, the others empty."""
+    if len(rows) == count:
+        return tracks
+
+    def one(values: NDArray[Any]) -> NDArray[Any]:
+        out = np.zeros((count, *values.shape[1:]), values.dtype)
+        out[rows] = values
+        return out
+
+    return _mapped(tracks, one)
+
+
+def joined(batches: list[LabelTracks]) -> LabelTracks:
+    """Label tracks under each other, as wide as the widest."""
+    if len(batches) == 1:
+        return batches[0]
+    layers = []
+    for layer in LAYERS:
+        some = [getattr(batch, layer) for batch in batches]
+        width = max(np.shape(track.label)[2] for track in some)
+        arrays = {
+            name: np.concatenate([_padded(np.asarray(getattr(track, name)), width) for track in some])
+            for name in FIELDS
+        }
+        layers.append(LabelTrack(**arrays))
+    return LabelTracks(*layers)
+
+
+def taken(tracks: LabelTracks, rows: slice | NDArray[np.int64]) -> LabelTracks:
+    """The label tracks of some recordings."""
+    return _mapped(tracks, lambda values: values[rows])
+
+
+def checked(track: LabelTrack, layer: str, count: int) -> dict[str, Any]:
+    """The fields of a layer as host arrays of agreeing shape.
+
+    Raises:
+        InputError: a shape or dtype is wrong.
+    """
+    arrays = {name: np.asarray(getattr(track, name)) for name in FIELDS}
+    shape = arrays["label"].shape
+    if len(shape) != 3 or shape[0] != count:
+        raise InputError(f"{layer} labels have shape {shape}; expected [{count} recordings, axes, slots].")
+    for name, expected in FIELDS.items():
+        dtype = arrays[name].dtype
+        matches = dtype in (np.float32, np.float64) if expected == "float" else dtype == expected
+        if arrays[name].shape != shape or not matches:
+            raise InputError(
+                f"{layer} {name} is {dtype} of shape {arrays[name].shape}; expected {expected} of shape {shape}."
+            )
+    return arrays
+
+
+def _fields(axes: int, real: str) -> dict[str, Field]:
+    return {
+        f"{layer}/{name}": Field(real if dtype == "float" else dtype, ("axis", "slot"), (axes, None))
+        for layer in LAYERS
+        for name, dtype in FIELDS.items()
+    }
+
+
+def _fields_in(group: zarr.Group) -> dict[str, Field]:
+    with zarr_io.reading(Path(str(group.store_path))):
+        sample = [zarr_io.subgroup(group, layer) for layer in LAYERS][-1]["avg"]
+        return _fields(sample.shape[1], str(sample.dtype))  # type: ignore[union-attr]
+
+
+def _header(group: zarr.Group) -> list[str]:
+    return sorted(f"{name} {made.dtype}" for name, made in _fields_in(group).items())
+
+
+def _read_part(folder: Path, group: zarr.Group, number: int) -> LabelTracks:
+    made = _fields_in(group)
+    with zarr_io.reading(folder):
+        rows = parts.layout_of(group).span(number)
+        values = {name: parts.read(group, name, rows, field) for name, field in made.items()}
+        if parts.digest_of(values, made) != parts.digest(group, number):
+            raise _damaged(folder)
+    layers = [LabelTrack(**{name: values[f"{layer}/{name}"] for name in FIELDS}) for layer in LAYERS]
+    return LabelTracks(*layers)
+
+
+def _damaged(folder: Path) -> InputError:
+    return InputError(f"{folder} is damaged: its content does not match its checksum. Encode again.")
+
+
+def _count(tracks: LabelTracks) -> int:
+    return int(np.shape(tracks.llb.label)[0])
+
+
+def _padded(values: NDArray[Any], width: int) -> NDArray[Any]:
+    return np.pad(values, ((0, 0), (0, 0), (0, width - values.shape[2])))
+
+
+def _mapped(tracks: LabelTracks, change: Any) -> LabelTracks:
+    layers = [
+        replace(track, **{name: change(np.asarray(getattr(track, name))) for name in FIELDS})
+        for track in (getattr(tracks, layer) for layer in LAYERS)
+    ]
+    return LabelTracks(*layers)

@@ -1,0 +1,258 @@
+"""Tables in parts: Zarr arrays of one row per recording that are written part by part, in any order.
+
+A part is a fixed number of consecutive rows. Shapes of chunks and Zarr shards are fixed when the table is made, and no
+file holds rows of two parts, so that processes can write parts at the same time and the bytes do not depend on who
+wrote what when. A dimension that differs from row to row (samples, slots) grows to the widest row: what lies beyond a
+row's own width is never written. ``part_sha256`` holds the digest of each part; it is written last, so that a part
+whose writing was interrupted counts as missing.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.atomic import atomic_write, uninterrupted
+from rcbht_jax._util.digest import content_hash
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import zarr as zarr_io
+
+with needs_extra("store"):
+    import zarr
+
+DIGESTS = "part_sha256"
+CHUNK_BYTES = 2**18  # of a chunk of an array that grows: what reading one row costs
+CHUNKS = 8  # along the dimension that grows, in one file
+_DIGEST = 32  # bytes of a SHA-256
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of a table."""
+
+    dtype: str  # "string", or the name of a NumPy dtype
+    dimensions: tuple[str, ...] = ()  # names of those of a row
+    shape: tuple[int | None, ...] = ()  # of a row; None = grows with the widest row
+    chunk: int = 64  # length of a chunk along the dimension that grows
+    attrs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def grows(self) -> int | None:
+        """The dimension of the array that grows, None = none does."""
+        return 1 + self.shape.index(None) if None in self.shape else None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How many rows a table has, and how many of them are in one part."""
+
+    rows: int
+    part: int
+
+    def __len__(self) -> int:
+        return -(-self.rows // self.part)
+
+    def span(self, number: int) -> slice:
+        """Rows of a part.
+
+        Raises:
+            InputError: there is no such part.
+        """
+        if not 0 <= number < len(self):
+            raise InputError(f"there is no part {number}; there are {len(self)}, from 0.")
+        return slice(number * self.part, min((number + 1) * self.part, self.rows))
+
+
+def layout_of(group: zarr.Group) -> Layout:
+    """The layout that the attributes of a table state."""
+    return Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
+
+
+@uninterrupted()
+def create(group: zarr.Group, layout: Layout, fields: Mapping[str, Field]) -> None:
+    """The arrays of a table, without rows; a name such as ``columns/mass`` is an array of a group inside."""
+    for folder in sorted({name.rpartition("/")[0] for name in fields} - {""}):
+        group.require_group(folder)
+    for name, made in fields.items():
+        dimensions = ("trial", *made.dimensions)
+        _array(
+            group, name, (layout.rows, *(size or 0 for size in made.shape)), dimensions, made, *_chunks(layout, made)
+        )
+    _array(group, DIGESTS, (len(layout), _DIGEST), ("part", "byte"), Field("uint8"), (1, _DIGEST), None)
+    group.update_attributes({"rows": layout.rows, "part_rows": layout.part})
+
+
+def write(folder: Path, layout: Layout, number: int, fields: Mapping[str, Field], values: Mapping[str, Any]) -> None:
+    """Write the arrays of one part, all but its digest.
+
+    Args:
+        folder: of the table. layout: of the table.
+        number: of the part. fields: of the table.
+        values: by name, arrays ``[row of the part, ...]``; the dimension that grows may have any length.
+
+    Raises:
+        InputError: an array has another shape or dtype than the table.
+    """
+    rows, group = layout.span(number), zarr_io.open_group(folder, "r+")
+    for name, made in fields.items():
+        array = np.asarray(values[name])
+        _check(name, made, array, rows.stop - rows.start)
+        if array.size:
+            write_rows(group, name, made, rows, array)
+    if any(made.grows for made in fields.values()):
+        with _locked(folder):  # others may be growing the same arrays
+            for name, made in fields.items():
+                if (axis := made.grows) is not None:
+                    _widen(folder / name / "zarr.json", axis, np.shape(values[name])[axis])
+
+
+@uninterrupted()
+def seal(folder: Path, number: int, digest: str) -> None:
+    """Write the digest of a part, all of whose arrays are there: from now on it counts."""
+    group = zarr_io.open_group(folder, "r+")
+    _member(group, DIGESTS)[number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
+
+
+def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
+    """Digest of the arrays of a part, whatever their padding."""
+    return content_hash(_trimmed(np.asarray(values[name]), fields[name].grows) for name in sorted(fields))
+
+
+def digests(group: zarr.Group) -> list[str | None]:
+    """Digest of each part, None = it is missing."""
+    stored = np.asarray(_member(group, DIGESTS)[...])
+    return [row.tobytes().hex() if row.any() else None for row in stored]
+
+
+def digest(group: zarr.Group, number: int) -> str | None:
+    """Digest of one part, None = it is missing."""
+    row = np.asarray(_member(group, DIGESTS)[number])
+    return row.tobytes().hex() if row.any() else None
+
+
+def whole_digest(header: Any, parts: list[str]) -> str:
+    """Digest of a table: of what is true of all its rows, and of its parts in their order."""
+    return hashlib.sha256(json.dumps([header, *parts], sort_keys=True).encode()).hexdigest()
+
+
+@uninterrupted()
+def read(
+    group: zarr.Group, name: str, rows: slice | NDArray[np.int64], made: Field, width: int | None = None
+) -> NDArray[Any]:
+    """Some rows of an array, as far as ``width`` along the dimension that grows; text as NumPy strings.
+
+    Raises:
+        InputError: the array is missing or has another dtype.
+    """
+    array = _member(group, name)
+    found = "string" if array.dtype.kind in "TUO" else str(array.dtype)
+    if found != made.dtype:
+        raise InputError(f"{group.store_path}: {name} is {found}; expected {made.dtype}.")
+    within = [slice(None)] * (array.ndim - 1)
+    if (axis := made.grows) is not None and width is not None:
+        within[axis - 1] = slice(0, width)
+    values = np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
+    return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
+
+
+def fields_in(group: zarr.Group) -> dict[str, Field]:
+    """The fields of the arrays of a group, all of fixed shape, by name."""
+    found = {}
+    for name, array in sorted(group.arrays()):
+        if name != DIGESTS:
+            dtype = "string" if array.dtype.kind in "TUO" else str(array.dtype)
+            dimensions = tuple(map(str, array.metadata.dimension_names[1:]))  # type: ignore[union-attr,index]
+            found[name] = Field(dtype, dimensions, tuple(array.shape[1:]))
+    return found
+
+
+def _member(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    array = group.get(name)
+    if not isinstance(array, zarr.Array):
+        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
+    return array
+
+
+def _chunks(layout: Layout, made: Field) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
+    """Shapes of chunks and of the files that hold them (None = a file holds one chunk)."""
+    inner = tuple(made.chunk if size is None else max(1, size) for size in made.shape)
+    if made.grows is None:
+        return (layout.part, *inner), None
+    most = max(1, CHUNK_BYTES // (math.prod(inner) * np.dtype(made.dtype).itemsize))
+    rows = max(rows for rows in range(1, min(most, layout.part) + 1) if layout.part % rows == 0)
+    outer = tuple(size * CHUNKS if made.shape[n] is None else size for n, size in enumerate(inner))
+    return (rows, *inner), (layout.part, *outer)
+
+
+def _array(
+    group: zarr.Group, name: str, shape: tuple[int, ...], dimensions: tuple[str, ...], made: Field,
+    chunks: tuple[int, ...], shards: tuple[int, ...] | None,
+) -> None:  # fmt: skip
+    folder, _, last = name.rpartition("/")
+    zarr_io.create_array(
+        zarr_io.subgroup(group, folder) if folder else group, last, shape, made.dtype, dimensions, made.attrs,
+        chunks, shards,
+    )  # fmt: skip
+
+
+def _check(name: str, made: Field, array: NDArray[Any], rows: int) -> None:
+    wanted = (
+        rows,
+        *(array.shape[n] if size is None else size for n, size in enumerate(made.shape, 1) if n < array.ndim),
+    )
+    found = "string" if array.dtype.kind == "U" else str(array.dtype)
+    if array.shape != wanted or array.ndim != 1 + len(made.shape) or found != made.dtype:
+        shape = [rows, *("any" if size is None else size for size in made.shape)]
+        raise InputError(f"{name} of a part is {found} of shape {array.shape}; expected {made.dtype} of shape {shape}.")
+
+
+@uninterrupted()
+def write_rows(group: zarr.Group, name: str, made: Field, rows: slice, values: NDArray[Any]) -> None:
+    """Write some rows of one array, whose files are replaced."""
+    array = _member(group, name)
+    if (axis := made.grows) is not None:
+        # as wide as the values, so that chunks are whole and nothing of the file is read before it is replaced
+        shape = (*array.shape[:axis], values.shape[axis], *array.shape[axis + 1 :])
+        metadata = replace(array.metadata, shape=shape)
+        array = zarr.Array(zarr.AsyncArray(metadata=metadata, store_path=array.store_path))
+    array[rows] = values.astype(np.dtypes.StringDType()) if made.dtype == "string" else values
+
+
+def _widen(metadata: Path, axis: int, width: int) -> None:
+    """Have an array at least so wide, by its metadata alone."""
+    content = json.loads(metadata.read_text())
+    if content["shape"][axis] < width:
+        content["shape"][axis] = width
+        with atomic_write(metadata) as draft:
+            draft.write_text(json.dumps(content, indent=2))
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _trimmed(values: NDArray[Any], axis: int | None) -> NDArray[Any]:
+    """Values without what is zero at the end of the dimension that grows, in all rows."""
+    if axis is None or not values.size:
+        return values
+    bits = np.moveaxis(np.ascontiguousarray(values).view(f"u{values.dtype.itemsize}"), axis, 0)
+    used = np.flatnonzero(bits.reshape(len(bits), -1).any(1))
+    return values[(slice(None),) * axis + (slice(0, 1 + used[-1] if len(used) else 0),)]

@@ -1,0 +1,287 @@
+"""Reading of a store of version 3: whole, some rows, part by part; what is read is verified."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.annotations import Annotations
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import parts
+from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.checks import VARIABLES
+from rcbht_jax.io.parts import Field
+from rcbht_jax.io.store_schema import (
+    ANNOTATIONS,
+    COLUMNS,
+    GAPS,
+    HASH,
+    SIMULATION,
+    SUMMARIES,
+    WRENCH_HASH,
+    Schema,
+    part_digest,
+    schema_in,
+    wrench_digests,
+)
+from rcbht_jax.io.summary import Summary, merged
+from rcbht_jax.types import Recordings
+
+with needs_extra("store"):
+    import zarr
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A store that is open for reading."""
+
+    path: Path
+    group: zarr.Group
+    schema: Schema
+    finished: bool
+
+    @staticmethod
+    def of(path: Path, group: zarr.Group) -> Stored:
+        """A store that has been opened, finished or not."""
+        return Stored(path, group, schema_in(group), HASH in group.attrs)
+
+    def check_finished(self) -> None:
+        """Refuse a store that is still being written.
+
+        Raises:
+            InputError: parts are missing.
+        """
+        if not self.finished:
+            there = sum(digest is not None for digest in parts.digests(self.group))
+            raise InputError(
+                f"{self.path} is still being written: {there} of {len(self.schema.layout)} parts are there. "
+                "Run the command that writes it again, or wait for it."
+            )
+
+    def rows(self) -> NDArray[np.int64]:
+        """The row of each recording."""
+        self.check_finished()
+        return np.delete(np.arange(self.schema.layout.rows), self.group.attrs[GAPS])  # type: ignore[arg-type]
+
+    def damaged(self, what: str) -> InputError:
+        """The error that says what does not match its checksum."""
+        return InputError(f"{self.path} is damaged: {what} does not match its checksum. Import or copy it again.")
+
+
+def read_all(stored: Stored) -> Recordings:
+    """All recordings, padded as they were written.
+
+    Raises:
+        InputError: the store is damaged or not finished.
+    """
+    count, at = len(stored.rows()), 0
+    with zarr_io.reading(stored.path):
+        longest = stored.group["wrench"].shape[1]  # type: ignore[union-attr]
+    wrench = np.zeros((count, longest, len(stored.schema.axes)), np.float32)
+    tables = []
+    for part in read_parts(stored):
+        wrench[at : at + len(part), : part.wrench.shape[1]] = part.wrench
+        at += len(part)
+        tables.append(replace(part, wrench=part.wrench[:, :0]))
+    return replace(Recordings.join(tables), wrench=wrench)
+
+
+def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
+    """All recordings in their order, in batches that each fit in memory; every part is verified.
+
+    Args:
+        stored: the store.
+        most: bytes of wrenches in one batch; None = whole parts.
+
+    Raises:
+        InputError: the store is damaged or not finished.
+    """
+    check_whole(stored)
+    for number in range(len(stored.schema.layout)):
+        small = read_small(stored, number)
+        length = small["length"]
+        step = len(length)
+        if most is not None:
+            step = max(1, most // max(1, 4 * len(stored.schema.axes) * int(length.max())))
+        for first in range(0, len(length), step):
+            block = slice(first, min(first + step, len(length)))
+            kept = np.flatnonzero(length[block])
+            if len(kept):
+                some = {name: values[block][kept] for name, values in small.items()}
+                start = stored.schema.layout.span(number).start + first
+                wrench = _wrench(stored, slice(start, start + block.stop - first), int(length[block].max()))[kept]
+                yield _verified(stored, some, wrench)
+
+
+def read_rows(stored: Stored, numbers: NDArray[np.int64]) -> Recordings:
+    """Some recordings, by number, in the given order; of wrenches only their chunks are read.
+
+    Raises:
+        InputError: no such recording, or what is read is damaged.
+    """
+    rows = stored.rows()[numbers]
+    order = np.argsort(rows, kind="stable")
+    found: list[Recordings] = []
+    part = rows[order] // stored.schema.layout.part
+    for number in np.unique(part).tolist():
+        small, wanted = read_small(stored, number), rows[order][part == number]
+        some = {name: values[wanted - stored.schema.layout.span(number).start] for name, values in small.items()}
+        found.append(_verified(stored, some, _wrench(stored, wanted, int(some["length"].max()))))
+    joined = found[0] if len(found) == 1 else Recordings.join(found)
+    return joined if (order == np.arange(len(order))).all() else joined.take(np.argsort(order, kind="stable"))
+
+
+def read_table(stored: Stored) -> Recordings:
+    """All recordings without samples (``wrench [recording, 0, axis]``), as far as they are there.
+
+    Chunks are verified by their CRC alone.
+    """
+    fields = {name: made for name, made in stored.schema.fields.items() if name not in ("wrench", WRENCH_HASH)}
+    with zarr_io.reading(stored.path):
+        small = {name: parts.read(stored.group, name, slice(None), made) for name, made in fields.items()}
+        used = (small["length"] > 0) & _there(stored)
+    if not used.all():
+        small = {name: values[used] for name, values in small.items()}
+    return _recordings(stored, small, np.zeros((int(used.sum()), 0, len(stored.schema.axes)), np.float32))
+
+
+def read_lengths(stored: Stored) -> NDArray[np.int32]:
+    """Samples of each recording, as far as they are there."""
+    length = parts.read(stored.group, "length", slice(None), stored.schema.fields["length"])
+    return length[(length > 0) & _there(stored)]
+
+
+def read_summary(stored: Stored) -> Summary:
+    """What is counted in the parts that are there."""
+    with zarr_io.reading(stored.path):
+        texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
+        there = [True] * len(texts) if stored.finished else [found is not None for found in parts.digests(stored.group)]
+        return merged(json.loads(text) for text, counts in zip(texts, there, strict=True) if counts)
+
+
+def read_small(stored: Stored, number: int) -> Arrays:
+    """The arrays of a part but its wrenches, verified.
+
+    Raises:
+        InputError: the part is missing or damaged.
+    """
+    rows, fields = stored.schema.layout.span(number), stored.schema.fields
+    with zarr_io.reading(stored.path):
+        small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items() if name != "wrench"}
+        if part_digest(small, fields) != parts.digest(stored.group, number):
+            raise stored.damaged(f"part {number}")
+    return small
+
+
+def check_whole(stored: Stored) -> None:
+    """Check that the parts are those of which the digest of the store is made.
+
+    Raises:
+        InputError: they are not, or the store is not finished.
+    """
+    stored.check_finished()
+    with zarr_io.reading(stored.path):
+        _check_sealed(stored, stored.group, stored.schema.header, "its content")
+
+
+def check_part(stored: Stored, number: int) -> None:
+    """Read a part, its simulation included, and compare it with its digests.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    small, rows = read_small(stored, number), stored.schema.layout.span(number)
+    _check_wrench(stored, small, _wrench(stored, rows, int(small["length"].max())))
+    if stored.schema.simulation:
+        read_simulation_part(stored, number)
+
+
+def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = ()) -> Arrays:
+    """Arrays of the group ``simulation/`` of one part: all, which are verified, or some.
+
+    Raises:
+        InputError: the part is missing or damaged, or there is no simulation.
+    """
+    sub, fields = zarr_io.subgroup(stored.group, SIMULATION), stored.schema.simulation
+    with zarr_io.reading(stored.path):
+        rows = stored.schema.layout.span(number)
+        arrays = {name: parts.read(sub, name, rows, fields[name]) for name in names or sorted(fields)}
+        if not names and parts.digest_of(arrays, fields) != parts.digest(sub, number):
+            raise stored.damaged(f"the simulation of part {number}")
+    return arrays
+
+
+def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Arrays:
+    """Arrays ``[recording, ...]`` of the group ``simulation/``.
+
+    Raises:
+        InputError: the store is damaged or not finished, or there is no such array.
+    """
+    kept = stored.rows()
+    with zarr_io.reading(stored.path):
+        header = sorted(stored.schema.simulation)
+        _check_sealed(stored, zarr_io.subgroup(stored.group, SIMULATION), header, "its simulation")
+    if missing := [name for name in names if name not in stored.schema.simulation]:
+        raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {', '.join(header)}.")
+    found = [read_simulation_part(stored, number, names) for number in range(len(stored.schema.layout))]
+    arrays = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    return {name: values[kept] if len(kept) < len(values) else values for name, values in arrays.items()}
+
+
+def _there(stored: Stored) -> NDArray[np.bool_]:
+    """Which rows are in parts that are there ``[row]``."""
+    layout = stored.schema.layout
+    if stored.finished:
+        return np.ones(layout.rows, bool)
+    there = np.array([digest is not None for digest in parts.digests(stored.group)])
+    return np.repeat(there, layout.part)[: layout.rows]
+
+
+def _check_sealed(stored: Stored, group: zarr.Group, header: Any, what: str) -> None:
+    digests = [digest or "" for digest in parts.digests(group)]
+    if parts.whole_digest(header, digests) != group.attrs.get(HASH):
+        raise stored.damaged(what)
+
+
+def _wrench(stored: Stored, rows: slice | NDArray[np.int64], width: int) -> NDArray[np.float32]:
+    if not width:  # no recording there
+        count = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+        return np.zeros((count, 0, len(stored.schema.axes)), np.float32)
+    with zarr_io.reading(stored.path):
+        return parts.read(stored.group, "wrench", rows, stored.schema.fields["wrench"], width)
+
+
+def _check_wrench(stored: Stored, small: Arrays, wrench: NDArray[np.float32]) -> None:
+    wrong = (wrench_digests(wrench, small["length"]) != small[WRENCH_HASH]).any(1)
+    if wrong.any():
+        raise stored.damaged(f"the wrench of {small['trial'][int(np.argmax(wrong))]}")
+
+
+def _verified(stored: Stored, small: Arrays, wrench: NDArray[np.float32]) -> Recordings:
+    _check_wrench(stored, small, wrench)
+    return _recordings(stored, small, wrench)
+
+
+def _recordings(stored: Stored, small: Arrays, wrench: NDArray[np.float32]) -> Recordings:
+    schema = stored.schema
+    marks = {name: small[f"{ANNOTATIONS}/{name}"] for name in ("track", "label", "start", "end")}
+    recording, place = np.nonzero(marks["track"])
+    used = {name: values[recording, place] for name, values in marks.items()}
+    return Recordings(
+        wrench=wrench, dt=schema.dt, axes=schema.axes, units=schema.units,
+        annotations=Annotations(
+            recording.astype(np.int32), used["track"] - np.int16(1), used["label"] - np.int32(1),
+            used["start"], used["end"], dict(schema.labels),
+        ),
+        columns={name: small[f"{COLUMNS}/{name}"] for name in schema.columns},
+        **{name: small[name] for name in VARIABLES if name != "wrench"},
+    )  # fmt: skip

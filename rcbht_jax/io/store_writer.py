@@ -1,0 +1,157 @@
+"""A store written in parts: create, write each part, finish.
+
+Parts are blocks of consecutive recordings (:mod:`rcbht_jax.io.parts`). They may be written in any order, more than once
+and by several processes; no more than one part is in memory. A row of length 0 keeps the place of a recording that
+does not exist, such as a simulated trial that diverged; readers leave it out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rcbht_jax
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import parts
+from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.checks import validate
+from rcbht_jax.io.parts import Field
+from rcbht_jax.io.store_schema import (
+    ANNOTATIONS,
+    COLUMNS,
+    FORMAT,
+    FORMAT_VERSION,
+    GAPS,
+    HASH,
+    SIMULATION,
+    SUMMARIES,
+    Schema,
+    open_store,
+    part_digest,
+    schema_in,
+    schema_of,
+    values_of,
+)
+from rcbht_jax.io.summary import summary_of
+from rcbht_jax.types import Recordings
+
+with needs_extra("store"):
+    import zarr
+
+
+def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -> None:
+    """A store in which all parts are missing.
+
+    Args:
+        path: folder to create.
+        schema: of all parts.
+        attrs: provenance, JSON values.
+        created: creation date, or any text.
+
+    Raises:
+        InputError: ``attrs`` are not JSON values.
+    """
+    header = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "rcbht_jax_version": rcbht_jax.__version__,
+        "created": created,
+        "dt": schema.dt,
+        "axis_units": list(schema.units),
+        "annotation_labels": {track: list(names) for track, names in schema.labels.items()},
+    }
+    group = zarr_io.create_group(path, {**attrs, **header})
+    for name in (COLUMNS, ANNOTATIONS):
+        group.create_group(name)
+    parts.create(group, schema.layout, schema.fields)
+    zarr_io.create_array(group, SUMMARIES, (len(schema.layout),), "string", ("part",), {}, (1,))
+    zarr_io.write_array(group, "dt", np.float64(schema.dt), (), "float64", {"units": "s"})
+    zarr_io.write_array(group, "axis", np.array(schema.axes), ("axis",), "string", {})
+    if schema.simulation:
+        parts.create(group.create_group(SIMULATION), schema.layout, schema.simulation)
+
+
+def write_part(
+    path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
+) -> None:
+    """Write one part of a store; the last thing written is its digest, without which it counts as missing.
+
+    Args:
+        path: made by :func:`create`.
+        number: of the part, from 0.
+        recordings: its recordings; those of length 0 keep a place.
+        simulation: its arrays for the group ``simulation/``.
+
+    Raises:
+        InputError: the recordings contradict themselves or the store, or there is no such part.
+    """
+    validate(recordings, gaps=True)
+    schema = schema_in(open_store(path))
+    given = schema_of(recordings, simulation)
+    if given.header != schema.header or given.simulation != schema.simulation:
+        raise InputError(
+            f"Part {number} has {given.header} and {sorted(given.simulation)}; all parts of {path} have "
+            f"{schema.header} and {sorted(schema.simulation)}."
+        )
+    if schema.simulation and simulation is not None:
+        parts.write(path / SIMULATION, schema.layout, number, schema.simulation, simulation)
+        parts.seal(path / SIMULATION, number, parts.digest_of(simulation, schema.simulation))
+    values = values_of(recordings)
+    parts.write(path, schema.layout, number, schema.fields, values)
+    text = np.array([json.dumps(summary_of(recordings))])
+    group, place = zarr_io.open_group(path, "r+"), slice(number, number + 1)
+    parts.write_rows(group, SUMMARIES, Field("string"), place, text)
+    parts.seal(path, number, part_digest(values, schema.fields))
+
+
+def has_part(path: Path, number: int) -> bool:
+    """Whether a part of a store is there, complete; :func:`rcbht_jax.io.store_reader.check_part` verifies it."""
+    try:
+        return parts.digest(open_store(path), number) is not None
+    except Exception:  # no store, or a damaged one, which can fail in any way inside zarr
+        return False
+
+
+def finish(path: Path, attrs: Mapping[str, Any] | None = None) -> None:
+    """Complete a store of which all parts are there: its digest, the times, and the metadata collected.
+
+    Args:
+        path: of the store.
+        attrs: further ones, known only now.
+
+    Raises:
+        InputError: a part is missing, or there is no recording in any.
+    """
+    for leftover in path.rglob("*.partial"):  # of a process that was killed while it wrote a file
+        leftover.unlink()
+    schema = schema_in(open_store(path))
+    group = zarr_io.open_group(path, "r+")
+    with zarr_io.reading(path):
+        length = zarr_io.read_array(group, "length", "int32")
+    if not length.any():
+        raise InputError(f"None of the {len(length)} rows of {path} is a recording; nothing to store.")
+    time = np.arange(group["wrench"].shape[1]) * schema.dt  # type: ignore[union-attr]
+    zarr_io.write_array(group, "time", time, ("time",), "float64", {"units": "s"})
+    if schema.simulation:
+        seal_whole(zarr_io.subgroup(group, SIMULATION), sorted(schema.simulation))
+    seal_whole(group, schema.header, {**(attrs or {}), GAPS: np.flatnonzero(length == 0).tolist()})
+    zarr_io.consolidate(path)
+
+
+def seal_whole(group: zarr.Group, header: Any, attrs: Mapping[str, Any] | None = None) -> None:
+    """Store the digest of a table all of whose parts are there.
+
+    Raises:
+        InputError: a part is missing.
+    """
+    found = parts.digests(group)
+    there = [digest for digest in found if digest is not None]
+    if len(there) < len(found):
+        raise InputError(f"{len(found) - len(there)} of {len(found)} parts of {group.store_path} are missing.")
+    group.update_attributes({**(attrs or {}), HASH: parts.whole_digest(header, there)})
