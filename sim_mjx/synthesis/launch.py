@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -122,7 +123,9 @@ def ray(
     ours = not cluster.is_initialized()
     try:
         if ours:
-            cluster.init(log_to_driver=False, include_dashboard=False if "RAY_ADDRESS" not in os.environ else None)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # of JAX, of forks that become Ray's processes at once
+                cluster.init(log_to_driver=False)
         nodes = [node for node in cluster.nodes() if node["Alive"]]
         present = int(cluster.cluster_resources().get("GPU", 0)) if gpus else len(nodes)
         if not present:

@@ -177,25 +177,29 @@ def test_an_array_of_jobs_makes_the_same_bytes(
 
 
 @pytest.fixture
-def two_nodes() -> Iterator[object]:
-    """A Ray cluster of two nodes on this machine, to which this process is connected."""
-    ray = pytest.importorskip("ray", reason='Ray is not installed: pip install "rcbht-jax[ray]"')
-    from ray.cluster_utils import Cluster
-
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    cluster.add_node(num_cpus=1)
-    ray.init(address=cluster.address, log_to_driver=False)
-    yield cluster
-    ray.shutdown()
-    cluster.shutdown()
+def two_nodes() -> Iterator[subprocess.Popen[str]]:
+    """A Ray cluster of two nodes on this machine, where commands find it."""
+    pytest.importorskip("ray", reason='Ray is not installed: pip install "rcbht-jax[ray]"')
+    script = [sys.executable, str(ROOT / "tests/support/ray_nodes.py")]
+    with subprocess.Popen(script, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as cluster:
+        assert cluster.stdin is not None
+        yield cluster
+        cluster.stdin.close()
+        cluster.wait()
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::FutureWarning")  # of Ray's own processes
 def test_two_ray_nodes_make_the_same_bytes(
-    two_nodes: object, whole: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    two_nodes: subprocess.Popen[str], whole: dict[str, bytes], tmp_path: Path
 ) -> None:
+    assert two_nodes.stdout is not None
+    env = {**os.environ, "RAY_ADDRESS": two_nodes.stdout.readline().strip()}
     target = tmp_path / "t.zarr"
-    made = result(capsys, str(target), *SHORT, "--launch", "ray")
-    assert (made["stored"], made["notices"]) == (12, [])
+    words = ["simulate", str(target), *SHORT, "--launch", "ray", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "rcbht_jax.cli", *words], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    made = json.loads(done.stdout.splitlines()[-1])
+    assert (made["stored"], made["resumed"], made["notices"]) == (12, 0, [])
     assert tree(target) == whole
     assert not shards.folder_of(target).exists()
