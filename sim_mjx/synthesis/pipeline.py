@@ -101,7 +101,10 @@ def synthesise(
         drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
     with claims.wait_for(folder, "join") as ours:
         if ours:
-            _join(target, folder, job, scenario, manifest, drawn, overwrite)
+            if finished:
+                shards.remove(folder)
+            else:
+                _join(target, folder, job, scenario, manifest, drawn, overwrite)
     if ours:
         shards.close(folder)
     elif not _is_made_by(target, manifest):
@@ -163,7 +166,7 @@ def _join(
     overwrite: bool,
 ) -> None:
     """Make the store of the shards and delete them; the caller holds the claim "join"."""
-    if not _is_result(target, manifest):
+    if overwrite or not _is_result(target, manifest):  # which another has just made, and was killed
         draft = assemble(folder, job, scenario, manifest, drawn)
         store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
         if target.exists():

@@ -24,16 +24,16 @@ from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import claims, plan, shards, workers
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.status import status_of
-from tests.support.fake_simulation import JOB, SHARDED, SMALL, fake_engine, logging_engine, tree
+from tests.support.fake_simulation import SHARDED, SMALL, fake_engine, logging_engine, tree
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The bytes of JOB, by one worker."""
+    """The bytes of SHARDED, by one worker."""
     target = tmp_path_factory.mktemp("whole") / "trials.zarr"
-    synthesise(target, JOB, simulate=fake_engine)
+    synthesise(target, SHARDED, simulate=fake_engine)
     return tree(target)
 
 
@@ -113,11 +113,13 @@ def test_a_worker_never_replaces_a_store(tmp_path: Path, whole: dict[str, bytes]
     synthesise(target, SMALL, simulate=fake_engine)
 
     def helpers(look: Any) -> None:
-        assert work_on(target, JOB, simulate=fake_engine) == (60, False)
+        assert work_on(target, SHARDED, simulate=fake_engine) == (60, False)
         assert len(tree(target)) > 0
         look()
 
-    report = synthesise(target, JOB, overwrite=True, simulate=lambda _: pytest.fail("done already"), helpers=helpers)
+    report = synthesise(
+        target, SHARDED, overwrite=True, simulate=lambda _: pytest.fail("done already"), helpers=helpers
+    )
     assert report.stored == 60
     assert tree(target) == whole
 
