@@ -123,8 +123,8 @@ def work_on(
 ) -> tuple[int, bool]:
     """Be one worker of a job, which this begins where nobody has: until no shard is left, the last one joins them.
 
-    Where the store is complete there is nothing to do. An existing one that something else made is never replaced:
-    where a run with ``overwrite`` replaces it, that run joins the shards.
+    Where the store is complete there is nothing to do. An existing one is never replaced: where a run with
+    ``overwrite`` replaces it, that run joins the shards.
 
     Args:
         target, job, simulate, progress, notice: as in :func:`synthesise`.
@@ -147,7 +147,7 @@ def work_on(
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
-            if not target.exists() or _is_result(target, manifest):
+            if not target.exists():
                 _join(target, folder, job, scenario, manifest, drawn, False)
         finally:
             claim.release()
