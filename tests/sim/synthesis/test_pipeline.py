@@ -28,8 +28,7 @@ from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis.pipeline import synthesise
-from sim_mjx.synthesis.workers import SynthesisProgress
+from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short, tree
 from tests.support.snaps import deviation
 
