@@ -94,20 +94,19 @@ def synthesise(
     drawn: dict[int, Drawn] = {}
     if not finished:
         shards.renew(folder)
-    tally = Tally(job, set(range(workers.count(job))) if finished else _present(folder), progress)
+    tally = Tally(job, set(range(workers.count(job))) if finished else shards.finished(folder), progress)
     if not finished:
         if helpers is not None:
-            helpers(lambda: tally.show(_present(folder)))
+            helpers(lambda: tally.show(shards.finished(folder)))
         drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
     with claims.wait_for(folder, "join") as ours:
-        if ours:
+        if ours and shards.has_plan(folder):
             if finished:
                 shards.remove(folder)
             else:
                 _join(target, folder, job, scenario, manifest, drawn, overwrite)
-    if ours:
-        shards.close(folder)
-    elif not _is_made_by(target, manifest):
+    shards.close(folder)
+    if not _is_made_by(target, manifest):
         raise InputError(f"{folder} was removed while its trials were simulated; run the same command again.")
     tally.show(set(range(workers.count(job))))  # other processes may have made the last ones
     return _report(target, len(scenario.arms), tally.resumed)
@@ -142,17 +141,16 @@ def work_on(
             return 0, True
         store.check_target(target, False)
     shards.begin(folder, manifest)
-    tally = Tally(job, _present(folder), progress)
+    tally = Tally(job, shards.finished(folder), progress)
     drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
-            if not target.exists():
+            if shards.has_plan(folder) and not target.exists():
                 _join(target, folder, job, scenario, manifest, drawn, False)
         finally:
             claim.release()
-        if not (folder / shards.MANIFEST).exists():
-            shards.close(folder)
+        shards.close(folder)
     return sum(len(faults) for _, faults in drawn.values()), _is_made_by(target, manifest)
 
 
@@ -174,13 +172,6 @@ def _join(
         draft.rename(target)
         flush_tree(target)  # before the shards are deleted
     shards.remove(folder)
-
-
-def _present(folder: Path) -> set[int]:
-    try:
-        return shards.finished(folder)
-    except FileNotFoundError:  # joined by another
-        return set()
 
 
 def _is_result(target: Path, manifest: dict[str, Any]) -> bool:

@@ -73,8 +73,17 @@ def renew(folder: Path) -> None:
 
 
 def finished(folder: Path) -> set[int]:
-    """Numbers of the shards that are there."""
-    return {int(name[6:-4]) for name in os.listdir(folder) if name.startswith("shard-") and name.endswith(".npz")}
+    """Numbers of the shards that are there; none where the folder is gone."""
+    try:
+        names = os.listdir(folder)
+    except FileNotFoundError:
+        return set()
+    return {int(name[6:-4]) for name in names if name.startswith("shard-") and name.endswith(".npz")}
+
+
+def has_plan(folder: Path) -> bool:
+    """Whether there is a manifest: another process may have joined all shards and removed it."""
+    return (folder / MANIFEST).exists()
 
 
 def task(shard: int) -> str:

@@ -64,8 +64,8 @@ def status_of(target: Path) -> SynthesisStatus:
     """
     folder = shards.folder_of(target)
     try:
-        job = load_json(folder / shards.MANIFEST)["job"]
         present, board = shards.finished(folder), claims.board(folder)
+        job = load_json(folder / shards.MANIFEST)["job"]
     except FileNotFoundError:
         return _complete(target)
     except (ValueError, KeyError, TypeError) as error:

@@ -121,7 +121,7 @@ def work(
 
 def is_open(folder: Path) -> bool:
     """Whether there is something to work on: the plan is there, and nobody joins its shards."""
-    return (folder / shards.MANIFEST).exists() and all(
+    return shards.has_plan(folder) and all(
         one.state in ("failed", "released") for one in claims.attempts(folder, "join")
     )
 

@@ -124,6 +124,24 @@ def test_a_worker_never_replaces_a_store(tmp_path: Path, whole: dict[str, bytes]
     assert tree(target) == whole
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_another_has_joined_is_not_joined_again(
+    overwrite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other has deleted shards and manifest, but not yet the folder."""
+    target = tmp_path / "t.zarr"
+
+    def helpers(_: Any) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(shards, "close", lambda _: None)
+            synthesise(target, SMALL, simulate=fake_engine)
+        assert os.listdir(shards.folder_of(target)) == [claims.FOLDER]
+
+    failing = lambda _: pytest.fail("simulated again")  # noqa: E731
+    assert synthesise(target, SMALL, simulate=failing, helpers=helpers, overwrite=overwrite).stored == 12
+    assert os.listdir(tmp_path) == ["t.zarr"]
+
+
 def test_workers_of_other_options_or_code_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target = tmp_path / "t.zarr"
 
