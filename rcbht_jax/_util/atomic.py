@@ -44,6 +44,26 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def atomic_new(path: Path) -> Iterator[Path]:
+    """As :func:`atomic_write` for a file that must not exist: of several processes only one makes it.
+
+    >>> with atomic_new(Path("manifest.json")) as draft:  # doctest: +SKIP
+    ...     draft.write_text("{}")
+
+    Raises:
+        FileExistsError: ``path`` exists; it is left as it is.
+    """
+    draft = draft_of(path)
+    try:
+        yield draft
+        _flush(draft)
+        os.link(draft, path)
+        _flush(path.parent)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+@contextmanager
 def atomic_folder(path: Path, near: Path | None = None) -> Iterator[Path]:
     """Give the name of a draft folder to create; on success it replaces the folder ``path``, else it is removed.
 

@@ -111,6 +111,10 @@ class Command(ABC):
     def text(self, result: dict[str, Any]) -> str:
         """The result of :meth:`run` as text for the terminal."""
 
+    def exit_status(self, result: dict[str, Any]) -> int:
+        """The exit status for the result of :meth:`run`; 0 unless the command is about what is wrong."""
+        return 0
+
     def check_inputs(self) -> None:
         """Refuse options that name a file or a folder that does not exist, and outputs that are an input.
 

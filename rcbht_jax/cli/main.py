@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return _fail(
                 "The disk is full. Free some space and try again; no file was replaced by an incomplete one, and the "
                 "events of a stream end where it filled up.",
@@ -124,7 +124,7 @@ def _run(name: str, words: list[str]) -> int:
     output = json.dumps(result, allow_nan=False) if as_json else command.text(result)
     if output:  # a command whose standard output is a stream of its own returns no text
         print(output if as_json else _printable(output), flush=True)
-    return 0
+    return command.exit_status(result)
 
 
 def parse(name: str, words: list[str]) -> Command | None:

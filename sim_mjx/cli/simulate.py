@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, progress_bar
+from rcbht_jax.cli.command import Command, CompileCache, Flag, MadeBy, OutStore, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
-    from sim_mjx.synthesis.pipeline import SynthesisProgress
+    from sim_mjx.synthesis.workers import SynthesisProgress
 
 FIT = MadeBy('"rcbht fidelity fit HIRO.zarr -o {path}"')
 
@@ -23,11 +24,16 @@ class Simulate(Command):
     """Simulate randomised trials of an assembly, nominal and faulty, into a store.
 
     After an interruption the same command resumes: finished trials are in the folder STORE.zarr.work beside the store.
-    The same options give the same bytes.
+    The same options give the same bytes. The same command, called again while it runs, shares the work, on any machine
+    that sees the same folder.
 
     Example: rcbht simulate trials.zarr --preset A --trials 200 --seed 1
 
     Example: rcbht simulate pegs.zarr --assembly peg-in-hole --robot panda --trials 100
+
+    Example: rcbht simulate trials.zarr --trials 100000 --engine warp --devices all
+
+    Example: rcbht simulate trials.zarr --status
     """
 
     out: OutStore
@@ -57,22 +63,53 @@ class Simulate(Command):
     compile_cache: CompileCache = None
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
+    processes: int | None = None
+    """Worker processes that share the work; default 1; of Ray one for each node or GPU."""
+    devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
+    launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
+    launch_options: Annotated[
+        tuple[str, ...],
+        option(
+            "Of the Slurm jobs, as submitit names them: timeout_min=60, slurm_partition=gpu.", "", metavar="KEY=VALUE"
+        ),
+    ] = ()
+    worker: Flag = False
+    """Be one worker of this job: begin or join it, and end when nothing is left to simulate."""
+    status: Flag = False
+    """Only show how far the job is, who works on it and what failed."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
+        from sim_mjx.cli.simulate_workers import be_worker, helpers, status
         from sim_mjx.synthesis.pipeline import SHARD, synthesise
         from sim_mjx.synthesis.plan import SynthesisConfig
 
+        if self.status:
+            return status(self.out)
         name, spec = self._chosen()
         shard = SHARD[self.engine] if self.shard is None else self.shard
         job = SynthesisConfig(name, self.trials, self.seed, self.engine, shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
         start = time.perf_counter()
+        notices: list[str] = []
         with progress_bar("simulate", "trials", self.trials) as bar:
-            report = synthesise(self.out, job, overwrite=self.overwrite, progress=lambda now: _show(bar, now))
+
+            def notice(sentence: str) -> None:
+                notices.append(sentence)
+                bar.write(sentence, file=sys.stderr)
+
+            def progress(now: SynthesisProgress) -> None:
+                _show(bar, now)
+
+            if self.worker:
+                return be_worker(self, job, progress, notice)
+            others = helpers(self, notice)
+            report = synthesise(
+                self.out, job, overwrite=self.overwrite, progress=progress, notice=notice, helpers=others
+            )
         return {
             "store": str(self.out),
             "stored": report.stored,
@@ -81,6 +118,7 @@ class Simulate(Command):
             "resumed": report.resumed,
             "faults": {kind: {"trials": n, "seated": ok} for kind, (n, ok) in report.faults.items()},
             "seconds": time.perf_counter() - start,
+            "notices": notices,
         }
 
     def _chosen(self) -> tuple[str, Any]:
@@ -104,6 +142,10 @@ class Simulate(Command):
         return self.preset, scenario.spec(**values, physical=physical)
 
     def text(self, result: dict[str, Any]) -> str:
+        if self.status or self.worker:
+            from sim_mjx.cli.simulate_workers import status_text, worker_text
+
+            return status_text(result) if self.status else worker_text(result)
         done = "with all four tabs seated" if self.assembly == "camera-snap" else "put together"
         lines = [f"{result['stored']} trials in {result['store']}, {result['seated']} {done}"]
         lines += [f"  {kind:12} {n['trials']:6d}, seated {n['seated']}" for kind, n in result["faults"].items()]

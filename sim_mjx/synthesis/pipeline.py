@@ -1,4 +1,4 @@
-"""Simulate trials into a store: in shards, resumable, with the same bytes however often it was interrupted.
+"""Simulate trials into a store: in shards, by any number of workers, resumable, with the same bytes in every case.
 
 Each shard is simulated and saved in a work folder beside the target (``sim_mjx.synthesis.shards``); when all are there
 they are joined into one store, of which each is a part. A trial depends on seed and index alone, so the shard size
@@ -6,6 +6,9 @@ decides only how much an interruption costs and how the files of the store are d
 group ``simulation/`` has one row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn
 parameters (``Scenario.parameters``). A two-arm trial is two recordings, right arm and left arm, as the importer stores
 them.
+
+Processes that are given the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on
+several that see the same folder. The last one joins the shards.
 """
 
 from __future__ import annotations
@@ -22,36 +25,27 @@ import numpy as np
 from rcbht_jax._util.atomic import flush_tree
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.types import LabelTracks
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import records, shards
+from sim_mjx.synthesis import claims, records, shards, workers
 from sim_mjx.synthesis.assemble import Drawn, assemble
+from sim_mjx.synthesis.batches import Halving
 from sim_mjx.synthesis.plan import (
     SynthesisConfig,
     check,
     encoder_config,
-    indices,
     label_limits,
     manifest_of,
     provenance,
 )
+from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
-Labelled = tuple[Rollouts, LabelTracks | None]
+# Starts workers in other processes and waits for them; calls its argument now and then.
+Helpers = Callable[[Callable[[], None]], None]
 # Default trials per shard: what an interruption costs at most. A GPU needs many to be busy.
 SHARD = {"native": 256, "mjx": 8192, "warp": 16384}
-
-
-@dataclass(frozen=True)
-class SynthesisProgress:
-    """Progress of a synthesis."""
-
-    done: int  # trials, those of earlier runs included
-    total: int  # trials
-    per_minute: float  # trials simulated per minute in this run, 0 before the first shard
-    seconds_left: float | None  # None before the first shard
 
 
 @dataclass(frozen=True)
@@ -61,7 +55,7 @@ class SynthesisReport:
     stored: int  # trials
     seated: int  # stored trials with all four tabs seated
     diverged: list[int]  # indices of trials that are not stored
-    resumed: int  # trials simulated by an earlier run
+    resumed: int  # trials simulated before this process began
     faults: dict[str, tuple[int, int]]  # kind -> stored and seated trials
 
 
@@ -72,8 +66,12 @@ def synthesise(
     overwrite: bool = False,
     simulate: Simulate | None = None,
     progress: Callable[[SynthesisProgress], None] | None = None,
+    notice: Callable[[str], None] | None = None,
+    helpers: Helpers | None = None,
 ) -> SynthesisReport:
     """Simulate a set of trials into a store; an interrupted run resumes from its finished shards.
+
+    Processes that are called with the same target and job at the same time share the work; all return when it is done.
 
     Args:
         target: store to create, for example trials.zarr; the work folder is trials.zarr.work beside it.
@@ -81,70 +79,122 @@ def synthesise(
         overwrite: replace an existing store, once the new one is complete.
         simulate: what simulates a batch; default ``job.engine``. A trial's result must not depend on its batch.
         progress: called at the start and after each shard.
+        notice: called with a sentence on what the user should know, such as a batch that was halved.
+        helpers: starts other workers of the same job and waits for them; this process does what they leave.
 
     Raises:
-        InputError: impossible options, the target exists, the work folder belongs to other options, or all trials
-            diverged.
+        InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
+            (:class:`sim_mjx.synthesis.workers.ShardsFailed`), or all trials diverged.
     """
     scenario = check(job)
     folder = shards.folder_of(target)
     manifest = manifest_of(job)
     finished = folder.is_dir() and _is_result(target, manifest)
     store.check_target(target, overwrite or finished)
-    with shards.working(folder, manifest):
-        resumed = job.trials
-        if not finished:
-            drawn = _simulate_missing(folder, job, scenario, _labelled(job, scenario, simulate), progress)
-            resumed -= sum(len(faults) for _, faults in drawn.values())
-            draft = assemble(folder, job, scenario, manifest, drawn)
-            store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
-            if target.exists():
-                target.rename(folder / f"replaced-{time.time_ns()}.zarr")
-            draft.rename(target)
-            flush_tree(target)  # before the shards are deleted
-        shards.remove(folder)
-    return _report(target, len(scenario.arms), resumed)
+    shards.begin(folder, manifest)
+    drawn: dict[int, Drawn] = {}
+    if not finished:
+        shards.renew(folder)
+    tally = Tally(job, set(range(workers.count(job))) if finished else shards.finished(folder), progress)
+    if not finished:
+        if helpers is not None:
+            helpers(lambda: tally.show(shards.finished(folder)))
+        drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
+    with claims.wait_for(folder, "join") as ours:
+        if ours and shards.has_plan(folder):
+            if finished:
+                shards.remove(folder)
+            else:
+                _join(target, folder, job, scenario, manifest, drawn, overwrite)
+    shards.close(folder)
+    if not _is_made_by(target, manifest):
+        raise InputError(f"{folder} was removed while its trials were simulated; run the same command again.")
+    tally.show(set(range(workers.count(job))))  # other processes may have made the last ones
+    return _report(target, len(scenario.arms), tally.resumed)
+
+
+def work_on(
+    target: Path,
+    job: SynthesisConfig,
+    *,
+    simulate: Simulate | None = None,
+    progress: Callable[[SynthesisProgress], None] | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> tuple[int, bool]:
+    """Be one worker of a job, which this begins where nobody has: until no shard is left, the last one joins them.
+
+    Where the store is complete there is nothing to do. An existing one is never replaced: where a run with
+    ``overwrite`` replaces it, that run joins the shards.
+
+    Args:
+        target, job, simulate, progress, notice: as in :func:`synthesise`.
+
+    Returns:
+        trials that this worker simulated, and whether the store is complete.
+
+    Raises:
+        InputError: as in :func:`synthesise`, but failed shards are not tried anew.
+    """
+    scenario = check(job)
+    folder, manifest = shards.folder_of(target), manifest_of(job)
+    if not folder.is_dir():
+        if _is_made_by(target, manifest):
+            return 0, True
+        store.check_target(target, False)
+    shards.begin(folder, manifest)
+    tally = Tally(job, shards.finished(folder), progress)
+    drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
+    claim = claims.take(folder, "join")
+    if claim is not None:
+        try:
+            if shards.has_plan(folder) and not target.exists():
+                _join(target, folder, job, scenario, manifest, drawn, False)
+        finally:
+            claim.release()
+        shards.close(folder)
+    return sum(len(faults) for _, faults in drawn.values()), _is_made_by(target, manifest)
+
+
+def _join(
+    target: Path,
+    folder: Path,
+    job: SynthesisConfig,
+    scenario: Scenario,
+    manifest: dict[str, Any],
+    drawn: dict[int, Drawn],
+    overwrite: bool,
+) -> None:
+    """Make the store of the shards and delete them; the caller holds the claim "join"."""
+    if overwrite or not _is_result(target, manifest):  # which another has just made, and was killed
+        draft = assemble(folder, job, scenario, manifest, drawn)
+        store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
+        if target.exists():
+            target.rename(folder / f"replaced-{time.time_ns()}.zarr")
+        draft.rename(target)
+        flush_tree(target)  # before the shards are deleted
+    shards.remove(folder)
 
 
 def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
     """Whether the target is complete, made by a run with these options that was killed before it deleted its folder."""
+    if not _is_made_by(target, manifest):
+        return False
+    try:
+        store.verify(target)  # a damaged one is no result: its shards are still there
+    except InputError:
+        return False
+    return True
+
+
+def _is_made_by(target: Path, manifest: dict[str, Any]) -> bool:
+    """Whether the target is a store that says that it was made with these options."""
     if not target.exists():
         return False
     try:
         known = store.read_attrs(target).get("simulated")
-        store.verify(target)  # a damaged one is no result: its shards are still there
     except InputError:
         return False
     return known is not None and shards.as_json(known) == shards.as_json(provenance(manifest))
-
-
-def _simulate_missing(
-    folder: Path,
-    job: SynthesisConfig,
-    scenario: Scenario,
-    simulate: Callable[[Any], Labelled],
-    progress: Callable[[SynthesisProgress], None] | None,
-) -> dict[int, Drawn]:
-    """Simulate and save the missing shards; returns what was drawn for each, by number."""
-    count = -(-job.trials // job.shard)
-    missing = [shard for shard in range(count) if shards.load(folder, shard) is None]
-    left = sum(len(indices(job, shard)) for shard in missing)
-    resumed = done = job.trials - left
-    drawn: dict[int, Drawn] = {}
-    start = time.perf_counter()
-    if progress is not None:
-        progress(SynthesisProgress(done, job.trials, 0.0, None))
-    for shard in missing:
-        rows = indices(job, shard)
-        drawn[shard] = scenario.draw_batch(job.seed, rows, job.spec)
-        out, tracks = simulate(drawn[shard][0])
-        labels = {} if tracks is None else records.of_labels(tracks, len(out.length))
-        shards.save(folder, shard, records.of_trials(out, scenario.recorded) | labels)
-        done += len(rows)
-        if progress is not None:
-            rate = (done - resumed) / (time.perf_counter() - start)
-            progress(SynthesisProgress(done, job.trials, 60.0 * rate, (job.trials - done) / rate))
-    return drawn
 
 
 def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | None) -> Callable[[Any], Labelled]:

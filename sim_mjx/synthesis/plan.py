@@ -58,6 +58,23 @@ def check(job: SynthesisConfig) -> Scenario:
     return scenario
 
 
+def job_of(values: dict[str, Any]) -> SynthesisConfig:
+    """The job that :func:`provenance` wrote down, in shards of the default size.
+
+    Raises:
+        InputError: its preset or assembly is not known here.
+        KeyError, TypeError: it is of another version.
+    """
+    scenario = get_scenario(values["preset"])
+    spec = scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
+    return SynthesisConfig(**{**values, "spec": spec})
+
+
+def _as_tuples(value: Any) -> Any:
+    """JSON's lists as the tuples that they were."""
+    return tuple(_as_tuples(one) for one in value) if isinstance(value, list) else value
+
+
 def encoder_config(job: SynthesisConfig) -> EncoderConfig:
     return EncoderConfig(window=job.window or 0, dt=CONTROL_PERIOD)
 

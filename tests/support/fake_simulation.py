@@ -1,9 +1,11 @@
-"""An engine without physics for the tests of synthesis, and a process that can be killed while it works."""
+"""An engine without physics for the tests of synthesis, and a worker that can be killed while it works."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +13,12 @@ import numpy as np
 
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.pipeline import work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
 
 JOB = SynthesisConfig("B", 60, seed=5, shard=5)
 SMALL = replace(JOB, trials=12, shard=5)
+SHARDED = replace(JOB, shard=2)
 
 
 def fake_engine(params: TrialParams) -> Rollouts:
@@ -34,10 +37,16 @@ def fake_engine(params: TrialParams) -> Rollouts:
     return Rollouts(wrench, joints, length, onset, ~(missing | jammed), np.zeros(count, np.bool_))
 
 
-def slow_engine(params: TrialParams) -> Rollouts:
-    """As the fake one, with time to be killed in."""
-    time.sleep(0.04)
-    return fake_engine(params)
+def logging_engine(log: Path, seconds: float = 0.0) -> Callable[[TrialParams], Rollouts]:
+    """As the fake one, with time to be killed in; a line of the log for each call: process, key of the first trial."""
+
+    def engine(params: TrialParams) -> Rollouts:
+        with log.open("a") as file:
+            file.write(f"{os.getpid()} {np.asarray(params.seed)[0].tolist()}\n")
+        time.sleep(seconds)
+        return fake_engine(params)
+
+    return engine
 
 
 def tree(path: Path) -> dict[str, bytes]:
@@ -52,4 +61,4 @@ def short(**changes: object) -> DomainRandomization:
 
 if __name__ == "__main__":
     print("working", flush=True)
-    synthesise(Path(sys.argv[1]), JOB, simulate=slow_engine)
+    work_on(Path(sys.argv[1]), SHARDED, simulate=logging_engine(Path(sys.argv[2]), 0.25))

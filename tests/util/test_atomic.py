@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.atomic import atomic_new, atomic_write
 from rcbht_jax.errors import InputError
 
 
@@ -51,3 +51,13 @@ def fill_the_disk(path: Path) -> None:
     with atomic_write(path) as draft:
         draft.write_text("ne")
         raise OSError("disk full")
+
+
+def test_a_new_file_is_made_by_one_and_never_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    with atomic_new(path) as draft:
+        draft.write_text("first")
+    with pytest.raises(FileExistsError), atomic_new(path) as draft:
+        draft.write_text("second")
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]

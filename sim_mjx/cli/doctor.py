@@ -1,0 +1,87 @@
+"""``rcbht doctor``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from rcbht_jax.cli.command import STORE, Command, Flag
+from rcbht_jax.errors import InputError
+
+
+@dataclass(frozen=True)
+class Doctor(Command):
+    """Check this machine: versions, devices, folder of compiled programs, disk, and speed in a few seconds.
+
+    With a store: check every checksum, whether all is there that its simulation made, and whether the installed
+    versions are those that made it. The exit status is 2 if the store is damaged.
+
+    Example: rcbht doctor
+
+    Example: rcbht doctor trials.zarr --repair
+    """
+
+    store: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE] = None
+    """Store to check, in place of the machine."""
+    repair: Flag = False
+    """Simulate a damaged store again from its seed, if the installed versions are those that made it."""
+
+    def run(self) -> dict[str, Any]:
+        from sim_mjx.validation import health
+
+        if self.store is not None:
+            return self._store(self.store)
+        if self.repair:
+            raise InputError("--repair is for a store; name it.")
+        found = health.machine(Path.cwd())
+        print("measuring for a few seconds", file=sys.stderr, flush=True)
+        return {**found, "benchmark": health.benchmark(), "problems": health.problems(found)}
+
+    def _store(self, path: Path) -> dict[str, Any]:
+        from sim_mjx.validation import health
+
+        found = health.check_store(path)
+        repaired = False
+        if self.repair and found.damage:
+            from sim_mjx.synthesis.pipeline import synthesise
+
+            synthesise(path, health.repair_job(path), overwrite=True)
+            found, repaired = health.check_store(path), True
+        return {"store": str(path), **asdict(found), "repaired": repaired}
+
+    def exit_status(self, result: dict[str, Any]) -> int:
+        return 2 if result.get("damage") else 0
+
+    def text(self, result: dict[str, Any]) -> str:
+        return _store_text(result) if self.store is not None else _machine_text(result)
+
+
+def _machine_text(result: dict[str, Any]) -> str:
+    versions = ", ".join(f"{name} {number or 'not installed'}" for name, number in result["versions"].items())
+    cache, speed = result["compile_cache"], result["benchmark"]
+    lines = [
+        f"Python {result['python']}; {versions}",
+        f"devices: {', '.join(result['devices'])}; {result['cores']} cores",
+        f"compiled programs: {cache['files']} files, {cache['bytes'] / 2**20:.0f} MB in {cache['folder']}",
+        f"disk: {result['free_disk_bytes'] / 2**30:.0f} GB free here",
+        f"encoder: {speed['encoder_samples_per_second'] / 1e6:.1f} M samples/s",
+        f"native physics: {speed['native_steps_per_second'] / 1e6:.3f} M steps/s",
+        *result["problems"],
+    ]
+    return "\n".join([*lines, *([] if result["problems"] else ["no problem found"])])
+
+
+def _store_text(result: dict[str, Any]) -> str:
+    lines = [f"{result['store']}: {result['recordings']} recordings"]
+    lines += [f"damaged: {sentence}" for sentence in result["damage"]] or [
+        "every checksum is right, nothing is missing"
+    ]
+    if result["repaired"]:
+        lines.append("it was damaged and has been simulated again")
+    elif result["damage"] and result["repairable"]:
+        lines.append(f'"rcbht doctor {result["store"]} --repair" makes it again from its seed')
+    return "\n".join([*lines, *result["notes"]])

@@ -1,0 +1,135 @@
+"""What ``rcbht simulate`` does beside simulating: start other workers, be one, show how far a job is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    from sim_mjx.cli.simulate import Simulate
+    from sim_mjx.synthesis.pipeline import Helpers
+    from sim_mjx.synthesis.plan import SynthesisConfig
+    from sim_mjx.synthesis.workers import SynthesisProgress
+
+# Options that say who works, not on what, and those that workers must not have.
+_NOT_OF_THE_JOB = ("out", "overwrite", "processes", "devices", "launch", "launch_options", "worker", "status")
+
+
+def words_of(command: Simulate) -> list[str]:
+    """The words after ``rcbht`` that make a worker of the same job, wherever the paths of this folder hold."""
+    words = ["simulate", str(command.out.absolute()), "--worker"]
+    for field in fields(command):
+        value = getattr(command, field.name)
+        if field.name not in _NOT_OF_THE_JOB and value != field.default:
+            text = value.absolute() if isinstance(value, Path) else value
+            words += [f"--{field.name.replace('_', '-')}", str(text)]
+    return words
+
+
+def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
+    """What starts the workers that the options ask for; None = this process does all.
+
+    Raises:
+        InputError: impossible numbers of workers or devices, or options that exclude each other.
+    """
+    from sim_mjx.synthesis import launch
+
+    count, gpus, words = command.processes, command.engine != "native", words_of(command)
+    if count is not None and count < 1:
+        raise InputError(f"--processes is {count}; expected 1 or more.")
+    if command.devices is not None and (count is not None or command.launch):
+        raise InputError("--devices starts a process for each GPU of this machine; leave --processes and --launch out.")
+    options = _options(command.launch_options)
+    if options and command.launch != "slurm":
+        raise InputError("--launch-options are for --launch slurm; add that, or leave them out.")
+    if command.launch == "ray":
+        return lambda look: launch.ray(words, count, gpus, look, notice)
+    if command.launch == "slurm":
+        logs = command.out.absolute().with_name(f"{command.out.name}.jobs")
+        return lambda look: launch.slurm(words, count or 1, gpus, options, logs, look, notice)
+    environments = _environments(command.devices, gpus) if command.devices is not None else [{}] * (count or 1)
+    if len(environments) < 2:
+        return None
+    return lambda look: launch.local(words, environments, look, notice)
+
+
+def _options(words: tuple[str, ...]) -> dict[str, Any]:
+    """KEY=VALUE as a dictionary; whole numbers as such."""
+    pairs = [word.partition("=") for word in words]
+    wrong = next((word for word, (name, equals, _) in zip(words, pairs, strict=True) if not (name and equals)), None)
+    if wrong is not None:
+        raise InputError(f"--launch-options has {wrong!r}; expected KEY=VALUE, for example timeout_min=60.")
+    return {name: int(value) if value.isdecimal() else value for name, _, value in pairs}
+
+
+def _environments(devices: str, gpus: bool) -> list[dict[str, str]]:
+    """For each GPU to use the variables of its worker; engines without a GPU have one worker."""
+    from sim_mjx.synthesis import launch
+
+    if devices != "all" and not (devices.isdecimal() and int(devices)):
+        raise InputError(f'--devices is {devices!r}; expected "all", or a number of GPUs.')
+    if not gpus:
+        return [{}]
+    present = launch.visible_devices()
+    wanted = len(present) if devices == "all" else int(devices)
+    if wanted > max(1, len(present)):
+        raise InputError(f"--devices is {wanted}; this machine has {len(present)}.")
+    return [{launch.DEVICES: name} for name in present[:wanted]]
+
+
+def be_worker(
+    command: Simulate,
+    job: SynthesisConfig,
+    progress: Callable[[SynthesisProgress], None],
+    notice: Callable[[str], None],
+) -> dict[str, Any]:
+    """Be one worker of the job."""
+    from sim_mjx.synthesis.pipeline import work_on
+
+    others = (command.processes, command.devices, command.launch)
+    if any(value is not None for value in others) or command.launch_options or command.overwrite:
+        raise InputError("--worker is one process of a job; leave --processes, --devices, --launch, --overwrite out.")
+    simulated, complete = work_on(command.out, job, progress=progress, notice=notice)
+    return {"store": str(command.out), "simulated": simulated, "complete": complete}
+
+
+def worker_text(result: dict[str, Any]) -> str:
+    """The result of :func:`be_worker` for people."""
+    rest = "the store is complete" if result["complete"] else "another process joins the shards"
+    return f"{result['simulated']} trials of {result['store']} simulated here; {rest}"
+
+
+def status(target: Path) -> dict[str, Any]:
+    """How far a job is, as JSON values."""
+    from sim_mjx.synthesis.status import status_of
+
+    return {"store": str(target), **asdict(status_of(target))}
+
+
+def status_text(result: dict[str, Any]) -> str:
+    """The result of :func:`status` for people."""
+    if result["complete"]:
+        return f"{result['store']} is complete: {result['trials']} trials"
+    share = 100 * result["done"] / result["trials"]
+    lines = [
+        f"{result['store']}: {result['done']} of {result['trials']} trials ({share:.0f} %), "
+        f"{result['shards_done']} of {result['shards']} shards"
+    ]
+    if result["per_minute"] is not None:
+        left = (result["trials"] - result["done"]) / result["per_minute"]
+        lines.append(f"{result['per_minute']:.0f} trials/min, {left:.1f} min left at this rate")
+    lines.append(f"workers: {len(result['workers']) or 'none; the same command without --status goes on'}")
+    for one in result["workers"]:
+        what = "joins the shards, or begins" if one["shard"] is None else f"shard {one['shard']}"
+        host = f"{one['host']} process {one['pid']}" if one["pid"] else "not known yet"
+        lines.append(f"  {host}: {what}, last seen {one['seconds']:.0f} s ago")
+    for one in result["failures"]:
+        then = "left out" if one["left_out"] else "is tried again"
+        lines.append(f"shard {one['shard']} failed {one['failed']} of {one['tries']} times and {then}: {one['reason']}")
+    if result["killed"]:
+        lines.append(f"shards whose worker died, to be taken over: {', '.join(map(str, result['killed']))}")
+    return "\n".join(lines)

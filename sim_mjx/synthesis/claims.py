@@ -1,0 +1,244 @@
+"""Claims: who is at work on which shard, so that nobody simulates one that another holds.
+
+A claim is a file ``claims/TASK-NUMBER`` in the work folder, created with ``O_EXCL``: of several processes one succeeds,
+on every file system that knows exclusive creation. A claim is never handed on. Whoever takes over from a dead worker
+creates the next number, so that two that find the same worker dead cannot both take over; the highest number rules. The
+files are thus the list of attempts at a shard, failed ones with their reason.
+
+Whether a holder lives is told by two means, because neither alone is enough:
+
+* a lock (flock) on the file, which the kernel drops the moment the process ends, however it ends: another process of
+  the same machine takes over at once. On shared folders such locks may not reach other machines, so they are believed
+  on the kernel that the holder runs on, and only there.
+* a lease: the holder touches the file every ``HEARTBEAT`` s, and one that has not for ``LEASE`` s counts as dead, for
+  processes of other machines and where the file system has no locks. Both times are the file system's, not the clocks
+  of the machines.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import platform
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+FOLDER = "claims"
+HEARTBEAT = 15.0  # s
+LEASE = 120.0  # s; shared file systems may show a touched file up to a minute late
+POLL = 0.2  # s between two looks at what others hold
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_MOST_REASON = 500  # characters
+
+State = Literal["held", "dead", "failed", "released"]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One claim as it was found: who did or does what."""
+
+    task: str
+    number: int  # of attempts before it
+    state: State
+    host: str  # "" = not known
+    pid: int  # 0 = not known
+    seconds: float  # since it was last touched
+    reason: str = ""  # why it failed
+
+
+class Claim:
+    """A claim that this process holds; see :func:`take`."""
+
+    def __init__(self, path: Path, handle: int) -> None:
+        self.path, self._handle, self._about = path, handle, _about_us()
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # a file system without locks: others go by the lease
+            self._about["locked"] = False
+        self._write()  # after the lock: a claim that can be read is locked
+        self._over = threading.Event()
+        self._beat = threading.Thread(target=self._touch, daemon=True)
+        self._beat.start()
+
+    def done(self) -> None:
+        """What was claimed is done: the claim is deleted."""
+        self.path.unlink(missing_ok=True)
+        self._end()
+
+    def failed(self, reason: str) -> None:
+        """It cannot be done: the claim stays as the note of this attempt."""
+        self._about["failed"] = reason[:_MOST_REASON]
+        self._write()
+        self._end()
+
+    def release(self) -> None:
+        """It was not done, through no fault of its own: anyone may try again."""
+        self._about["released"] = True
+        with suppress(OSError):  # on a full disk the dropped lock says the same
+            self._write()
+        self._end()
+
+    def _end(self) -> None:
+        self._over.set()
+        self._beat.join()
+        os.close(self._handle)
+
+    def _write(self) -> None:
+        text = json.dumps(self._about).encode()
+        os.pwrite(self._handle, text, 0)  # only ever longer than before
+
+    def _touch(self) -> None:
+        while not self._over.wait(HEARTBEAT):
+            os.utime(self._handle)
+
+
+def take(folder: Path, task: str) -> Claim | None:
+    """Claim a task; None where another holds it.
+
+    Args:
+        folder: the work folder.
+        task: what is claimed, a name without "-".
+
+    Example:
+        >>> import tempfile
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> (folder / "claims").mkdir()
+        >>> claim = take(folder, "join")
+        >>> take(folder, "join") is None
+        True
+        >>> claim.release()
+        >>> take(folder, "join").done()
+    """
+    before = attempts(folder, task)
+    if any(one.state == "held" for one in before):
+        return None
+    number = before[-1].number + 1 if before else 0
+    path = folder / FOLDER / f"{task}-{number}"
+    try:
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+    except (FileExistsError, FileNotFoundError):  # another was quicker, or the folder has been removed
+        return None
+    try:
+        claim = Claim(path, handle)
+    except BaseException:  # a full disk: others need not wait for the lease
+        path.unlink(missing_ok=True)
+        os.close(handle)
+        raise
+    # Between our look and our file the other attempts may have been cleared and the task claimed anew.
+    if any(other.state == "held" and other.number != number for other in attempts(folder, task)):
+        claim.release()
+        return None
+    return claim
+
+
+@contextmanager
+def wait_for(folder: Path, task: str) -> Iterator[bool]:
+    """Hold a task, once those before have done it; false where the work folder is gone meanwhile."""
+    while (claim := take(folder, task)) is None:
+        if not folder.is_dir():
+            yield False
+            return
+        time.sleep(POLL)
+    try:
+        yield True
+    except BaseException:
+        claim.release()
+        raise
+    claim.done()
+
+
+def attempts(folder: Path, task: str) -> list[Attempt]:
+    """The attempts at a task, the first one first."""
+    return board(folder, task).get(task, [])
+
+
+def board(folder: Path, only: str | None = None) -> dict[str, list[Attempt]]:
+    """All attempts, or those at one task, by task; the first one first."""
+    found: dict[str, list[Attempt]] = defaultdict(list)
+    try:
+        names = os.listdir(folder / FOLDER)
+    except FileNotFoundError:
+        return found
+    clock: float | None = None
+    for name in names:
+        task, dash, number = name.rpartition("-")
+        if not dash or name.startswith(".") or not number.isdecimal() or only not in (None, task):
+            continue
+        path = folder / FOLDER / name
+        try:
+            about, touched, locked = _read(path)
+            if clock is None:
+                clock = _now(path.parent)
+        except FileNotFoundError:
+            continue  # done or removed meanwhile
+        found[task].append(_attempt(task, int(number), about, max(0.0, clock - touched), locked))
+    return {task: sorted(tries, key=lambda one: one.number) for task, tries in found.items()}
+
+
+def clear(folder: Path) -> None:
+    """Delete the notes of attempts that have ended, so that failed ones do not count any more."""
+    for tries in board(folder).values():
+        for one in tries:
+            if one.state != "held":
+                (folder / FOLDER / f"{one.task}-{one.number}").unlink(missing_ok=True)
+
+
+def _attempt(task: str, number: int, about: dict[str, Any], seconds: float, locked: bool | None) -> Attempt:
+    state: State
+    if "failed" in about:
+        state = "failed"
+    elif "released" in about:
+        state = "released"
+    elif locked is not None:
+        state = "held" if locked else "dead"
+    else:
+        state = "held" if seconds < LEASE else "dead"
+    host, pid = str(about.get("host", "")), int(about.get("pid", 0))
+    return Attempt(task, number, state, host, pid, seconds, str(about.get("failed", "")))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
+    """What a claim says, when it was touched, and whether its holder has it locked; None = a lock would not tell."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        touched = os.fstat(handle).st_mtime
+        try:
+            about = json.loads(os.read(handle, 1 << 16))
+        except ValueError:  # its holder is just writing, or died of it: the lease tells
+            return {}, touched, None
+        if about.get("kernel") != _kernel() or not about.get("locked"):
+            return about, touched, None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return about, touched, True
+        except OSError:
+            return about, touched, None
+        return about, touched, False
+    finally:
+        os.close(handle)
+
+
+def _now(folder: Path) -> float:
+    """The file system's time, s."""
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=".clock-") as probe:
+        return os.fstat(probe.fileno()).st_mtime
+
+
+def _about_us() -> dict[str, Any]:
+    return {"host": platform.node(), "kernel": _kernel(), "pid": os.getpid(), "locked": True}
+
+
+@cache
+def _kernel() -> str:
+    """What tells machines apart that may have the same name: containers of one kernel share its locks."""
+    return _BOOT.read_text().strip() if _BOOT.exists() else platform.node()

@@ -1,0 +1,128 @@
+"""How far a synthesis is, read from its work folder without disturbing those at work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcbht_jax._util.json_file import load_json
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from sim_mjx.synthesis import claims, shards
+from sim_mjx.synthesis.workers import TRIES
+
+WINDOW = 600.0  # s, of the last shards, over which the rate is taken
+
+
+@dataclass(frozen=True)
+class Worker:
+    """Who is at work on what."""
+
+    host: str
+    pid: int
+    shard: int | None  # None = joins the shards, or begins
+    seconds: float  # since its last sign of life
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A shard that failed and is not there yet."""
+
+    shard: int
+    tries: int  # all attempts, those of killed workers included
+    failed: int  # attempts that ended with an error
+    reason: str  # of the last one that failed
+    left_out: bool  # not tried any more
+
+
+@dataclass(frozen=True)
+class SynthesisStatus:
+    """How far a synthesis is."""
+
+    complete: bool  # the store is there and the work folder gone
+    trials: int
+    done: int  # trials in finished shards
+    shards: int
+    shards_done: int
+    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to tell
+    workers: list[Worker]
+    failures: list[Failure]
+    killed: list[int]  # shards whose last worker died and that nobody has taken over
+
+
+def status_of(target: Path) -> SynthesisStatus:
+    """How far the synthesis of a store is.
+
+    Args:
+        target: the store that is being made, or is there.
+
+    Raises:
+        InputError: there is neither a store nor a work folder.
+    """
+    folder = shards.folder_of(target)
+    try:
+        present, board = shards.finished(folder), claims.board(folder)
+        job = load_json(folder / shards.MANIFEST)["job"]
+    except FileNotFoundError:
+        return _complete(target)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder / shards.MANIFEST} is damaged; delete {folder} to begin anew.") from error
+    trials, size = int(job["trials"]), int(job["shard"])
+    return SynthesisStatus(
+        complete=False,
+        trials=trials,
+        done=sum(min(size, trials - shard * size) for shard in present),
+        shards=-(-trials // size),
+        shards_done=len(present),
+        per_minute=_rate(folder, size),
+        workers=[
+            Worker(one.host, one.pid, int(task) if task.isdecimal() else None, one.seconds)
+            for task, tries in sorted(board.items())
+            for one in tries
+            if one.state == "held"
+        ],
+        failures=[
+            _failure(int(task), tries)
+            for task, tries in sorted(board.items())
+            if task.isdecimal() and int(task) not in present and any(one.state == "failed" for one in tries)
+        ],
+        killed=[
+            int(task)
+            for task, tries in sorted(board.items())
+            if task.isdecimal() and int(task) not in present and tries[-1].state == "dead"
+        ],
+    )
+
+
+def _complete(target: Path) -> SynthesisStatus:
+    if not target.exists():
+        raise InputError(f'There is no {target} and nobody has begun it; make it with "rcbht simulate {target}".')
+    known: dict[str, Any] = store.read_attrs(target).get("simulated") or {}
+    trials = int(known.get("job", {}).get("trials", 0))
+    if not trials:
+        raise InputError(f"{target} was not made by rcbht simulate; there is nothing to say about its progress.")
+    return SynthesisStatus(True, trials, trials, 0, 0, None, [], [], [])
+
+
+def _failure(shard: int, tries: list[claims.Attempt]) -> Failure:
+    failed = [one for one in tries if one.state == "failed"]
+    return Failure(shard, len(tries), len(failed), failed[-1].reason, len(failed) >= TRIES)
+
+
+def _rate(folder: Path, size: int) -> float | None:
+    """Trials per minute from the times at which shards were saved; the first of them only begins the count."""
+    times = []
+    for path in folder.glob("shard-*.npz"):
+        try:
+            times.append(path.stat().st_mtime)
+        except FileNotFoundError:  # the folder is being removed
+            continue
+    if not times:
+        return None
+    recent = np.sort(times)
+    recent = recent[recent >= recent[-1] - WINDOW]
+    seconds = float(recent[-1] - recent[0])
+    return 60.0 * size * (len(recent) - 1) / seconds if seconds > 0 else None

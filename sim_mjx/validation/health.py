@@ -1,0 +1,201 @@
+"""What a machine has and does, and whether a store is whole: the library behind ``rcbht doctor``."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from rcbht_jax._util import compile_cache
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.label_store import list_tracks, read_tracks
+from sim_mjx import engines
+from sim_mjx.registry import get_scenario
+from sim_mjx.synthesis import shards
+from sim_mjx.synthesis.plan import SynthesisConfig, job_of, manifest_of, provenance
+
+PACKAGES = ("rcbht-jax", "jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "warp-lang", "zarr")
+LITTLE_DISK = 2 * 2**30  # bytes
+SECONDS = 1.0  # that each measurement takes at least, compilation and a first run besides
+SAMPLES, RECORDINGS, TRIALS = 2000, 64, 64
+
+
+@dataclass(frozen=True)
+class StoreHealth:
+    """What was found in a store."""
+
+    recordings: int  # that could be read
+    damage: list[str]  # sentences: what cannot be believed or is missing
+    notes: list[str]  # sentences: what is as it should be, but good to know
+    repairable: bool  # the installed code makes the same trials from the seed
+
+
+def machine(folder: Path) -> dict[str, Any]:
+    """Versions, devices, folder of compiled programs and free disk, as JSON values.
+
+    Args:
+        folder: whose disk is looked at.
+    """
+    cache = compile_cache.default_folder()
+    files = [path for path in cache.rglob("*") if path.is_file()] if cache.is_dir() else []
+    return {
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in PACKAGES},
+        "cores": os.cpu_count(),
+        "devices": [str(device) for device in jax.devices()],
+        "compile_cache": {
+            "folder": str(cache),
+            "files": len(files),
+            "bytes": sum(path.stat().st_size for path in files),
+        },
+        "free_disk_bytes": shutil.disk_usage(folder).free,
+    }
+
+
+def problems(found: dict[str, Any]) -> list[str]:
+    """What of :func:`machine` will keep something from working, in sentences."""
+    versions, sentences = found["versions"], []
+    if versions["mujoco"] != versions["mujoco-mjx"]:
+        sentences.append(
+            f"MuJoCo is {versions['mujoco']} and mujoco-mjx {versions['mujoco-mjx']}; the device engines need the same "
+            'version of both: pip install "rcbht-jax[sim]".'
+        )
+    if shutil.which("nvidia-smi") and not any("cuda" in device.lower() for device in found["devices"]):
+        sentences.append('There is an NVIDIA GPU that JAX does not use; pip install "rcbht-jax[cuda]".')
+    if found["free_disk_bytes"] < LITTLE_DISK:
+        sentences.append(f"Only {found['free_disk_bytes'] / 2**30:.1f} GB of disk are free.")
+    return sentences
+
+
+def benchmark() -> dict[str, float]:
+    """Speed of encoder and native physics on this machine, in a few seconds: samples and physics steps per second."""
+    rng = np.random.default_rng(0)
+    wrench = np.cumsum(rng.normal(0, 0.3, (RECORDINGS, SAMPLES, 6)), axis=1).astype(np.float32)
+    length = np.full(RECORDINGS, SAMPLES, np.int32)
+    config = EncoderConfig(window=5, dt=0.005)
+    encoding = _rate(lambda: _encode(config, wrench, length))
+    scenario = get_scenario("B")
+    scene = scenario.scene()
+    params, _ = scenario.draw_batch(0, range(TRIALS), scenario.spec(longest=0.25))
+    periods = [0]
+    trials = _rate(lambda: periods.__setitem__(0, int(engines.simulate(scene, params).length.sum())))
+    return {
+        "encoder_samples_per_second": encoding * wrench.size,
+        "native_steps_per_second": trials * periods[0] * scene.substeps,
+    }
+
+
+def check_store(path: Path) -> StoreHealth:
+    """Read everything in a store, compare it with its checksums, and its provenance with what is installed.
+
+    Raises:
+        InputError: there is no store.
+    """
+    attrs = store.read_attrs(path)
+    damage: list[str] = []
+    notes: list[str] = []
+    recordings = _read(partial(store.read_recordings, path), damage)
+    names = _read(partial(list_tracks, path), damage) or []
+    for name in names:
+        _read(partial(read_tracks, path, name), damage)
+    count = 0 if recordings is None else len(recordings)
+    if shards.folder_of(path).is_dir():
+        notes.append(f"{shards.folder_of(path)} is of a simulation that goes on, or was interrupted.")
+    simulated = attrs.get("simulated")
+    if simulated is None:
+        return StoreHealth(count, damage, notes, False)
+    _read(partial(store.read_simulation, path), damage)
+    job, difference = _made_by(simulated)
+    if job is not None and not damage:
+        expected = (job.trials - len(attrs.get("diverged", []))) * len(get_scenario(job.preset).arms)
+        if count != expected:
+            damage.append(f"{path} has {count} recordings; its simulation made {expected}.")
+        if job.window is not None and f"online-W{job.window}" not in names:
+            damage.append(f"{path} lacks its labels online-W{job.window}.")
+    if difference:
+        notes.append(difference)
+    return StoreHealth(count, damage, notes, job is not None and not difference)
+
+
+def repair_job(path: Path) -> SynthesisConfig:
+    """What to simulate to make a store again.
+
+    Raises:
+        InputError: it was not simulated, or not by what is installed.
+    """
+    simulated = store.read_attrs(path).get("simulated")
+    if simulated is None:
+        raise InputError(f"{path} was not simulated: it cannot be made again from a seed. Import or copy it again.")
+    job, difference = _made_by(simulated)
+    if job is None or difference:
+        raise InputError(f"{path} cannot be made again: {difference}")
+    return job
+
+
+def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
+    """The job of a store, and in a sentence how what is installed differs from what made it; "" = not at all."""
+    try:
+        job = job_of(simulated["job"])
+        now = shards.as_json(provenance(manifest_of(job)))
+    except (InputError, KeyError, TypeError, ValueError):
+        return None, "Its options are not those of the installed version."
+    differing = [
+        f"{name} {_short(simulated['versions'].get(name))}, now {_short(value)}"
+        for name, value in now["versions"].items()
+        if simulated["versions"].get(name) != value
+    ]
+    if differing:
+        return (
+            job,
+            f"It was made with other versions: {'; '.join(differing)}. Simulated again, its trials would differ.",
+        )
+    return (job, "") if now == simulated else (None, "Its options are not those of the installed version.")
+
+
+def _read(part: Callable[[], Any], damage: list[str]) -> Any:
+    """A part of a store; None where it is damaged, which is noted."""
+    try:
+        return part()
+    except InputError as error:
+        damage.append(str(error))
+        return None
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return f"{text[:12]}..." if len(text) > 20 else text
+
+
+def _encode(config: EncoderConfig, wrench: Any, length: Any) -> None:
+    jax.block_until_ready(encode_batch(config, preset("hiro"), wrench, length))
+
+
+def _rate(call: Callable[[], Any]) -> float:
+    """Calls per second, after one that compiles."""
+    call()
+    count, start = 0, time.perf_counter()
+    while (seconds := time.perf_counter() - start) < SECONDS:
+        call()
+        count += 1
+    return count / seconds
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,205 @@
+"""Workers of one machine, of a Ray cluster and of a job array make the bytes that one process makes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli.main import main, parse
+from rcbht_jax.errors import InputError
+from sim_mjx.cli import simulate_workers
+from sim_mjx.cli.simulate import Simulate
+from sim_mjx.synthesis import launch, shards
+from tests.support.fake_simulation import tree
+
+ROOT = Path(__file__).resolve().parents[3]
+SHORT = ["--preset", "C", "--trials", "12", "--seed", "3", "--shard", "2", "--max-seconds", "0.1"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes that one process makes with the native engine."""
+    target = tmp_path_factory.mktemp("whole") / "trials.zarr"
+    assert main(["simulate", str(target), *SHORT]) == 0
+    return tree(target)
+
+
+@pytest.fixture(autouse=True)
+def _children_find_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+
+
+def result(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    capsys.readouterr()
+    assert main(["simulate", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_three_processes_make_the_bytes_of_one(
+    whole: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "t.zarr"
+    made = result(capsys, str(target), *SHORT, "--processes", "3")
+    assert (made["stored"], made["resumed"], made["notices"]) == (12, 0, [])
+    assert tree(target) == whole
+    assert os.listdir(tmp_path) == ["t.zarr"]
+    assert result(capsys, str(target), "--status")["complete"]
+    assert result(capsys, str(target), *SHORT, "--worker") == {"store": str(target), "simulated": 0, "complete": True}
+
+
+def test_what_ended_workers_early_is_told_and_this_process_does_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], whole: dict[str, bytes]
+) -> None:
+    """One worker fails with a sentence, one is killed."""
+    scripts = iter(["import sys; sys.exit('rcbht: The disk is full.')", "import os; os.kill(os.getpid(), 9)"])
+    monkeypatch.setattr(launch, "_command", lambda words: [sys.executable, "-c", next(scripts)])
+    made = result(capsys, str(tmp_path / "t.zarr"), *SHORT, "--processes", "2")
+    assert made["notices"] == [
+        "Worker 1 of 2 ended early: The disk is full.",
+        "Worker 2 of 2 ended early: it was ended by SIGKILL.",
+    ]
+    assert tree(tmp_path / "t.zarr") == whole
+
+
+def test_interrupted_it_takes_its_workers_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    real = subprocess.Popen
+
+    def remembered(*words: object, **more: object) -> subprocess.Popen[bytes]:
+        started.append(real(*words, **more))  # type: ignore[call-overload]
+        return started[-1]
+
+    monkeypatch.setattr(launch, "_command", lambda words: [sys.executable, "-c", "import time; time.sleep(60)"])
+    monkeypatch.setattr(subprocess, "Popen", remembered)
+
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        launch.local([], [{}, {}], stop, print)
+    assert len(started) == 2
+    assert all(child.poll() is not None for child in started)
+
+
+def test_a_worker_has_the_words_of_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fit.json").write_text("{}")
+    words = ["t.zarr", *SHORT, "--overwrite", "--processes", "4", "--physical", "fit.json", "--nominal-share", "0.2"]
+    command = parse("simulate", [*words, "--engine", "mjx", "--window", "5"])
+    assert isinstance(command, Simulate)
+    made = simulate_workers.words_of(command)
+    assert made[:3] == ["simulate", str(tmp_path / "t.zarr"), "--worker"]
+    again = parse("simulate", made[1:])
+    assert isinstance(again, Simulate)
+    same = (
+        "preset",
+        "trials",
+        "seed",
+        "shard",
+        "max_seconds",
+        "engine",
+        "window",
+        "nominal_share",
+        "assembly",
+        "robot",
+    )
+    assert [getattr(again, name) for name in same] == [getattr(command, name) for name in same]
+    assert (again.worker, again.overwrite, again.processes) == (True, False, None)
+    assert again.physical == tmp_path / "fit.json"
+
+
+def test_each_device_has_a_worker_that_sees_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launch, "visible_devices", lambda: ["0", "3", "GPU-7"])
+    environments = simulate_workers._environments
+    assert environments("all", True) == [{launch.DEVICES: name} for name in ("0", "3", "GPU-7")]
+    assert environments("2", True) == [{launch.DEVICES: "0"}, {launch.DEVICES: "3"}]
+    assert environments("all", False) == [{}]  # the native engine has all cores
+    with pytest.raises(InputError, match="--devices is 4; this machine has 3"):
+        environments("4", True)
+    for wrong in ("0", "some", "-1"):
+        with pytest.raises(InputError, match="expected"):
+            environments(wrong, True)
+
+
+def test_devices_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert launch.visible_devices() == []  # the tests run on the CPU
+    monkeypatch.setattr(launch, "_COUNT", "print(2)")
+    monkeypatch.delenv(launch.DEVICES, raising=False)
+    assert launch.visible_devices() == ["0", "1"]
+    monkeypatch.setenv(launch.DEVICES, "5, GPU-7")
+    assert launch.visible_devices() == ["5", "GPU-7"]
+    monkeypatch.setattr(launch, "_COUNT", "raise SystemExit('no driver')")
+    with pytest.raises(InputError, match="no driver"):
+        launch.visible_devices()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--processes", "0"], "--processes is 0"),
+        (["--devices", "all", "--processes", "2"], "leave --processes and --launch out"),
+        (["--devices", "none"], 'expected "all"'),
+        (["--launch-options", "timeout_min=5"], "are for --launch slurm"),
+        (["--launch", "slurm", "--launch-options", "fast"], "expected KEY=VALUE"),
+        (["--worker", "--processes", "2"], "--worker is one process"),
+        (["--worker", "--overwrite"], "--worker is one process"),
+        (["--status"], "nobody has begun it"),
+    ],
+)
+def test_mistakes_are_one_sentence(
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", str(tmp_path / "t.zarr"), *words]) == 2
+    assert sentence in capsys.readouterr().err.splitlines()[-1]
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_array_of_jobs_makes_the_same_bytes(
+    whole: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the executor that submitit uses where there is no Slurm."""
+    pytest.importorskip("submitit", reason='submitit is not installed: pip install "rcbht-jax[slurm]"')
+    target = tmp_path / "t.zarr"
+    made = result(
+        capsys, str(target), *SHORT, "--launch", "slurm", "--processes", "4", "--launch-options", "timeout_min=5"
+    )
+    assert made["notices"] == ["There is no Slurm here; the jobs run on this machine."]
+    assert tree(target) == whole
+    assert os.listdir(tmp_path) == ["t.zarr"]
+    assert main(["simulate", str(tmp_path / "u.zarr"), *SHORT, "--launch", "slurm", "--launch-options", "a=b"]) == 2
+    assert "Slurm's options are wrong" in capsys.readouterr().err
+
+
+@pytest.fixture
+def two_nodes() -> Iterator[subprocess.Popen[str]]:
+    """A Ray cluster of two nodes on this machine, where commands find it."""
+    pytest.importorskip("ray", reason='Ray is not installed: pip install "rcbht-jax[ray]"')
+    script = [sys.executable, str(ROOT / "tests/support/ray_nodes.py")]
+    with subprocess.Popen(script, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as cluster:
+        assert cluster.stdin is not None
+        yield cluster
+        cluster.stdin.close()
+        cluster.wait()
+
+
+def test_two_ray_nodes_make_the_same_bytes(
+    two_nodes: subprocess.Popen[str], whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    assert two_nodes.stdout is not None
+    env = {**os.environ, "RAY_ADDRESS": two_nodes.stdout.readline().strip()}
+    target = tmp_path / "t.zarr"
+    words = ["simulate", str(target), *SHORT, "--launch", "ray", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "rcbht_jax.cli", *words], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    made = json.loads(done.stdout.splitlines()[-1])
+    assert (made["stored"], made["resumed"], made["notices"]) == (12, 0, [])
+    assert tree(target) == whole
+    assert not shards.folder_of(target).exists()

@@ -1,0 +1,130 @@
+"""``rcbht doctor``: numbers of the machine; damage of a store is found, told and made good."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.store import write_recordings
+from sim_mjx.synthesis import plan, shards
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.validation import health
+from tests.support.fake_simulation import short, tree
+from tests.support.store_cases import simple
+
+JOB = SynthesisConfig("C", 4, seed=3, spec=short(), window=5)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of the native engine with labels."""
+    target = tmp_path_factory.mktemp("made") / "trials.zarr"
+    synthesise(target, JOB)
+    return target
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "trials.zarr"))
+
+
+def flip(path: Path) -> None:
+    """Change a byte of the first chunk below a folder."""
+    chunk = next(file for file in sorted((path / "c").rglob("*")) if file.is_file())
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    chunk.write_bytes(data)
+
+
+def doctor(capsys: pytest.CaptureFixture[str], status: int, *words: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main(["doctor", *words, "--json"]) == status
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_machine_in_numbers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(health, "SECONDS", 0.01)
+    monkeypatch.setattr(health, "SAMPLES", 200)
+    monkeypatch.setattr(health, "RECORDINGS", 2)
+    monkeypatch.setattr(health, "TRIALS", 2)
+    found = doctor(capsys, 0)
+    assert found["versions"]["rcbht-jax"]
+    assert found["cores"] >= 1
+    assert found["free_disk_bytes"] > 0
+    assert all(value > 0 for value in found["benchmark"].values())
+
+
+def test_problems_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"versions": {"mujoco": "3.17.0", "mujoco-mjx": "3.17.0"}, "devices": ["cuda:0"], "free_disk_bytes": 2**40}
+    monkeypatch.setattr(shutil, "which", lambda _: "/bin/nvidia-smi")
+    assert health.problems(found) == []
+    worse = {"versions": {"mujoco": "3.17.0", "mujoco-mjx": "3.16.0"}, "devices": ["cpu:0"], "free_disk_bytes": 2**20}
+    assert len(health.problems(worse)) == 3
+
+
+def test_a_whole_store_is_whole(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = doctor(capsys, 0, str(made))
+    assert (found["recordings"], found["damage"], found["notes"], found["repairable"]) == (4, [], [], True)
+    assert main(["doctor", str(made)]) == 0
+    assert "every checksum is right" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("what", ["wrench", "simulation/friction", "labels/online-W5/llb/t0", "no labels"])
+def test_damage_is_found_told_and_made_good(
+    what: str, made: Path, copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if what == "no labels":
+        shutil.rmtree(copy / "labels")
+    else:
+        flip(copy / what)
+    found = doctor(capsys, 2, str(copy))
+    assert len(found["damage"]) == 1
+    assert found["repairable"]
+    assert main(["doctor", str(copy)]) == 2
+    assert "--repair" in capsys.readouterr().out
+    if what in ("wrench", "no labels"):
+        assert doctor(capsys, 0, str(copy), "--repair")["repaired"]
+        assert tree(copy) == tree(made)
+
+
+def test_what_other_code_made_is_not_made_again(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flip(copy / "wrench")
+    before = tree(copy)
+    monkeypatch.setattr(plan, "code_hash", lambda: "other")
+    found = doctor(capsys, 2, str(copy))
+    assert not found["repairable"]
+    assert "made with other versions: sim_mjx_sha256" in found["notes"][0]
+    assert main(["doctor", str(copy), "--repair"]) == 2
+    assert "cannot be made again: It was made with other versions" in capsys.readouterr().err
+    assert tree(copy) == before
+
+
+def test_a_store_that_was_not_simulated_has_no_seed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_recordings(tmp_path / "t.zarr", simple(4, 100), {})
+    assert doctor(capsys, 0, str(tmp_path / "t.zarr"))["damage"] == []
+    shards.folder_of(tmp_path / "t.zarr").mkdir()
+    assert "goes on, or was interrupted" in doctor(capsys, 0, str(tmp_path / "t.zarr"))["notes"][0]
+    flip(tmp_path / "t.zarr" / "wrench")
+    assert main(["doctor", str(tmp_path / "t.zarr"), "--repair"]) == 2
+    assert "was not simulated" in capsys.readouterr().err
+    assert main(["doctor", "--repair"]) == 2
+    assert "name it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["B", "two", "hooked-A", "peg-in-hole@panda"])
+def test_a_job_comes_back_from_its_provenance(name: str) -> None:
+    from sim_mjx.registry import get_scenario
+
+    spec = replace(get_scenario(name).spec(), longest=3.0)
+    job = SynthesisConfig(name, 7, seed=2, spec=spec)
+    known = shards.as_json(plan.provenance(plan.manifest_of(job)))
+    assert plan.job_of(known["job"]) == job
