@@ -137,7 +137,9 @@ class Lanes:
         spare = self.at_once - len(batch)
         padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
         settling = -(-SETTLING // self.scene.substeps)
-        out = _outcome(settling, len(batch), max(ages), self.scene.program, logs, *padded)
+        # of a queue always as long as can be: each length is a program more to compile for what comes after
+        blocks = max(ages) if self.spare == 0 else logs.phase.shape[1]
+        out = _outcome(settling, len(batch), blocks, self.scene.program, logs, *padded)
         return list(trials), out
 
 

@@ -14,7 +14,7 @@ several that see the same folder. The last one joins the shards.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -39,13 +39,15 @@ from sim_mjx.synthesis.plan import (
     manifest_of,
     provenance,
 )
+from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
-# Default trials per shard: what an interruption costs at most. A GPU needs many to be busy.
-SHARD = {"native": 256, "mjx": 8192, "warp": 16384}
+# Default trials per shard: what an interruption of C MuJoCo costs at most.
+SHARD = {"native": 256, "mjx": 1024, "warp": 2048}
+LANES = {"mjx": 8192, "warp": 16384}  # trials that a device steps together, of as many shards as it takes
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def synthesise(
     if not finished:
         if helpers is not None:
             helpers(lambda: tally.show(shards.finished(folder)))
-        drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
+        drawn = _work(folder, job, scenario, simulate, tally, notice)
     with claims.wait_for(folder, "join") as ours:
         if ours and shards.has_plan(folder):
             if finished:
@@ -143,7 +145,7 @@ def work_on(
         store.check_target(target, False)
     shards.begin(folder, manifest)
     tally = Tally(job, shards.finished(folder), progress)
-    drawn = workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
+    drawn = _work(folder, job, scenario, simulate, tally, notice)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
@@ -195,6 +197,28 @@ def _is_made_by(target: Path, manifest: dict[str, Any]) -> bool:
     except InputError:
         return False
     return known is not None and shards.as_json(known) == shards.as_json(provenance(manifest))
+
+
+def _work(
+    folder: Path,
+    job: SynthesisConfig,
+    scenario: Scenario,
+    simulate: Simulate | None,
+    tally: Tally,
+    notice: Callable[[str], None] | None,
+) -> dict[int, Drawn]:
+    """Simulate and save the missing shards: on a device as its lanes become free, and what is left by batches."""
+    drawn: dict[int, Drawn] = {}
+    if simulate is None and job.engine in LANES:
+        lanes = min(LANES[job.engine], job.trials)
+        labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
+        scene = scenario.scene()
+
+        def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+            return records.simulate_in_lanes(scene, batches, job.engine, lanes, *labels)
+
+        drawn = workers.work_in_lanes(folder, job, scenario, stream, tally)
+    return drawn | workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
 
 
 def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | None) -> Callable[[Any], Labelled]:

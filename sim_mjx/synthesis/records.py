@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
 
@@ -19,13 +21,15 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 from sim_mjx import engines
-from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.rollout import Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
+from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 from sim_mjx.synthesis.shards import Arrays
 
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
+AT_ONCE = 8  # shares of the lanes whose ended trials leave the device together
 TILTS = 2**16  # angles that are computed at once
 # No robot of this kind measures or moves so much: beyond, the physics has diverged, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
@@ -154,6 +158,56 @@ def simulate_labelled(
     there = device.run(scene, params, engines.IMPLEMENTATIONS[engine], progress=progress)
     tracks = encode_on_device(config, limits, *_by_wrist(there.wrench, there.length))
     return device.to_host(there), jax.device_get(tracks)
+
+
+def simulate_in_lanes(
+    scene: Scene,
+    batches: Iterable[tuple[Hashable, Any]],
+    engine: str,
+    lanes: int,
+    config: EncoderConfig | None = None,
+    limits: Float[Array, "6 4"] | None = None,
+) -> Iterator[Shard]:
+    """Simulate and label batches that share the lanes of a device; each comes when its last trial has ended.
+
+    Copies to the host and what is done there overlap with the physics.
+
+    Args:
+        scene: what is simulated.
+        batches: (key, batch of trials of the scene's program).
+        engine: "mjx" or "warp".
+        lanes: trials that are stepped together.
+        config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
+
+    Raises:
+        InputError: unknown engine, or what it needs is not installed.
+    """
+    engines.check(engine)
+    from sim_mjx.engines import device  # MJX takes seconds to import
+    from sim_mjx.engines.lanes import Lanes
+
+    group = Regroup()
+
+    def expected() -> Iterator[tuple[Hashable, Any]]:
+        for key, params in batches:
+            group.expect(key, batch_size(params))
+            yield key, params
+
+    def onto_host(trials: list[Trial], out: device.Outcome, tracks: LabelTracks | None) -> list[Shard]:
+        return group.add(trials, device.to_host(out), jax.device_get(tracks))
+
+    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, max(1, lanes // AT_ONCE))
+    with ThreadPoolExecutor(1) as host:
+        waiting: deque[Future[list[Shard]]] = deque()
+        for trials, out in machine.run(expected()):
+            tracks = None
+            if config is not None and limits is not None:
+                tracks = encode_on_device(config, limits, *_by_wrist(out.wrench, out.length))
+            waiting.append(host.submit(onto_host, trials, out, tracks))
+            while waiting and (waiting[0].done() or len(waiting) > 2):  # more would fill the memory
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
 
 
 def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> LabelTracks:

@@ -15,6 +15,7 @@ from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts
 
 Arrays = NDArray[Any]
+Trial = tuple[Hashable, int]  # key of its shard, and number in it
 PADDED = ("wrench", "joints")  # fields of rollouts that are as long as the longest trial
 
 
@@ -44,7 +45,7 @@ class Regroup:
         """A shard of so many trials will come."""
         self._missing[key], self._pieces[key] = count, []
 
-    def add(self, trials: Sequence[tuple[Hashable, int]], out: Rollouts, tracks: LabelTracks | None) -> list[Shard]:
+    def add(self, trials: Sequence[Trial], out: Rollouts, tracks: LabelTracks | None) -> list[Shard]:
         """Trials that have ended.
 
         Args:

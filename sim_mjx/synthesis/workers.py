@@ -7,7 +7,9 @@ alone, so who made it does not matter; claims (:mod:`sim_mjx.synthesis.claims`) 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import claims, records, shards
 from sim_mjx.synthesis.assemble import Drawn
 from sim_mjx.synthesis.plan import SynthesisConfig, indices
+from sim_mjx.synthesis.regroup import Shard
 
 TRIES = 3  # of a shard that fails
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
@@ -119,6 +122,69 @@ def work(
     return drawn
 
 
+def work_in_lanes(
+    folder: Path,
+    job: SynthesisConfig,
+    scenario: Scenario,
+    stream: Callable[[Iterator[tuple[int, Any]]], Iterator[Shard]],
+    tally: Tally,
+) -> dict[int, Drawn]:
+    """Simulate and save the missing shards that nobody holds, as many at once as a device has lanes for.
+
+    A shard is claimed when lanes become free for its trials, and saved in a thread of its own while others are
+    simulated. Shards that fail, or that others hold, are left to :func:`work`.
+
+    Args:
+        folder, job, scenario, tally: as in :func:`work`.
+        stream: simulates shards (number, parameters), asking for the next one when it has room; returns them in any
+            order.
+
+    Returns:
+        what was drawn for the shards of this worker, by number.
+    """
+    held: dict[int, tuple[claims.Claim, Drawn]] = {}
+    drawn: dict[int, Drawn] = {}
+
+    def batches() -> Iterator[tuple[int, Any]]:
+        while is_open(folder):
+            skip = shards.finished(folder) | set(held) | set(drawn) | set(_failed(folder))
+            claimed = _claim(folder, [shard for shard in range(count(job)) if shard not in skip])
+            if claimed is None:
+                return
+            shard, claim = claimed
+            held[shard] = claim, scenario.draw_batch(job.seed, indices(job, shard), job.spec)
+            yield shard, held[shard][1][0]
+
+    def save(made: Shard) -> None:
+        shard = int(str(made.key))
+        _save(folder, scenario, shard, made.trials, made.tracks)
+        claim, drawn[shard] = held[shard]
+        claim.done()
+        del held[shard]
+
+    try:
+        with ThreadPoolExecutor(1) as writer:
+            saving: deque[Future[None]] = deque()
+            for shard in stream(batches()):
+                saving.append(writer.submit(save, shard))
+                while saving and (saving[0].done() or len(saving) > 2):  # more would fill the memory
+                    saving.popleft().result()
+                tally.show(shards.finished(folder))
+            while saving:
+                saving.popleft().result()
+    except Exception as error:
+        ours = isinstance(error, InputError | OSError)  # of the input or the machine: it would fail again
+        for claim, _ in held.values():
+            claim.release() if ours else claim.failed(_reason(error))
+        if ours:
+            raise
+    except BaseException:
+        for claim, _ in held.values():
+            claim.release()
+        raise
+    return drawn
+
+
 def is_open(folder: Path) -> bool:
     """Whether there is something to work on: the plan is there, and nobody joins its shards."""
     return shards.has_plan(folder) and all(
@@ -159,16 +225,24 @@ def _make(
             return None
         drawn = scenario.draw_batch(job.seed, indices(job, shard), job.spec)
         out, tracks = simulate(drawn[0])
-        labels = {} if tracks is None else records.of_labels(tracks, len(out.length))
-        shards.save(folder, shard, records.of_trials(out, scenario.recorded) | labels)
+        _save(folder, scenario, shard, out, tracks)
     except (InputError, OSError):  # of the input or the machine: the next shard would fare no better
         claim.release()
         raise
     except Exception as error:
-        claim.failed(f"{type(error).__name__}: {' '.join(str(error).split()) or 'no reason given'}".rstrip(".") + ".")
+        claim.failed(_reason(error))
         return None
     except BaseException:
         claim.release()
         raise
     claim.done()
     return drawn
+
+
+def _save(folder: Path, scenario: Scenario, shard: int, out: Rollouts, tracks: LabelTracks | None) -> None:
+    labels = {} if tracks is None else records.of_labels(tracks, len(out.length))
+    shards.save(folder, shard, records.of_trials(out, scenario.recorded) | labels)
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no reason given'}".rstrip(".") + "."

@@ -9,9 +9,12 @@ import jax
 import numpy as np
 import pytest
 
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.engines import device
 from sim_mjx.engines.lanes import Lanes
+from sim_mjx.synthesis import records
 from tests.support.plunger import PlungerParams, plunger, plunger_trials
 
 SCENE = plunger()
@@ -89,3 +92,20 @@ def test_trials_longer_than_all_before_fit() -> None:
     found = queued(params, [8, 8], Lanes(SCENE, "jax", 8, 2))
     for one, other in zip(found, waiting(params), strict=True):
         jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_shards_that_share_lanes_are_those_that_have_them_alone() -> None:
+    """Trials, labels and the order of the trials within a shard."""
+    params, config, limits = plunger_trials(TIMEOUT[:20]), EncoderConfig(window=5), np.asarray(preset().limits)
+    sizes = {"a": range(8), "b": range(8, 15), "c": range(15, 20)}
+    batches = ((key, some(params, rows)) for key, rows in sizes.items())
+    found = {shard.key: shard for shard in records.simulate_in_lanes(SCENE, batches, "mjx", 8, config, limits)}
+    assert set(found) == set(sizes)
+    for key, rows in sizes.items():
+        out, tracks = records.simulate_labelled(SCENE, some(params, rows), "mjx", config, limits)
+        for name, expected in vars(out).items():
+            np.testing.assert_array_equal(getattr(found[key].trials, name), expected)
+        again = records.of_labels(found[key].tracks, len(rows))
+        for name, values in records.of_labels(tracks, len(rows)).items():
+            np.testing.assert_array_equal(again[name], values)
+        assert again["llb.label"].any()

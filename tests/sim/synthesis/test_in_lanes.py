@@ -1,0 +1,91 @@
+"""Shards that share the lanes of a device: the store is the same, whatever ends first and whatever fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.registry import get_scenario
+from sim_mjx.synthesis import claims, shards, workers
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
+from sim_mjx.synthesis.regroup import Shard
+from sim_mjx.synthesis.workers import Tally
+from tests.support.fake_simulation import JOB, fake_engine, tree
+
+MADE = list[int]
+
+
+def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB) -> Path:
+    """Work of one worker in lanes on a new plan."""
+    target = tmp_path / "lanes.zarr"
+    folder = shards.folder_of(target)
+    shards.begin(folder, manifest_of(job))
+    workers.work_in_lanes(folder, job, get_scenario(job.preset), stream, Tally(job, set(), None))
+    return target
+
+
+def backwards(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+    """Takes three shards at a time and returns the last first."""
+    taken = []
+    for shard, params in batches:
+        taken.append(Shard(shard, fake_engine(params), None))
+        if len(taken) == 3:
+            yield from reversed(taken)
+            taken = []
+    yield from taken
+
+
+def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path) -> None:
+    target = run(tmp_path, backwards)
+    folder = shards.folder_of(target)
+    assert shards.finished(folder) == set(range(12))
+    assert not [one for tries in claims.board(folder).values() for one in tries]
+    synthesise(target, JOB, simulate=lambda _: pytest.fail("simulated again"))
+    synthesise(tmp_path / "plain.zarr", JOB, simulate=fake_engine)
+    assert tree(target) == tree(tmp_path / "plain.zarr")
+
+
+def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
+    seen: MADE = []
+
+    def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+        for shard, params in batches:
+            seen.append(shard)
+            yield Shard(shard, fake_engine(params), None)
+
+    folder = shards.folder_of(tmp_path / "lanes.zarr")
+    shards.begin(folder, manifest_of(JOB))
+    claim = claims.take(folder, shards.task(4))
+    assert claim is not None
+    run(tmp_path, stream)
+    assert seen == [shard for shard in range(12) if shard != 4]
+    claim.release()
+
+
+@pytest.mark.parametrize(
+    ("error", "state"), [(RuntimeError("lost device"), "failed"), (InputError("No disk."), "released")]
+)
+def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: str) -> None:
+    def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+        first, second, third = (next(batches) for _ in range(3))
+        yield Shard(second[0], fake_engine(second[1]), None)
+        assert first[0] != third[0]
+        raise error
+
+    if state == "released":
+        with pytest.raises(InputError, match=r"No disk\."):
+            run(tmp_path, stream)
+    else:
+        run(tmp_path, stream)
+    folder = shards.folder_of(tmp_path / "lanes.zarr")
+    assert shards.finished(folder) == {1}
+    board = claims.board(folder)
+    assert {one.state for task in (0, 2) for one in board[shards.task(task)]} == {state}
+    synthesise(tmp_path / "lanes.zarr", JOB, simulate=fake_engine)  # the others are made by the batch
+    synthesise(tmp_path / "plain.zarr", JOB, simulate=fake_engine)
+    assert tree(tmp_path / "lanes.zarr") == tree(tmp_path / "plain.zarr")
