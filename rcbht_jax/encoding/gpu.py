@@ -2,7 +2,8 @@
 
 A scan on a GPU launches kernels for every window and keeps its state in memory; this kernel does the same arithmetic,
 with the same functions, in one launch. It writes labels in order of time first, so that neighbouring lanes write side
-by side. Written in Pallas for Triton.
+by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit, but for ``avg`` and ``grad``
+of the words that end with the recording: XLA publishes them, whose quotient on a GPU may differ in the last digit.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from rcbht_jax.encoding import segments
 from rcbht_jax.encoding.encoder import (
     FLUSH_SLOTS,
     EncoderConfig,
+    EncoderState,
     chain,
-    drain_segments,
+    drain,
     track_of,
-    unpack_segments,
 )
-from rcbht_jax.encoding.segments import Rounded
+from rcbht_jax.encoding.segments import Divide
 from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 
 BLOCK = 128  # lanes of one program
 WARPS = 4  # one lane a thread
 _HELD = 8
+_AHEAD = 32  # windows up to this many samples are read one window ahead
 _INTEGERS = ("label", "t0", "t1", "emit")
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _LARGEST = 2**31 - 1  # elements that 32-bit offsets reach
@@ -109,11 +111,6 @@ def encode(
     """
     trials, samples, axes = wrench.shape
     lanes, windows = trials * axes, -(-samples // config.window)
-    rounded = segments.XLA if interpret else _IEEE
-    launch = partial(
-        pl.pallas_call, grid=(pl.cdiv(lanes, block),), interpret=interpret,
-        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
-    )  # fmt: skip
     columns = [
         jax.ShapeDtypeStruct(((windows + extra) * lanes,), _dtype(name)) for extra in FLUSH_SLOTS for name in _FIELDS
     ]
@@ -122,19 +119,25 @@ def encode(
         jax.ShapeDtypeStruct((4 * _HELD * lanes,), jnp.float32),
         jax.ShapeDtypeStruct((lanes,), jnp.int32),
     ]
-    kernel = partial(_walk, config, rounded, samples, axes, lanes, block)
+    call = pl.pallas_call(
+        partial(_kernel, config, samples, axes, lanes, block, jnp.true_divide if interpret else _divide),
+        grid=(pl.cdiv(lanes, block),),
+        out_shape=[*columns, *state],
+        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
+        interpret=interpret,
+        name="rcbht_encode",
+    )
     # loaded, not compiled in: a compiler must not regroup products of what it knows
     table = jnp.asarray([*segments.squared_offsets(config.window, config.dt), config.dt], jnp.float32)
-    *begun, ints, reals, time = launch(kernel, out_shape=[*columns, *state], name="rcbht_encode")(
-        limits.reshape(-1), table, jnp.repeat(length, axes), wrench.reshape(-1)
-    )
-    ends = drain_segments(config, unpack_segments(ints.reshape(-1, lanes), reals.reshape(-1, lanes)))
-    held = [leaf.reshape(-1) for end in ends for leaf in jax.tree.leaves(end)]
-    places = {1 + len(held) + place: place for place in range(len(begun))}  # written in place: a copy costs as much
-    kernel = partial(_append, rounded, windows, lanes, block)
-    whole = launch(kernel, out_shape=columns, input_output_aliases=places, name="rcbht_end")(time, *held, *begun)
-    layers = (whole[place : place + len(_FIELDS)] for place in range(0, len(whole), len(_FIELDS)))
-    return LabelTracks(*(LabelTrack(*(column.reshape(-1, lanes) for column in layer)) for layer in layers))
+    *begun, ints, reals, time = call(limits.reshape(-1), table, jnp.repeat(length, axes), wrench.reshape(-1))
+    ends = drain(config, EncoderState(time, ints.reshape(-1, lanes), reals.reshape(-1, lanes)))
+    tracks, width = [], len(_FIELDS)
+    for number, end in enumerate((ends.primitive, ends.mc, ends.llb)):
+        own = [column.reshape(-1, lanes) for column in begun[number * width : (number + 1) * width]]
+        last = [getattr(end, name).T for name in _FIELDS]
+        joined = (jax.lax.dynamic_update_slice(a, b, (windows, 0)) for a, b in zip(own, last, strict=True))  # in place
+        tracks.append(LabelTrack(*joined))
+    return LabelTracks(*tracks)
 
 
 def _dtype(name: str) -> Any:
@@ -160,15 +163,15 @@ class _Lanes:
         """Write the lanes' elements of a row."""
         triton.store(ref.at[row * self._lanes + self.number], values.astype(ref.dtype), mask=self._inside)
 
-    def publish(self, columns: Sequence[Any], row: Any, segment: Segment, emit: Array, rounded: Rounded) -> None:
+    def publish(self, columns: Sequence[Any], row: Any, segment: Segment, emit: Array, divide: Divide) -> None:
         """Write a layer's label, or the zeros of none."""
-        track = track_of(segment, emit, rounded.quotient)
+        track = track_of(segment, emit, divide)
         for ref, name in zip(columns, _FIELDS, strict=True):
             self.store(ref, row, getattr(track, name))
 
 
-def _walk(
-    config: EncoderConfig, rounded: Rounded, samples: int, axes: int, lanes: int, block: int,
+def _kernel(
+    config: EncoderConfig, samples: int, axes: int, lanes: int, block: int, divide: Divide,
     limits_ref: Any, table_ref: Any, length_ref: Any, wrench_ref: Any, *outputs: Any,
 ) -> None:  # fmt: skip
     """One block of lanes from the first window to the last."""
@@ -184,35 +187,41 @@ def _walk(
         at = jnp.minimum(index, samples - 1)  # beyond the array nothing counts
         return own.load(wrench_ref, first + at * axes)
 
+    def window_from(begin: int | Array) -> list[Array]:
+        """The samples of a window; of a long one none, which is read as it is summed."""
+        return [sample(begin + index) for index in range(config.window)] if config.window <= _AHEAD else []
+
     def body(window: Array, carry: Any) -> Any:
-        time, held = carry
+        time, held, values = carry
         begin = window * config.window
+        following = window_from(begin + config.window)  # asked for now, needed a window later
         count = jnp.clip(length - begin, 0, config.window)
         most = jnp.maximum(count, 2)
         n = most.astype(jnp.float32)
-        sums = (jnp.zeros(block, jnp.float32), jnp.zeros(block, jnp.float32))
 
         def add(index: Any, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-            return segments.accumulate(sums, jnp.asarray(index, jnp.int32), sample(begin + index), count, (n - 1) / 2)
+            y = values[index] if values else sample(begin + index)
+            return segments.accumulate(sums, jnp.asarray(index, jnp.int32), y, count, (n - 1) / 2)
 
-        if segments.unrolled(config.window) is True:
+        sums = (jnp.zeros(block, jnp.float32), jnp.zeros(block, jnp.float32))
+        if values:
             for index in range(config.window):
                 sums = add(index, sums)
         else:
             sums = jax.lax.fori_loop(0, config.window, add, sums)
-        slope, x = segments.line_of(*sums, n, own.load(table_ref, most), period, time, count, rounded)
+        slope, x = segments.line_of(*sums, n, own.load(table_ref, most), period, time, count, divide)
         label = jnp.where(count >= 2, segments.gradient_label(slope, limits), 0)
         size = jnp.where(label > 0, count, 0)
         x = Segment(label, time, time + size, x.vmax, x.vmin, x.area, x.rise)
         held, out = chain(config, held, x)
         for number, segment in enumerate(out):
             layer = columns[number * len(_FIELDS) : (number + 1) * len(_FIELDS)]
-            own.publish(layer, window, segment, time + size, rounded)
-        return time + size, held
+            own.publish(layer, window, segment, time + size, divide)
+        return time + size, held, following
 
     whole, real = jnp.zeros(block, jnp.int32), jnp.zeros(block, jnp.float32)
     empty = [Segment(whole, whole, whole, real, real, real, real)] * _HELD
-    time, held = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty))
+    time, held, _ = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty, window_from(0)))
     for number, segment in enumerate(held):
         for place, values in enumerate((segment.label, segment.t0, segment.t1)):
             own.store(ints_ref, 3 * number + place, values)
@@ -221,33 +230,10 @@ def _walk(
     own.store(time_ref, 0, time)
 
 
-def _append(rounded: Rounded, windows: int, lanes: int, block: int, time_ref: Any, *refs: Any) -> None:
-    """What the end of the stream publishes, behind the labels of the windows.
-
-    ``refs`` are the segments that are published, seven arrays a layer, the columns as they were, and the columns.
-    """
-    own, width = _Lanes(lanes, block), len(fields(Segment))
-    columns = refs[-len(FLUSH_SLOTS) * len(_FIELDS) :]
-    time = own.row(time_ref, 0)
-    for layer, slots in enumerate(FLUSH_SLOTS):
-        mine = columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)]
-        for slot in range(slots):
-            segment = Segment(*(own.row(ref, slot) for ref in refs[layer * width : (layer + 1) * width]))
-            own.publish(mine, windows + slot, segment, time, rounded)
-
-
-def _assembled(instruction: str) -> Callable[[Array, Array], Array]:
-    """An instruction of two float32 operands that no compiler changes."""
-
-    def run(x: Array, y: Array) -> Array:
-        kind = jax.ShapeDtypeStruct(x.shape, jnp.float32)
-        (out,) = triton.elementwise_inline_asm(
-            f"{instruction} $0, $1, $2;", args=[x, y], constraints="=f,f,f", pack=1, result_shape_dtypes=[kind]
-        )
-        return out
-
-    return run
-
-
-# As IEEE 754 rounds, and a CPU: Triton's own quotient may be two digits off.
-_IEEE = Rounded(_assembled("div.rn.f32"), _assembled("mul.rn.f32"))
+def _divide(x: Array, y: Array) -> Array:
+    """The quotient as IEEE 754 rounds it, and as a CPU does; Triton's own may be two digits off."""
+    kind = jax.ShapeDtypeStruct(x.shape, jnp.float32)
+    (out,) = triton.elementwise_inline_asm(
+        "div.rn.f32 $0, $1, $2;", args=[x, y], constraints="=f,f,f", pack=1, result_shape_dtypes=[kind]
+    )
+    return out

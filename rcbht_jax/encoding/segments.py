@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +17,7 @@ _TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the lo
 _SURE = 40.0  # logit of the sign of a slope far above the small limit
 
 
-class Rounded(NamedTuple):
-    """How a compiler is made to round."""
-
-    quotient: Callable[[Array, Array], Array]
-    product: Callable[[Array, Array], Array]  # never part of a fused multiply-add
-
-
-XLA = Rounded(jnp.true_divide, lambda x, y: x / (1 / y))  # which it turns into a product, and fuses with no sum
+Divide = Callable[[Array, Array], Array]
 
 
 def fit(samples: Array, count: Array, limits: Array, dt: float, t0: Array) -> Segment:
@@ -61,13 +53,16 @@ def line(samples: Array, count: Array, dt: float, t0: Array) -> tuple[Array, Seg
 
 def line_of(
     total: Array, moment: Array, n: Array, spread: Array, period: Array, t0: Array, count: Array,
-    rounded: Rounded = XLA,
+    divide: Divide = jnp.true_divide,
 ) -> tuple[Array, Segment]:  # fmt: skip
-    """What :func:`line` returns, from the sums over ``n`` samples; the compiler must not know ``n`` and ``spread``."""
-    slope = rounded.quotient(moment, spread)
+    """What :func:`line` returns, from the sums over ``n`` samples; the compiler must not know ``n`` and ``spread``.
+
+    ``divide`` is the quotient as IEEE 754 rounds it.
+    """
+    slope = divide(moment, spread)
     half = jnp.abs(slope) * (n - 1) * period * 0.5
-    mean = rounded.quotient(total, n)
-    rise = rounded.product(slope, n)
+    mean = divide(total, n)
+    rise = divide(moment * n, spread)  # slope * n would be fused with the sum that it enters
     return slope, Segment(jnp.zeros_like(t0), t0, t0 + count, mean + half, mean - half, total, rise)
 
 
