@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,12 +25,14 @@ import numpy as np
 
 from experiments._lib.results_io import machine
 from experiments.simulation.engines import SEED, trials_of
+from rcbht_jax.io import label_parts, store, store_writer
 from sim_mjx import engines
 from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
-from sim_mjx.engines import device
+from sim_mjx.engines import device, lanes
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import assemble, pipeline, records
+from sim_mjx.synthesis import pipeline, records
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.validation.engine_parity import parity, reference
 
@@ -114,26 +118,44 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
         for turn in ("with_compilation_s", "seconds"):
             job = SynthesisConfig("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
-            with _stopwatch(spans):
+            with _stopwatch(spans), _kept_lanes() as kept:
                 start = time.perf_counter()
                 report = pipeline.synthesise(Path(folder) / f"{turn}.zarr", job)
                 out[turn] = round(time.perf_counter() - start, 2)
+            out |= {"lanes": kept[0].count, "utilisation": round(kept[0].utilisation, 3)}
             out[turn + "_by_part"] = {name: round(value, 2) for name, value in spans.items()}
         out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
         files = [file for file in (Path(folder) / "seconds.zarr").rglob("*") if file.is_file()]
         out["store_GB"] = round(sum(file.stat().st_size for file in files) / 1e9, 3)
-        lengths = pipeline.store.read_recordings(Path(folder) / "seconds.zarr").length
+        lengths = store.read_table(Path(folder) / "seconds.zarr").length
         out["physics_steps_per_trial"] = round(float(lengths.mean()) * SUBSTEPS)
-    return out
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return out | {"host_memory_peak_GB": round(peak * 1024 / 1e9, 2)}
+
+
+@contextmanager
+def _kept_lanes() -> Iterator[list[lanes.Lanes]]:
+    """The lanes that are made meanwhile."""
+    made, begin = list[lanes.Lanes](), lanes.Lanes.__init__
+
+    def kept(self: lanes.Lanes, *args: Any, **options: Any) -> None:
+        begin(self, *args, **options)
+        made.append(self)
+
+    lanes.Lanes.__init__ = kept  # type: ignore[method-assign]
+    try:
+        yield made
+    finally:
+        lanes.Lanes.__init__ = begin  # type: ignore[method-assign]
 
 
 class _stopwatch:
-    """Seconds spent in the parts of a synthesis."""
+    """Seconds spent in the parts of a synthesis, summed over the threads that are at work at the same time."""
 
-    PARTS = ((records, "simulate_labelled"), (device, "run"), (device, "to_host"), (device, "fields_of"),
-             (records, "encode_on_device"), (pipeline.records, "of_trials"), (pipeline.shards, "save"),
-             (pipeline, "assemble"),
-             (assemble.store_writer, "write_part"), (assemble.label_parts, "write_part"))  # fmt: skip
+    PARTS: tuple[tuple[Any, str], ...] = (
+        (Draft, "draw"), (device, "fields_of"), (device, "to_host"), (records, "encode_on_device"),
+        (Draft, "write"), (records, "of_trials"), (store_writer, "write_part"), (label_parts, "write_part"),
+    )  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
         spans.clear()
@@ -142,7 +164,8 @@ class _stopwatch:
     def __enter__(self) -> None:
         self._kept = [(module, name, getattr(module, name)) for module, name in self.PARTS]
         for module, name, function in self._kept:
-            setattr(module, name, self._watched(name, function))
+            part = f"{module.__name__.rpartition('.')[2]}.{name}"
+            setattr(module, name, self._watched(part, function))
 
     def __exit__(self, *error: object) -> None:
         for module, name, function in self._kept:
@@ -152,8 +175,6 @@ class _stopwatch:
         def call(*args: Any, **options: Any) -> Any:
             start = time.perf_counter()
             out = function(*args, **options)
-            if name in ("run", "encode_on_device"):
-                jax.block_until_ready(out)
             self._spans[name] = self._spans.get(name, 0.0) + time.perf_counter() - start
             return out
 
@@ -171,7 +192,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8192)
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
     parser.add_argument("--trials", type=int, default=10000)
-    parser.add_argument("--shard", type=int, default=10000)
+    parser.add_argument("--shard", type=int, default=256)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     parser.add_argument("--scratch", type=Path, default=None)
     options = parser.parse_args()

@@ -2,8 +2,9 @@
 
 A scan on a GPU launches kernels for every window and keeps its state in memory; this kernel does the same arithmetic,
 with the same functions, in one launch. It writes labels in order of time first, so that neighbouring lanes write side
-by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit, but for ``avg`` and ``grad``
-of the words that end with the recording: XLA publishes them, whose quotient on a GPU may differ in the last digit.
+by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit, but for ``avg`` and
+``grad`` of the words that end with the recording: XLA publishes them, whose quotient on a GPU may differ in the last
+digit.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import hashlib
 import json
 import math
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -128,6 +129,25 @@ def seal(folder: Path, number: int, digest: str) -> None:
 def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
     """Digest of the arrays of a part, whatever their padding."""
     return content_hash(_trimmed(np.asarray(values[name]), fields[name].grows) for name in sorted(fields))
+
+
+def discard(folder: Path, number: int) -> None:
+    """Delete a part of all tables in a folder, whether it is damaged or not; its digests go first."""
+    files = []
+    for metadata in folder.rglob("zarr.json"):
+        dimensions = json.loads(metadata.read_text()).get("dimension_names") or [""]
+        if dimensions[0] in ("trial", "part"):
+            files.append(metadata.parent / "c" / str(number))
+    for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):
+        if file.is_dir():
+            shutil.rmtree(file)
+        else:
+            file.unlink(missing_ok=True)
+
+
+def digest_file(number: int) -> str:
+    """Where in the folder of a table the digest of a part is: a file that appears at once, when the part is there."""
+    return f"{DIGESTS}/c/{number}/0"
 
 
 def digests(group: zarr.Group) -> list[str | None]:

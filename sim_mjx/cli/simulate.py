@@ -50,8 +50,8 @@ class Simulate(Command):
     """Seed of the random numbers; with its index it determines a trial."""
     nominal_share: float = 0.5
     """Fraction of the trials without a fault, 0 to 1."""
-    shard: int | None = None
-    """Trials that are saved together; default 256, mjx 1024, warp 2048. An interruption loses unsaved ones."""
+    shard: int = 256
+    """Trials that are saved together; an interruption loses unsaved ones."""
     max_seconds: float | None = None
     """Longest duration of a trial, s; default the limit of the session."""
     engine: Literal["native", "mjx", "warp"] = "native"
@@ -83,14 +83,13 @@ class Simulate(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
         from sim_mjx.cli.simulate_workers import be_worker, helpers, status
-        from sim_mjx.synthesis.pipeline import SHARD, synthesise
+        from sim_mjx.synthesis.pipeline import synthesise
         from sim_mjx.synthesis.plan import SynthesisConfig
 
         if self.status:
             return status(self.out)
         name, spec = self._chosen()
-        shard = SHARD[self.engine] if self.shard is None else self.shard
-        job = SynthesisConfig(name, self.trials, self.seed, self.engine, shard, spec, self.window)
+        job = SynthesisConfig(name, self.trials, self.seed, self.engine, self.shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
         start = time.perf_counter()

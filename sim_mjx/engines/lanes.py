@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,7 +48,8 @@ class Lanes:
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
-        spare: slots for finished trials, beside one of each lane; default ``at_once``. With 0 none is refilled early.
+        spare: slots for finished trials, beside one of each lane; default half as many as lanes, or ``at_once``. With 0
+            none is refilled early.
     """
 
     scene: Scene
@@ -67,7 +68,10 @@ class Lanes:
     def run(
         self, batches: Iterable[tuple[Hashable, Any]], *, progress: Callable[[int], None] | None = None
     ) -> Iterator[tuple[list[Trial], Outcome]]:
-        """Simulate batches of trials; yields the finished trials by ``at_once``, in order of their end.
+        """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
+
+        A batch stays on the device until all its trials have ended, unless lanes wait for its slots. What is yielded
+        always has ``at_once`` rows, so that what follows is compiled once: those behind the trials mean nothing.
 
         Args:
             batches: (key, parameters of the scene's program), best none larger than the first; one is asked for when
@@ -79,10 +83,10 @@ class Lanes:
         if not queue.refilled():
             return
         lanes = -(-self.count // device.LANES) * device.LANES
-        slots = lanes + (self.at_once if self.spare is None else self.spare)
+        slots = lanes + (max(self.at_once, lanes // 2) if self.spare is None else self.spare)
         fixed = self._fixed(queue, lanes)
         state = programs.start(layout, fixed)
-        free, done = list(range(slots))[::-1], list[tuple[Trial, int, int]]()
+        free, done = list(range(slots))[::-1], _Done(self.at_once)
         trial: list[Trial | None] = [None] * lanes
         slot, age = np.full(lanes, slots), np.zeros(lanes, np.int64)
         logs: Logs | None = None
@@ -115,13 +119,12 @@ class Lanes:
             if progress is not None:
                 progress(int(running[working].sum()))
             for lane in np.flatnonzero(working & (ended | (age >= queue.blocks))).tolist():
-                done.append((trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
+                done.add(_Ended(trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
                 trial[lane], slot[lane] = None, slots
-            last = not queue.refilled() and all(one is None for one in trial)
-            while len(done) >= self.at_once or (last and done):
-                batch, done = done[: self.at_once], done[self.at_once :]
-                yield self._taken_out(batch, logs)
-                free += [place for _, place, _ in batch]
+            more = queue.refilled()
+            while ready := done.take(queue.sizes, short=more and len(free) < trial.count(None)):
+                yield self._taken_out(ready, logs)
+                free += [one.slot for one in ready]
 
     def _fixed(self, queue: _Queue, lanes: int) -> Fixed:
         """The lanes with the first trials of the queue; a spare lane repeats the last of them."""
@@ -130,17 +133,44 @@ class Lanes:
         fields, params = jax.tree.map(lambda leaf: leaf[rows], queue.pool)
         return Fixed(model, fields, params, empty)
 
-    def _taken_out(self, batch: list[tuple[Trial, int, int]], logs: Logs) -> tuple[list[Trial], Outcome]:
-        """The trials of some slots, in the order of the slots."""
-        batch = sorted(batch, key=lambda one: one[1])
-        trials, slots, ages = zip(*batch, strict=True)
-        spare = self.at_once - len(batch)
+    def _taken_out(self, ready: list[_Ended], logs: Logs) -> tuple[list[Trial], Outcome]:
+        trials, slots, ages = zip(*ready, strict=True)
+        spare = self.at_once - len(ready)
         padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
         settling = -(-SETTLING // self.scene.substeps)
         # of a queue always as long as can be: each length is a program more to compile for what comes after
         blocks = max(ages) if self.spare == 0 else logs.phase.shape[1]
-        out = _outcome(settling, len(batch), blocks, self.scene.program, logs, *padded)
-        return list(trials), out
+        return list(trials), _outcome(settling, blocks, self.scene.program, logs, *padded)
+
+
+class _Ended(NamedTuple):
+    trial: Trial
+    slot: int
+    blocks: int  # that it has written
+
+
+class _Done:
+    """Trials that have ended and are still on the device."""
+
+    def __init__(self, at_once: int) -> None:
+        self._at_once, self._ended = at_once, dict[Hashable, list[_Ended]]()  # by batch
+
+    def add(self, one: _Ended) -> None:
+        self._ended.setdefault(one.trial[0], []).append(one)
+
+    def take(self, sizes: dict[Hashable, int], short: bool) -> list[_Ended]:
+        """Up to ``at_once`` trials to take out: of a batch that is complete, or if slots are short of the fullest."""
+        key = next((key for key, ended in self._ended.items() if len(ended) == sizes[key]), None)
+        if key is None and short and self._ended:
+            key = max(self._ended, key=lambda key: len(self._ended[key]))
+        if key is None:
+            return []
+        ready = sorted(self._ended.pop(key), key=lambda one: one.trial[1])
+        ready, rest = ready[: self._at_once], ready[self._at_once :]
+        sizes[key] -= len(ready)
+        if rest:
+            self._ended[key] = rest
+        return ready
 
 
 class _Queue:
@@ -150,6 +180,7 @@ class _Queue:
         self._scene, self._batches, self._size = scene, batches, 0
         self._next = self._stop = 0
         self.key: Hashable = None
+        self.sizes = dict[Hashable, int]()  # trials of each batch that are not taken out
         self.pool: Any = None  # model fields and parameters of the batch [trial, ...]
         self.blocks = 0  # stretches that the longest trial can take
 
@@ -167,6 +198,7 @@ class _Queue:
             return False
         self.key, params = drawn
         self._next, self._stop = 0, batch_size(params)
+        self.sizes[self.key] = self._stop
         self._size = max(self._size, self._stop)
         rows = np.minimum(np.arange(self._size), self._stop - 1)  # always as many: one compiled program
         params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
@@ -250,16 +282,14 @@ def _longer(logs: Logs, blocks: int) -> Logs:
     return Logs(grown(logs.wrench), grown(logs.joints), grown(logs.phase), logs.seated)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _outcome(
-    settling: int, count: int, blocks: int, program: Program, logs: Logs, slots: Array, ages: Array
-) -> Outcome:
-    """The first ``count`` of some slots, from time zero; ``ages`` are the blocks that each has written."""
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _outcome(settling: int, blocks: int, program: Program, logs: Logs, slots: Array, ages: Array) -> Outcome:
+    """Some slots from time zero; ``ages`` are the blocks that each has written."""
 
     def whole(leaf: Array) -> Array:
         there = leaf[slots, :blocks]
-        return there.reshape(len(slots), -1, *leaf.shape[3:])[:count, settling:]
+        return there.reshape(len(slots), -1, *leaf.shape[3:])[:, settling:]
 
-    there = jnp.repeat(jnp.arange(blocks)[None] < ages[:, None], device.STRETCH, axis=1)[:count, settling:]
+    there = jnp.repeat(jnp.arange(blocks)[None] < ages[:, None], device.STRETCH, axis=1)[:, settling:]
     phase = jnp.where(there, whole(logs.phase), program.ended)
-    return Outcome(whole(logs.wrench), whole(logs.joints), phase, logs.seated[slots][:count], program)
+    return Outcome(whole(logs.wrench), whole(logs.joints), phase, logs.seated[slots], program)

@@ -1,20 +1,20 @@
 """Simulate trials into a store: in shards, by any number of workers, resumable, with the same bytes in every case.
 
-Each shard is simulated and saved in a work folder beside the target (``sim_mjx.synthesis.shards``); when all are there
-they are joined into one store, of which each is a part. A trial depends on seed and index alone, so the shard size
+The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``), of which each shard is a part; when
+all are there it is completed and moved to its place. A trial depends on seed and index alone, so the shard size
 decides only how much an interruption costs and how the files of the store are divided. The store holds no date. Its
 group ``simulation/`` has one row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn
 parameters (``Scenario.parameters``). A two-arm trial is two recordings, right arm and left arm, as the importer stores
 them.
 
 Processes that are given the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on
-several that see the same folder. The last one joins the shards.
+several that see the same folder. The last one completes the store.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,15 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from rcbht_jax._util.atomic import flush_tree
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import claims, records, shards, workers
-from sim_mjx.synthesis.assemble import Drawn, assemble
 from sim_mjx.synthesis.batches import Halving
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.plan import (
     SynthesisConfig,
     check,
@@ -45,8 +44,6 @@ from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
-# Default trials per shard: what an interruption of C MuJoCo costs at most.
-SHARD = {"native": 256, "mjx": 1024, "warp": 2048}
 LANES = {"mjx": 8192, "warp": 16384}  # trials that a device steps together, of as many shards as it takes
 
 
@@ -94,24 +91,25 @@ def synthesise(
     finished = folder.is_dir() and _is_result(target, manifest)
     store.check_target(target, overwrite or finished)
     shards.begin(folder, manifest)
-    drawn: dict[int, Drawn] = {}
     if not finished:
         shards.renew(folder)
-    tally = Tally(job, set(range(workers.count(job))) if finished else shards.finished(folder), progress)
+    draft = Draft(folder, job, scenario, manifest)
+    everything = set(range(draft.shards))
+    tally = Tally(job, everything if finished else shards.finished(folder), progress)
     if not finished:
         if helpers is not None:
             helpers(lambda: tally.show(shards.finished(folder)))
-        drawn = _work(folder, job, scenario, simulate, tally, notice)
+        _work(draft, simulate, tally, notice)
     with claims.wait_for(folder, "join") as ours:
         if ours and shards.has_plan(folder):
             if finished:
                 shards.remove(folder)
             else:
-                _join(target, folder, job, scenario, manifest, drawn, overwrite)
+                _complete(target, draft, overwrite)
     shards.close(folder)
     if not _is_made_by(target, manifest):
         raise InputError(f"{folder} was removed while its trials were simulated; run the same command again.")
-    tally.show(set(range(workers.count(job))))  # other processes may have made the last ones
+    tally.show(everything)  # other processes may have made the last ones
     return _report(target, len(scenario.arms), tally.resumed)
 
 
@@ -144,40 +142,31 @@ def work_on(
             return 0, True
         store.check_target(target, False)
     shards.begin(folder, manifest)
-    tally = Tally(job, shards.finished(folder), progress)
-    drawn = _work(folder, job, scenario, simulate, tally, notice)
+    draft = Draft(folder, job, scenario, manifest)
+    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
             if shards.has_plan(folder) and not target.exists():
-                _join(target, folder, job, scenario, manifest, drawn, False)
+                _complete(target, draft, False)
         finally:
             claim.release()
         shards.close(folder)
-    return sum(len(faults) for _, faults in drawn.values()), _is_made_by(target, manifest)
+    return made, _is_made_by(target, manifest)
 
 
-def _join(
-    target: Path,
-    folder: Path,
-    job: SynthesisConfig,
-    scenario: Scenario,
-    manifest: dict[str, Any],
-    drawn: dict[int, Drawn],
-    overwrite: bool,
-) -> None:
-    """Make the store of the shards and delete them; the caller holds the claim "join"."""
-    if overwrite or not _is_result(target, manifest):  # which another has just made, and was killed
-        draft = assemble(folder, job, scenario, manifest, drawn)
+def _complete(target: Path, draft: Draft, overwrite: bool) -> None:
+    """Have the store at its place, complete; the caller holds the claim "join"."""
+    if overwrite or not _is_result(target, draft.manifest):  # which another has just made, and was killed
+        draft.finish()
         store.check_target(target, overwrite)  # again: something may have appeared there meanwhile
         if target.exists():
-            target.rename(folder / f"replaced-{time.time_ns()}.zarr")
-        draft.rename(target)
-        flush_tree(target)  # before the shards are deleted
-    shards.remove(folder)
+            target.rename(draft.folder / f"replaced-{time.time_ns()}.zarr")
+        draft.path.rename(target)
+    shards.remove(draft.folder)
 
 
-def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
+def _is_result(target: Path, manifest: Mapping[str, Any]) -> bool:
     """Whether the target is complete, made by a run with these options that was killed before it deleted its folder."""
     if not _is_made_by(target, manifest):
         return False
@@ -188,7 +177,7 @@ def _is_result(target: Path, manifest: dict[str, Any]) -> bool:
     return True
 
 
-def _is_made_by(target: Path, manifest: dict[str, Any]) -> bool:
+def _is_made_by(target: Path, manifest: Mapping[str, Any]) -> bool:
     """Whether the target is a store that says that it was made with these options."""
     if not target.exists():
         return False
@@ -199,26 +188,19 @@ def _is_made_by(target: Path, manifest: dict[str, Any]) -> bool:
     return known is not None and shards.as_json(known) == shards.as_json(provenance(manifest))
 
 
-def _work(
-    folder: Path,
-    job: SynthesisConfig,
-    scenario: Scenario,
-    simulate: Simulate | None,
-    tally: Tally,
-    notice: Callable[[str], None] | None,
-) -> dict[int, Drawn]:
-    """Simulate and save the missing shards: on a device as its lanes become free, and what is left by batches."""
-    drawn: dict[int, Drawn] = {}
+def _work(draft: Draft, simulate: Simulate | None, tally: Tally, notice: Callable[[str], None] | None) -> int:
+    """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
+    made, job, scenario = 0, draft.job, draft.scenario
     if simulate is None and job.engine in LANES:
         lanes = min(LANES[job.engine], job.trials)
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
         def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
-            return records.simulate_in_lanes(scene, batches, job.engine, lanes, *labels)
+            return records.simulate_in_lanes(scene, batches, job.engine, lanes, min(job.shard, lanes), *labels)
 
-        drawn = workers.work_in_lanes(folder, job, scenario, stream, tally)
-    return drawn | workers.work(folder, job, scenario, Halving(_labelled(job, scenario, simulate), notice), tally)
+        made = workers.work_in_lanes(draft, stream, tally)
+    return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
 
 
 def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | None) -> Callable[[Any], Labelled]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -114,7 +115,7 @@ def encoding_hash() -> str:
     return files_hash(root, sorted([*(root / "encoding").glob("*.py"), root / "labels.py", root / "types.py"]))
 
 
-def provenance(manifest: dict[str, Any]) -> dict[str, Any]:
+def provenance(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """The part of the manifest that determines the store: all but the shard size."""
     job = {name: value for name, value in manifest["job"].items() if name != "shard"}
     return {"job": job, "versions": manifest["versions"]}

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_on_device
@@ -26,10 +26,9 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
 from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
-from sim_mjx.synthesis.shards import Arrays
 
+Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
-AT_ONCE = 8  # shares of the lanes whose ended trials leave the device together
 TILTS = 2**16  # angles that are computed at once
 # No robot of this kind measures or moves so much: beyond, the physics has diverged, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
@@ -165,6 +164,7 @@ def simulate_in_lanes(
     batches: Iterable[tuple[Hashable, Any]],
     engine: str,
     lanes: int,
+    at_once: int,
     config: EncoderConfig | None = None,
     limits: Float[Array, "6 4"] | None = None,
 ) -> Iterator[Shard]:
@@ -177,6 +177,7 @@ def simulate_in_lanes(
         batches: (key, batch of trials of the scene's program).
         engine: "mjx" or "warp".
         lanes: trials that are stepped together.
+        at_once: trials that leave the device together, best those of a batch.
         config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
 
     Raises:
@@ -196,7 +197,7 @@ def simulate_in_lanes(
     def onto_host(trials: list[Trial], out: device.Outcome, tracks: LabelTracks | None) -> list[Shard]:
         return group.add(trials, device.to_host(out), jax.device_get(tracks))
 
-    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, max(1, lanes // AT_ONCE))
+    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
     with ThreadPoolExecutor(1) as host:
         waiting: deque[Future[list[Shard]]] = deque()
         for trials, out in machine.run(expected()):

@@ -50,7 +50,7 @@ class Regroup:
 
         Args:
             trials: shard and number in it of each.
-            out: the trials.
+            out: the trials; rows behind the last of them are ignored.
             tracks: their labels ``[trial * wrist, axis, slot]``, or none.
 
         Returns:
@@ -61,7 +61,7 @@ class Regroup:
         for key in dict.fromkeys(keys):
             at = np.array([place for place, other in enumerate(keys) if other == key])
             rows = np.array([trials[place][1] for place in at])
-            self._pieces[key].append(_Piece(rows, at, _taken(out, at), _labels_taken(tracks, at, len(trials))))
+            self._pieces[key].append(_Piece(rows, at, _taken(out, at), _labels_taken(tracks, at, len(out.length))))
             self._missing[key] -= len(rows)
             if not self._missing[key]:
                 del self._missing[key]

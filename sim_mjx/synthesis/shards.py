@@ -1,15 +1,14 @@
-"""The work folder of a synthesis: ``manifest.json``, one checksummed file per finished shard, and ``claims/``.
+"""The work folder of a synthesis: ``manifest.json``, ``claims/``, and the store as far as it is there.
 
-A shard is a batch of consecutive trials; the manifest holds everything that determines their content, so that workers
-share, and a later run resumes, only their own shards. Files are written atomically: a kill leaves finished shards and
-at most one partial file, which a run that finds nobody at work deletes. Who is at work on what tell the claims
-(:mod:`sim_mjx.synthesis.claims`).
+A shard is a batch of consecutive trials, and a part of the store; the manifest holds everything that determines its
+content, so that workers share, and a later run resumes, only their own shards. A shard counts as finished when its
+digest is there, which is written last: what a kill leaves of others is written again. Who is at work on what tell the
+claims (:mod:`sim_mjx.synthesis.claims`).
 """
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Mapping
@@ -17,18 +16,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Shaped
-
-from rcbht_jax._util.atomic import atomic_new, atomic_write
-from rcbht_jax._util.digest import content_hash
+from rcbht_jax._util.atomic import atomic_new
 from rcbht_jax._util.json_file import load_json
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import label_parts, parts, store_reader
+from rcbht_jax.io.store_reader import Stored
+from rcbht_jax.io.store_schema import LABELS, open_store
 from sim_mjx.synthesis import claims
 
 MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
 _TRIES = 25
-Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 
 
 def folder_of(target: Path) -> Path:
@@ -60,25 +57,40 @@ def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def renew(folder: Path) -> None:
-    """Where nobody is at work: forget failed attempts and delete partial files and damaged shards."""
+    """Where nobody is at work: forget failed attempts, delete partial files, and have damaged shards made again."""
     with claims.wait_for(folder, "begin"):
         if any(tries[-1].state == "held" for task, tries in claims.board(folder).items() if task != "begin"):
             return
         claims.clear(folder)
-        for leftover in folder.glob(PARTIAL):
-            leftover.unlink(missing_ok=True)
+        for leftover in [*folder.glob(PARTIAL), *store_of(folder).rglob("*.partial")]:
+            shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
+        try:
+            stored = Stored.of(store_of(folder), open_store(store_of(folder)))
+        except InputError:  # none yet, or one that is no use
+            shutil.rmtree(store_of(folder), ignore_errors=True)
+            return
         for shard in finished(folder):
-            if load(folder, shard) is None:
-                _file(folder, shard).unlink(missing_ok=True)
+            if not _is_intact(stored, shard):
+                parts.discard(stored.path, shard)
+
+
+def store_of(folder: Path) -> Path:
+    """The store that is being made."""
+    return folder / "store.zarr"
 
 
 def finished(folder: Path) -> set[int]:
     """Numbers of the shards that are there; none where the folder is gone."""
-    try:
-        names = os.listdir(folder)
-    except FileNotFoundError:
-        return set()
-    return {int(name[6:-4]) for name in names if name.startswith("shard-") and name.endswith(".npz")}
+    return {int(path.parent.name) for path in _digest(folder, 0).parent.parent.glob("*/0")}
+
+
+def finished_at(folder: Path) -> list[float]:
+    """When each of the finished shards was finished, s, ascending."""
+    times = []
+    for shard in finished(folder):
+        with suppress(FileNotFoundError):  # the folder is being removed
+            times.append(_digest(folder, shard).stat().st_mtime)
+    return sorted(times)
 
 
 def has_plan(folder: Path) -> bool:
@@ -89,27 +101,6 @@ def has_plan(folder: Path) -> bool:
 def task(shard: int) -> str:
     """What a claim on a shard is called."""
     return f"{shard:06d}"
-
-
-def save(folder: Path, shard: int, arrays: Arrays) -> None:
-    """Write a finished shard."""
-    digest = np.array(content_hash(arrays[name] for name in sorted(arrays)))
-    with atomic_write(_file(folder, shard)) as draft:
-        # not compressed: noisy wrenches hardly shrink, and it would take longer than simulating them on a GPU
-        np.savez(draft, allow_pickle=False, sha256=digest, **arrays)
-
-
-def load(folder: Path, shard: int) -> Arrays | None:
-    """A finished shard; None if it is missing or damaged and must be simulated again."""
-    try:
-        # opened here, because NumPy leaves a damaged file open
-        with _file(folder, shard).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except Exception:  # a damaged archive can fail in any way inside zipfile and NumPy
-        return None
-    digest = arrays.pop("sha256", None)
-    intact = digest is not None and str(digest) == content_hash(arrays[name] for name in sorted(arrays))
-    return arrays if intact else None
 
 
 def remove(folder: Path) -> None:
@@ -142,8 +133,19 @@ def as_json(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _file(folder: Path, shard: int) -> Path:
-    return folder / f"shard-{shard:06d}.npz"
+def _digest(folder: Path, shard: int) -> Path:
+    return store_of(folder) / parts.digest_file(shard)
+
+
+def _is_intact(stored: Stored, shard: int) -> bool:
+    """Whether all that the store holds of a shard, labels too, is as it was written."""
+    try:
+        store_reader.check_part(stored, shard)
+        for labels in sorted((stored.path / LABELS).glob("*/zarr.json")):
+            label_parts.check_part(labels.parent, shard)
+    except InputError:
+        return False
+    return True
 
 
 def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:

@@ -114,15 +114,10 @@ def _failure(shard: int, tries: list[claims.Attempt]) -> Failure:
 
 def _rate(folder: Path, size: int) -> float | None:
     """Trials per minute from the times at which shards were saved; the first of them only begins the count."""
-    times = []
-    for path in folder.glob("shard-*.npz"):
-        try:
-            times.append(path.stat().st_mtime)
-        except FileNotFoundError:  # the folder is being removed
-            continue
+    times = shards.finished_at(folder)
     if not times:
         return None
-    recent = np.sort(times)
+    recent = np.array(times)
     recent = recent[recent >= recent[-1] - WINDOW]
     seconds = float(recent[-1] - recent[0])
     return 60.0 * size * (len(recent) - 1) / seconds if seconds > 0 else None

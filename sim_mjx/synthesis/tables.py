@@ -14,7 +14,7 @@ from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis.shards import Arrays
+from sim_mjx.synthesis.records import Arrays
 
 PHASES = "phase"  # track of an assembly's phases
 WORLD = "Wrenches are in the world's axes, z up; moments are about the wrist's sensor."

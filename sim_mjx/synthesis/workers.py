@@ -1,4 +1,4 @@
-"""One worker of a synthesis: claims missing shards, simulates and saves them until all are there.
+"""One worker of a synthesis: claims missing shards, simulates and writes them until all are there.
 
 Any number of workers, on one machine or on many that share the folder, work on one plan. A shard depends on the plan
 alone, so who made it does not matter; claims (:mod:`sim_mjx.synthesis.claims`) only keep two from making the same.
@@ -6,6 +6,7 @@ alone, so who made it does not matter; claims (:mod:`sim_mjx.synthesis.claims`) 
 
 from __future__ import annotations
 
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -17,13 +18,13 @@ from typing import Any
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import claims, records, shards
-from sim_mjx.synthesis.assemble import Drawn
+from sim_mjx.synthesis import claims, shards
+from sim_mjx.synthesis.draft import Draft, Drawn
 from sim_mjx.synthesis.plan import SynthesisConfig, indices
 from sim_mjx.synthesis.regroup import Shard
 
 TRIES = 3  # of a shard that fails
+WRITERS = 8  # shards that are written at the same time; each takes about a megabyte a trial
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
 
 Labelled = tuple[Rollouts, LabelTracks | None]
@@ -32,14 +33,15 @@ Labelled = tuple[Rollouts, LabelTracks | None]
 class ShardsFailed(InputError):
     """Shards that failed as often as they are tried; the others are kept."""
 
-    def __init__(self, folder: Path, job: SynthesisConfig, failed: dict[int, list[claims.Attempt]]) -> None:
+    def __init__(self, draft: Draft, failed: dict[int, list[claims.Attempt]]) -> None:
         self.failed = failed
         shard, tries = next(iter(failed.items()))
-        rows = indices(job, shard)
+        rows = indices(draft.job, shard)
         super().__init__(
-            f"{len(failed)} of {count(job)} shards failed {TRIES} times each and {'is' if len(failed) == 1 else 'are'} "
-            f"left out, the first with trials {rows.start} to {rows.stop - 1}: {tries[-1].reason} The others are kept "
-            f"in {folder}; the same command tries again."
+            f"{len(failed)} of {draft.shards} shards failed {TRIES} times each and "
+            f"{'is' if len(failed) == 1 else 'are'} left out, the first with trials {rows.start} to {rows.stop - 1}: "
+            f"{tries[-1].reason} The others are kept "
+            f"in {draft.folder}; the same command tries again."
         )
 
 
@@ -74,39 +76,30 @@ class Tally:
         return sum(len(indices(self.job, shard)) for shard in present)
 
 
-def count(job: SynthesisConfig) -> int:
-    """Shards of a job."""
-    return -(-job.trials // job.shard)
-
-
-def work(
-    folder: Path, job: SynthesisConfig, scenario: Scenario, simulate: Callable[[Any], Labelled], tally: Tally
-) -> dict[int, Drawn]:
-    """Simulate and save missing shards until all are there, waiting for those that others hold.
+def work(draft: Draft, simulate: Callable[[Any], Labelled], tally: Tally) -> int:
+    """Simulate and write missing shards until all are there, waiting for those that others hold.
 
     Args:
-        folder: the work folder, with its manifest.
-        job: what to simulate.
-        scenario: of the job.
+        draft: of the store; its work folder has its manifest.
         simulate: a batch of trials.
         tally: told after each shard.
 
     Returns:
-        what was drawn for the shards of this worker, by number.
+        trials of the shards of this worker.
 
     Raises:
         ShardsFailed: all others are there.
     """
-    drawn: dict[int, Drawn] = {}
-    waits = 0
+    made = waits = 0
+    folder = draft.folder
     while is_open(folder):
         present = shards.finished(folder)
         tally.show(present)
-        missing = [shard for shard in range(count(job)) if shard not in present]
+        missing = [shard for shard in range(draft.shards) if shard not in present]
         failed = _failed(folder)
         left = [shard for shard in missing if len(failed.get(shard, ())) < TRIES]
         if not left and missing:
-            raise ShardsFailed(folder, job, {shard: failed[shard] for shard in missing})
+            raise ShardsFailed(draft, {shard: failed[shard] for shard in missing})
         if not left:
             break
         claimed = _claim(folder, sorted(left, key=lambda shard: len(failed.get(shard, ()))))
@@ -115,63 +108,57 @@ def work(
             time.sleep(min(_LONGEST_WAIT, waits * claims.POLL))
             continue
         waits = 0
-        shard, claim = claimed
-        made = _make(folder, job, scenario, simulate, shard, claim)
-        if made is not None:
-            drawn[shard] = made
-    return drawn
+        made += _make(draft, simulate, *claimed)
+    return made
 
 
-def work_in_lanes(
-    folder: Path,
-    job: SynthesisConfig,
-    scenario: Scenario,
-    stream: Callable[[Iterator[tuple[int, Any]]], Iterator[Shard]],
-    tally: Tally,
-) -> dict[int, Drawn]:
-    """Simulate and save the missing shards that nobody holds, as many at once as a device has lanes for.
+def work_in_lanes(draft: Draft, stream: Callable[[Iterator[tuple[int, Any]]], Iterator[Shard]], tally: Tally) -> int:
+    """Simulate and write the missing shards that nobody holds, as many at once as a device has lanes for.
 
-    A shard is claimed when lanes become free for its trials, and saved in a thread of its own while others are
-    simulated. Shards that fail, or that others hold, are left to :func:`work`.
+    A shard is claimed when lanes become free for its trials, and written by threads while others are simulated. Shards
+    that fail, or that others hold, are left to :func:`work`.
 
     Args:
-        folder, job, scenario, tally: as in :func:`work`.
+        draft, tally: as in :func:`work`.
         stream: simulates shards (number, parameters), asking for the next one when it has room; returns them in any
             order.
 
     Returns:
-        what was drawn for the shards of this worker, by number.
+        trials of the shards of this worker.
     """
+    folder = draft.folder
     held: dict[int, tuple[claims.Claim, Drawn]] = {}
-    drawn: dict[int, Drawn] = {}
+    done: set[int] = set()
 
     def batches() -> Iterator[tuple[int, Any]]:
         while is_open(folder):
-            skip = shards.finished(folder) | set(held) | set(drawn) | set(_failed(folder))
-            claimed = _claim(folder, [shard for shard in range(count(job)) if shard not in skip])
+            skip = shards.finished(folder) | set(held) | done | set(_failed(folder))
+            claimed = _claim(folder, [shard for shard in range(draft.shards) if shard not in skip])
             if claimed is None:
                 return
             shard, claim = claimed
-            held[shard] = claim, scenario.draw_batch(job.seed, indices(job, shard), job.spec)
+            held[shard] = claim, draft.draw(shard)
             yield shard, held[shard][1][0]
 
-    def save(made: Shard) -> None:
+    def write(made: Shard) -> None:
         shard = int(str(made.key))
-        _save(folder, scenario, shard, made.trials, made.tracks)
-        claim, drawn[shard] = held[shard]
+        claim, drawn = held[shard]
+        draft.write(shard, drawn, made.trials, made.tracks)
         claim.done()
+        done.add(shard)
         del held[shard]
 
+    writers = min(WRITERS, os.cpu_count() or 1)
     try:
-        with ThreadPoolExecutor(1) as writer:
-            saving: deque[Future[None]] = deque()
+        with ThreadPoolExecutor(writers) as pool:
+            writing: deque[Future[None]] = deque()
             for shard in stream(batches()):
-                saving.append(writer.submit(save, shard))
-                while saving and (saving[0].done() or len(saving) > 2):  # more would fill the memory
-                    saving.popleft().result()
+                writing.append(pool.submit(write, shard))
+                while writing and (writing[0].done() or len(writing) > writers):  # more would fill the memory
+                    writing.popleft().result()
                 tally.show(shards.finished(folder))
-            while saving:
-                saving.popleft().result()
+            while writing:
+                writing.popleft().result()
     except Exception as error:
         ours = isinstance(error, InputError | OSError)  # of the input or the machine: it would fail again
         for claim, _ in held.values():
@@ -182,7 +169,7 @@ def work_in_lanes(
         for claim, _ in held.values():
             claim.release()
         raise
-    return drawn
+    return sum(len(indices(draft.job, shard)) for shard in done)
 
 
 def is_open(folder: Path) -> bool:
@@ -210,38 +197,25 @@ def _claim(folder: Path, missing: list[int]) -> tuple[int, claims.Claim] | None:
     return None
 
 
-def _make(
-    folder: Path,
-    job: SynthesisConfig,
-    scenario: Scenario,
-    simulate: Callable[[Any], Labelled],
-    shard: int,
-    claim: claims.Claim,
-) -> Drawn | None:
-    """Simulate and save a shard under its claim; None where it failed, or is there already."""
+def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: claims.Claim) -> int:
+    """Simulate and write a shard under its claim; 0 trials where it failed, or is there already."""
     try:
-        if shard in shards.finished(folder) or not is_open(folder):  # since we looked
+        if shard in shards.finished(draft.folder) or not is_open(draft.folder):  # since we looked
             claim.done()
-            return None
-        drawn = scenario.draw_batch(job.seed, indices(job, shard), job.spec)
-        out, tracks = simulate(drawn[0])
-        _save(folder, scenario, shard, out, tracks)
+            return 0
+        drawn = draft.draw(shard)
+        draft.write(shard, drawn, *simulate(drawn[0]))
     except (InputError, OSError):  # of the input or the machine: the next shard would fare no better
         claim.release()
         raise
     except Exception as error:
         claim.failed(_reason(error))
-        return None
+        return 0
     except BaseException:
         claim.release()
         raise
     claim.done()
-    return drawn
-
-
-def _save(folder: Path, scenario: Scenario, shard: int, out: Rollouts, tracks: LabelTracks | None) -> None:
-    labels = {} if tracks is None else records.of_labels(tracks, len(out.length))
-    shards.save(folder, shard, records.of_trials(out, scenario.recorded) | labels)
+    return len(drawn[1])
 
 
 def _reason(error: Exception) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from rcbht_jax.io.store import read_recordings, read_simulation
 from sim_mjx.assemblies.clip import LEAD
 from sim_mjx.assemblies.latch import HOOK
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis import shards
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.validation import replay
 from tests.support.fake_simulation import tree
 
@@ -63,15 +64,15 @@ def test_a_store_has_phases_faults_labels_and_numbers(clips: Path, capsys: pytes
 
 
 def test_interrupted_and_called_again_it_gives_the_same_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = shards.save
+    real = Draft.write
 
-    def stop_at_second(folder: Path, shard: int, arrays: shards.Arrays) -> None:
+    def stop_at_second(self: Draft, shard: int, *of_it: Any) -> None:
         if shard == 1:
             raise KeyboardInterrupt
-        real(folder, shard, arrays)
+        real(self, shard, *of_it)
 
     with monkeypatch.context() as patch:
-        patch.setattr(shards, "save", stop_at_second)
+        patch.setattr(Draft, "write", stop_at_second)
         assert main.main(["simulate", str(tmp_path / "again.zarr"), *SHORT]) == 130
     assert main.main(["simulate", str(tmp_path / "again.zarr"), *SHORT]) == 0
     assert main.main(["simulate", str(tmp_path / "once.zarr"), *SHORT]) == 0

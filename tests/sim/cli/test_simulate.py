@@ -6,12 +6,13 @@ import errno
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_recordings
-from sim_mjx.synthesis import shards
+from sim_mjx.synthesis.draft import Draft
 from tests.support.fake_simulation import tree
 
 SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--max-seconds", "0.1"]
@@ -25,15 +26,15 @@ def test_interrupted_and_called_again_it_gives_the_same_store(
     result = json.loads(capsys.readouterr().out)
     assert (result["stored"], result["resumed"], result["diverged"]) == (6, 0, [])
     assert sum(count["trials"] for count in result["faults"].values()) == 6
-    real = shards.save
+    real = Draft.write
 
-    def stop_at_third(folder: Path, shard: int, arrays: shards.Arrays) -> None:
+    def stop_at_third(self: Draft, shard: int, *of_it: Any) -> None:
         if shard == 2:
             raise KeyboardInterrupt
-        real(folder, shard, arrays)
+        real(self, shard, *of_it)
 
     with monkeypatch.context() as patch:
-        patch.setattr(shards, "save", stop_at_third)
+        patch.setattr(Draft, "write", stop_at_third)
         assert main.main(["simulate", str(two), *SHORT]) == 130
     assert not two.exists()
     assert main.main(["simulate", str(two), *SHORT]) == 0
@@ -74,7 +75,7 @@ def test_a_full_disk_is_one_sentence(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(shards, "save", full)
+    monkeypatch.setattr(Draft, "write", full)
     assert main.main(["simulate", str(tmp_path / "t.zarr"), *SHORT]) == 1
     assert "disk is full" in capsys.readouterr().err
     assert not (tmp_path / "t.zarr").exists()

@@ -11,6 +11,7 @@ import pytest
 from rcbht_jax.errors import InputError
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import claims, shards, workers
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
 from sim_mjx.synthesis.regroup import Shard
@@ -25,7 +26,8 @@ def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB) -> Path:
     target = tmp_path / "lanes.zarr"
     folder = shards.folder_of(target)
     shards.begin(folder, manifest_of(job))
-    workers.work_in_lanes(folder, job, get_scenario(job.preset), stream, Tally(job, set(), None))
+    draft = Draft(folder, job, get_scenario(job.preset), manifest_of(job))
+    workers.work_in_lanes(draft, stream, Tally(job, set(), None))
     return target
 
 

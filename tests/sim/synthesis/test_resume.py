@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zarr
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.rollout import TrialParams
@@ -35,7 +36,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def test_interrupted_at_any_rename_gives_the_same_bytes(
     moment: int, whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Manifest, three shards, the draft of the store, its place: before each and after each."""
+    """Manifest, claims, the store's beginning, its arrays that grow, its place: before each and after each."""
     target, calls = tmp_path / "trials.zarr", [0]
 
     def stopping(real: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
@@ -58,9 +59,10 @@ def test_interrupted_at_any_rename_gives_the_same_bytes(
         patch.setattr(os, "link", stopping(os.link))
         with pytest.raises(KeyboardInterrupt):
             synthesise(target, SMALL, simulate=fake_engine)
+    there = range(3) if target.exists() else shards.finished(shards.folder_of(target))
     report = synthesise(target, SMALL, simulate=fake_engine)
     assert tree(target) == whole
-    assert report.resumed >= 5 * max(0, min(2, moment // 2 - 1))
+    assert report.resumed == sum(min(5, 12 - 5 * shard) for shard in there)
     assert os.listdir(tmp_path) == ["trials.zarr"]
 
 
@@ -163,21 +165,17 @@ def test_what_appears_at_the_target_meanwhile_is_kept(overwrite: bool, tmp_path:
 
 
 def test_a_finished_store_that_was_damaged_is_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its shards stay, so that nothing is lost."""
+    """It is not taken for the result of the command; what is wanted can be made again."""
     target = tmp_path / "t.zarr"
     with monkeypatch.context() as patch:
         patch.setattr(shards, "remove", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             synthesise(target, SMALL, simulate=fake_engine)
     before = tree(target)
-    chunk = next(file for file in sorted((target / "wrench" / "c").rglob("*")) if file.is_file())
-    data = bytearray(chunk.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    chunk.write_bytes(data)
+    damage(target / "wrench" / "c" / "0", "flip")
     with pytest.raises(InputError, match="exists already"):
         synthesise(target, SMALL, simulate=fake_engine)
-    assert len(list(shards.folder_of(target).glob("shard-*"))) == 3
-    synthesise(target, SMALL, simulate=lambda _: pytest.fail("simulated again"), overwrite=True)
+    synthesise(target, SMALL, simulate=fake_engine, overwrite=True)
     assert tree(target) == before
 
 
@@ -194,40 +192,62 @@ def test_labels_of_other_code_or_thresholds_are_not_resumed(tmp_path: Path, monk
                 synthesise(tmp_path / f"{name}.zarr", job, simulate=fake_engine)
 
 
-@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "version", "flag", "method"])
-def test_a_damaged_shard_is_made_again(damage: str, whole: dict[str, bytes], tmp_path: Path) -> None:
+def damage(place: Path, how: str) -> None:
+    """Spoil a file, or the first one below a folder."""
+    file = next(file for file in (place, *sorted(place.rglob("*"))) if file.is_file())
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    file.write_bytes({"cut": data[: len(data) // 2], "flip": data, "empty": b""}[how])
+
+
+@pytest.mark.parametrize("how", ["cut", "flip", "empty"])
+@pytest.mark.parametrize("where", ["wrench/c/1", "length/c/1", "simulation/seated/c/1", "part_sha256/c/1"])
+def test_a_damaged_shard_is_made_again(where: str, how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
-    shard = shards.folder_of(target) / "shard-000001.npz"
-    data = bytearray(shard.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    header = bytearray(shard.read_bytes())
-    at = header.rfind(b"PK\x01\x02")  # the last entry of the zip archive's directory
-    header[at + {"version": 6, "flag": 8}.get(damage, 10)] ^= 0x61
-    shard.write_bytes({"cut": bytes(data[:-30]), "flip": bytes(data), "empty": b""}.get(damage, bytes(header)))
+    damage(shards.store_of(shards.folder_of(target)) / where, how)
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5
     assert tree(target) == whole
 
 
-@pytest.mark.parametrize("moment", [1, 2, 4])
-def test_a_full_disk_costs_one_shard(moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls, real = [0], os.fsync
+def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
+    job, target = replace(SMALL, window=5), tmp_path / "t.zarr"
+    interrupted(target, job, after=2)
+    damage(shards.store_of(shards.folder_of(target)) / "labels" / "online-W5" / "mc" / "avg" / "c" / "1", "flip")
+    assert synthesise(target, job, simulate=fake_engine).resumed == 5
+    synthesise(tmp_path / "once.zarr", job, simulate=fake_engine)
+    assert tree(target) == tree(tmp_path / "once.zarr")
 
-    def full(handle: int) -> None:
-        calls[0] += 1
-        if calls[0] == 2 * moment - 1:  # each file is followed by its folder
-            raise OSError(errno.ENOSPC, "No space left on device")
-        real(handle)
 
+@pytest.mark.parametrize("how", ["cut", "empty"])
+def test_a_store_whose_metadata_are_lost_is_begun_anew(how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
+    interrupted(target, SMALL, after=2)
+    root = shards.store_of(shards.folder_of(target)) / "zarr.json"
+    root.write_bytes(root.read_bytes()[: 40 if how == "cut" else 0])
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
+    assert tree(target) == whole
+
+
+@pytest.mark.parametrize("moment", [1, 2, 20, 60])
+def test_a_full_disk_costs_one_shard(moment: int, whole: dict[str, bytes], tmp_path: Path) -> None:
+    """Whatever file of a part is the one for which there is no room."""
+    target, calls, real = tmp_path / "t.zarr", [0], zarr.storage.LocalStore.set
+
+    async def full(self: Any, key: str, value: Any) -> None:
+        calls[0] += 1
+        if calls[0] == moment:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        await real(self, key, value)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zarr.storage.LocalStore, "set", full)
         with pytest.raises(OSError, match="No space"):
             synthesise(target, SMALL, simulate=fake_engine)
     assert not target.exists()
-    assert not list(tmp_path.rglob(shards.PARTIAL))
-    # the first file is the manifest
-    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 5 * max(0, moment - 2)
+    there = sum(min(5, 12 - 5 * shard) for shard in shards.finished(shards.folder_of(target)))
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == there
+    assert tree(target) == whole
 
 
 def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,9 +263,7 @@ def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: py
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 12
 
 
-def test_no_trial_is_drawn_twice_unless_another_run_drew_it(
-    whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_trial_is_drawn_twice(whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[int] = []
     real = Scenario.draw_batch
     monkeypatch.setattr(
@@ -256,5 +274,5 @@ def test_no_trial_is_drawn_twice_unless_another_run_drew_it(
     interrupted(tmp_path / "t.zarr", SMALL)
     drawn.clear()
     synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
-    assert drawn == [*range(5, 12), *range(5)]
+    assert drawn == list(range(5, 12))
     assert tree(tmp_path / "t.zarr") == whole

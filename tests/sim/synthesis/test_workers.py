@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import parts
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import claims, plan, shards, workers
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.status import status_of
 from tests.support.fake_simulation import SHARDED, SMALL, fake_engine, logging_engine, tree
@@ -203,15 +205,15 @@ def test_a_shard_that_always_fails_is_left_out_and_told(tmp_path: Path) -> None:
 
 def test_a_full_disk_ends_one_worker_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target = tmp_path / "t.zarr"
-    real = shards.save
+    real = Draft.write
 
-    def full(folder: Path, shard: int, arrays: shards.Arrays) -> None:
+    def full(self: Draft, shard: int, *of_it: Any) -> None:
         if shard == 1:
             raise OSError(errno.ENOSPC, "No space left on device")
-        real(folder, shard, arrays)
+        real(self, shard, *of_it)
 
     with monkeypatch.context() as patch:
-        patch.setattr(shards, "save", full)
+        patch.setattr(Draft, "write", full)
         with pytest.raises(OSError, match="No space"):
             work_on(target, SMALL, simulate=fake_engine)
     assert (status_of(target).shards_done, status_of(target).failures) == (1, [])
@@ -244,8 +246,10 @@ def test_the_rate_is_that_of_the_last_ten_minutes(tmp_path: Path) -> None:
     folder = shards.folder_of(target)
     shards.begin(folder, plan.manifest_of(replace(SMALL, trials=40)))
     for shard, seconds in enumerate((0.0, 5000.0, 5060.0, 5120.0)):
-        (folder / f"shard-{shard:06d}.npz").touch()
-        os.utime(folder / f"shard-{shard:06d}.npz", (1e9 + seconds, 1e9 + seconds))
+        digest = shards.store_of(folder) / parts.digest_file(shard)
+        digest.parent.mkdir(parents=True)
+        digest.touch()
+        os.utime(digest, (1e9 + seconds, 1e9 + seconds))
     assert status_of(target).per_minute == pytest.approx(5.0)
     claims.take(folder, shards.task(4)).failed("E.")  # type: ignore[union-attr]
     assert [(one.shard, one.left_out) for one in status_of(target).failures] == [(4, False)]

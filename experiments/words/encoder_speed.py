@@ -1,0 +1,95 @@
+"""Speed of the encoder on the default device, dense labels of many recordings, beside the scan it replaces on a GPU.
+
+A sample has six axes. Recordings are in the device's memory before the clock starts;
+compilation apart; medians. The layout "time first" is the one in which the kernel writes, "row by row" JAX's default,
+which costs a transposition. Run on a GPU: python -m experiments.words.encoder_speed
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import tyro
+from jax.experimental.layout import Format, Layout
+
+from experiments._lib.results_io import write_result
+from rcbht_jax.encoding import encoder, gpu
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.types import Array, LabelTracks
+
+SAMPLES, AXES, SEED = 2000, 6, 0
+SCANNED = 1024  # recordings of the comparison with the scan
+
+
+def recordings(count: int) -> Array:
+    """Random walks [count, SAMPLES, AXES], N and Nm."""
+    steps = jax.random.normal(jax.random.key(SEED), (count, SAMPLES, AXES), jnp.float32)
+    return jnp.cumsum(0.3 * steps, 1)
+
+
+def timed(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
+    """Seconds of the first call, which compiles, and of the others."""
+    seconds = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        jax.block_until_ready(work())
+        seconds.append(time.perf_counter() - start)
+    median = statistics.median(seconds[1:])
+    return {"compile_s": round(seconds[0] - median, 2), "seconds": [round(value, 6) for value in seconds[1:]]}
+
+
+def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, repeats: int) -> dict[str, Any]:
+    """Samples per second of a function of (thresholds, wrench, lengths)."""
+    limits = jnp.asarray(preset().limits, jnp.float32)
+    length = jnp.full(len(wrench), SAMPLES, jnp.int32)
+    compiled = jax.jit(function, out_shardings=Format(Layout.AUTO) if layout else None)
+    start = time.perf_counter()
+    run = compiled.lower(limits, wrench, length).compile()
+    compiling = time.perf_counter() - start
+    row = timed(lambda: run(limits, wrench, length), repeats)
+    row["compile_s"] = round(compiling, 2)
+    return row | {"samples_per_s": round(wrench.shape[0] * SAMPLES / statistics.median(row["seconds"]))}
+
+
+def scan(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:
+    """The encoder as it is without the kernel."""
+    kept, gpu.fits = gpu.fits, lambda *_: False
+    try:
+        return encoder.encode(config, limits, wrench, length)
+    finally:
+        gpu.fits = kept
+
+
+def main(
+    windows: Annotated[tuple[int, ...], tyro.conf.arg(help="samples per linear fit")] = (5, 20),
+    counts: Annotated[tuple[int, ...], tyro.conf.arg(help="recordings")] = (1024, 8192, 32768),
+    repeats: int = 15,
+) -> None:
+    """Measure and store."""
+    rows: dict[str, dict[str, Any]] = {}
+    for window in windows:
+        config = EncoderConfig(window=window)
+        mine = rows.setdefault(f"W{window}", {})
+        for count in counts:
+            wrench = jax.block_until_ready(recordings(count))
+            mine[str(count)] = {
+                "time first": speed(partial(encoder.encode, config), wrench, True, repeats),
+                "row by row": speed(partial(encoder.encode, config), wrench, False, repeats),
+            }
+            if count == SCANNED:
+                mine[str(count)]["scan"] = speed(partial(scan, config), wrench, False, 3)
+    command = "python -m experiments.words.encoder_speed"
+    write_result(
+        "encoder_speed", command, {"samples": SAMPLES, "axes": AXES, "repeats": repeats, "windows": rows}, seed=SEED
+    )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

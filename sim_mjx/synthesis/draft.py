@@ -1,0 +1,157 @@
+"""The store that a synthesis makes: each shard is written once, to its place, by whoever has simulated it.
+
+Every trial has its place from the start. One that diverged keeps it, as a row of length 0 that readers leave out.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from rcbht_jax._util.atomic import draft_of, flush_tree
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import label_parts, store_writer
+from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.parts import Layout
+from rcbht_jax.io.store_schema import schema_of
+from rcbht_jax.labels import LAYERS
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.randomization.trials import Fault
+from sim_mjx.registry import Scenario
+from sim_mjx.synthesis import records, shards, tables
+from sim_mjx.synthesis.plan import SynthesisConfig, encoder_config, indices, label_limits, provenance
+from sim_mjx.synthesis.records import Arrays
+
+Drawn = tuple[Any, list[Fault]]  # parameters of a shard's trials, and their faults
+CREATED = "undated"  # a date would make every store different
+
+
+@dataclass(frozen=True)
+class Draft:
+    """The store of a job in its work folder, on the way to its completion.
+
+    Attributes:
+        folder: the work folder, which holds the manifest.
+        job: what is simulated.
+        scenario: of the job.
+        manifest: of the job.
+    """
+
+    folder: Path
+    job: SynthesisConfig
+    scenario: Scenario
+    manifest: Mapping[str, Any]
+
+    @property
+    def path(self) -> Path:
+        """The store."""
+        return shards.store_of(self.folder)
+
+    @property
+    def shards(self) -> int:
+        """How many the job has."""
+        return -(-self.job.trials // self.job.shard)
+
+    def draw(self, shard: int) -> Drawn:
+        """Parameters and faults of the trials of a shard."""
+        return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), self.job.spec)
+
+    def write(self, shard: int, drawn: Drawn, out: Rollouts, tracks: LabelTracks | None) -> None:
+        """Write a shard to its place; the first one creates the store. Any process may write any shard.
+
+        Args:
+            shard: its number.
+            drawn: of :meth:`draw`.
+            out: its trials.
+            tracks: their labels ``[trial * wrist, axis, slot]``, if the job has a window.
+        """
+        (params, faults), index = drawn, np.array(indices(self.job, shard))
+        arrays = records.of_trials(out, self.scenario.recorded)
+        rows = _without(arrays, arrays["diverged"])
+        recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults)
+        recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
+        simulation = tables.simulation_of(self.scenario, rows, index, params, faults)
+        labels = None if tracks is None else _labels(records.of_labels(tracks, len(index)), arrays["diverged"])
+        if not self.path.exists():
+            self._create(recordings, simulation, labels)
+        if labels is not None:
+            label_parts.write_part(self._labels, shard, labels)
+        store_writer.write_part(self.path, shard, recordings, simulation)
+
+    def finish(self) -> None:
+        """Complete the store, of which all shards are there, and have it on disk.
+
+        Raises:
+            InputError: the physics diverged in all trials.
+        """
+        with zarr_io.reading(self.path):
+            lengths = zarr_io.read_array(zarr_io.open_group(self.path), "length", "int32")
+        diverged = np.flatnonzero(lengths[:: len(self.scenario.arms)] == 0).tolist()
+        if len(diverged) == self.job.trials:
+            raise InputError(
+                f"The physics diverged in all {self.job.trials} trials; nothing to store. Check the distributions."
+            )
+        if self.job.window is not None:
+            label_parts.finish(self._labels)
+        store_writer.finish(self.path, {"diverged": diverged})
+        flush_tree(self.path)
+
+    @property
+    def _labels(self) -> Path:
+        return self.path / "labels" / f"online-W{self.job.window}"
+
+    def _create(self, recordings: Recordings, simulation: Arrays, tracks: LabelTracks | None) -> None:
+        """Have an empty store at its place, this one or that of another process."""
+        empty, arms = draft_of(self.path), len(self.scenario.arms)
+        attrs: dict[str, Any] = {"frames": tables.frames_of(self.scenario), "simulated": provenance(self.manifest)}
+        if not self.scenario.recorded:
+            attrs["importer"] = "simulation"  # so that thresholds come from the recordings, not from HIRO's preset
+        layout = Layout(self.job.trials * arms, min(self.job.shard, self.job.trials) * arms)
+        try:
+            schema = schema_of(recordings, simulation, layout.rows, layout.part)
+            store_writer.create(empty, schema, attrs, CREATED)
+            if tracks is not None:
+                config = encoder_config(self.job)
+                how = {  # as "rcbht encode" says it
+                    "semantics": "online",
+                    "window": config.window,
+                    "config": asdict(config),
+                    "thresholds": label_limits().tolist(),
+                }
+                label_parts.create_in(empty, self._labels.name, layout, tracks, how, created=CREATED)
+            empty.rename(self.path)
+        except OSError:
+            if not self.path.exists():  # else another one was first
+                raise
+        finally:
+            shutil.rmtree(empty, ignore_errors=True)
+
+
+def _without(rows: Arrays, diverged: Bool[np.ndarray, " trial"]) -> Arrays:
+    """The arrays of a shard with nothing in the rows of diverged trials, as long as the longest of the others."""
+    empty = {"length": 0, "wrench": 0, "onset": np.nan, "onset_harmonised": np.nan, "note": "", "seated": False}
+    out = dict(rows)
+    if diverged.any():
+        for name, nothing in empty.items():
+            out[name] = out[name].copy()
+            out[name][diverged] = nothing
+    return out | {"wrench": out["wrench"][:, : max(1, int(out["length"].max()))]}
+
+
+def _labels(arrays: Arrays, diverged: Bool[np.ndarray, " trial"]) -> LabelTracks:
+    """The labels ``[recording, 6, slot]`` of a shard, none in the rows of diverged trials."""
+    layers = []
+    for layer in LAYERS:
+        made = {name: arrays[f"{layer}.{name}"] for name in records.LABEL_FIELDS}
+        if diverged.any():
+            gone = diverged[:, None, None, None]
+            made = {name: np.where(gone, np.zeros((), values.dtype), values) for name, values in made.items()}
+        layers.append(LabelTrack(**{name: v.reshape(-1, 6, v.shape[-1]) for name, v in made.items()}))
+    return LabelTracks(*layers)
