@@ -17,7 +17,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from rcbht_jax._util.atomic import atomic_write, uninterrupted
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import chunk_files
 from rcbht_jax.io import zarr as zarr_io
 
 with needs_extra("store"):
@@ -110,8 +111,7 @@ def write(folder: Path, layout: Layout, number: int, fields: Mapping[str, Field]
     for name, made in fields.items():
         array = np.asarray(values[name])
         _check(name, made, array, rows.stop - rows.start)
-        if array.size:
-            write_rows(group, name, made, rows, array)
+        write_array(group, name, layout, number, made, array)
     if any(made.grows for made in fields.values()):
         with _locked(folder):  # others may be growing the same arrays
             for name, made in fields.items():
@@ -239,15 +239,19 @@ def _check(name: str, made: Field, array: NDArray[Any], rows: int) -> None:
 
 
 @uninterrupted()
-def write_rows(group: zarr.Group, name: str, made: Field, rows: slice, values: NDArray[Any]) -> None:
-    """Write some rows of one array, whose files are replaced."""
-    array = _member(group, name)
-    if (axis := made.grows) is not None:
-        # as wide as the values, so that chunks are whole and nothing of the file is read before it is replaced
-        shape = (*array.shape[:axis], values.shape[axis], *array.shape[axis + 1 :])
-        metadata = replace(array.metadata, shape=shape)
-        array = zarr.Array(zarr.AsyncArray(metadata=metadata, store_path=array.store_path))
-    array[rows] = values.astype(np.dtypes.StringDType()) if made.dtype == "string" else values
+def write_array(
+    group: zarr.Group, name: str, layout: Layout, number: int, made: Field, values: NDArray[Any]
+) -> None:  # fmt: skip
+    """Write a part of one array, as far as the values reach along the dimension that grows."""
+    chunk, shard = _chunks(layout, made)
+    folder = Path(str(group.store_path).removeprefix("file://")) / name / "c"
+    if made.dtype == "string":
+        _member(group, name)[layout.span(number)] = values.astype(np.dtypes.StringDType())
+    elif shard is None:
+        chunk_files.write_chunk(folder.joinpath(str(number), *["0"] * (values.ndim - 1)), values, chunk)
+    else:
+        axis = made.grows or 0
+        chunk_files.write_shards(folder, (number, *[0] * (axis - 1)), values, axis, chunk, shard)
 
 
 def _widen(metadata: Path, axis: int, width: int) -> None:

@@ -21,7 +21,6 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import validate
-from rcbht_jax.io.parts import Field
 from rcbht_jax.io.store_schema import (
     ANNOTATIONS,
     COLUMNS,
@@ -105,8 +104,8 @@ def write_part(
     values = values_of(recordings)
     parts.write(path, schema.layout, number, schema.fields, values)
     text = np.array([json.dumps(summary_of(recordings))])
-    group, place = zarr_io.open_group(path, "r+"), slice(number, number + 1)
-    parts.write_rows(group, SUMMARIES, Field("string"), place, text)
+    single = parts.Layout(len(schema.layout), 1)
+    parts.write_array(zarr_io.open_group(path, "r+"), SUMMARIES, single, number, parts.Field("string"), text)
     parts.seal(path, number, part_digest(values, schema.fields))
 
 

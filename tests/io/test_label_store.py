@@ -111,14 +111,14 @@ def test_missing_and_damaged_tracks(path: Path) -> None:
 
 
 def test_interrupted_tracks_leave_the_store_as_it_was(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = parts.write_rows
+    real = parts.write_array
 
     def failing(group: Any, name: str, *rest: Any) -> None:
         if name == "mc/grad":
             raise OSError("stopped")
         real(group, name, *rest)
 
-    monkeypatch.setattr(parts, "write_rows", failing)
+    monkeypatch.setattr(parts, "write_array", failing)
     with pytest.raises(OSError, match="stopped"):
         label_store.write_tracks(path, "x", label_tracks(), {})
     assert label_store.list_tracks(path) == []

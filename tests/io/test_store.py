@@ -166,7 +166,7 @@ def test_an_interrupted_write_leaves_no_half_store(
     path = tmp_path / "trials.zarr"
     if overwrite:
         store.write_recordings(path, simple(), {})
-    real = parts.write_rows
+    real = parts.write_array
     calls: list[str] = []
 
     def failing(group: Any, name: str, *rest: Any) -> None:
@@ -175,7 +175,7 @@ def test_an_interrupted_write_leaves_no_half_store(
             raise kind("stopped")
         real(group, name, *rest)
 
-    monkeypatch.setattr(parts, "write_rows", failing)
+    monkeypatch.setattr(parts, "write_array", failing)
     with pytest.raises(kind):
         store.write_recordings(path, simple(7), {}, overwrite=overwrite)
     folder_is_clean(tmp_path, *(["trials.zarr"] if overwrite else []))
@@ -190,13 +190,13 @@ sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from tests.io.test_store import simple
 from rcbht_jax.io import parts, store
-real, count = parts.write_rows, []
+real, count = parts.write_array, []
 def dying(*args):
     count.append(1)
     if len(count) == 5:
         os.kill(os.getpid(), 9)
     real(*args)
-parts.write_rows = dying
+parts.write_array = dying
 store.write_recordings(Path(sys.argv[1]), simple(), {})
 """
     path = tmp_path / "trials.zarr"
