@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
+from threading import Lock
 from typing import Any
 
 import jax
@@ -29,6 +30,7 @@ from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
 Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
+COPIES = 2  # batches that are copied to the host at the same time
 TILTS = 2**16  # angles that are computed at once
 # No robot of this kind measures or moves so much: beyond, the physics has diverged, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
@@ -187,25 +189,28 @@ def simulate_in_lanes(
     from sim_mjx.engines import device  # MJX takes seconds to import
     from sim_mjx.engines.lanes import Lanes
 
-    group = Regroup()
+    group, one_at_a_time = Regroup(), Lock()
 
     def expected() -> Iterator[tuple[Hashable, Any]]:
         for key, params in batches:
-            group.expect(key, batch_size(params))
+            with one_at_a_time:
+                group.expect(key, batch_size(params))
             yield key, params
 
     def onto_host(trials: list[Trial], out: device.Outcome, tracks: LabelTracks | None) -> list[Shard]:
-        return group.add(trials, device.to_host(out), jax.device_get(tracks))
+        rollouts, labels = device.to_host(out), jax.device_get(tracks)
+        with one_at_a_time:
+            return group.add(trials, rollouts, labels)
 
     machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
-    with ThreadPoolExecutor(1) as host:
+    with ThreadPoolExecutor(COPIES) as host:
         waiting: deque[Future[list[Shard]]] = deque()
         for trials, out in machine.run(expected()):
             tracks = None
             if config is not None and limits is not None:
                 tracks = encode_on_device(config, limits, *_by_wrist(out.wrench, out.length))
             waiting.append(host.submit(onto_host, trials, out, tracks))
-            while waiting and (waiting[0].done() or len(waiting) > 2):  # more would fill the memory
+            while waiting and (waiting[0].done() or len(waiting) > COPIES):  # more would fill the memory
                 yield from waiting.popleft().result()
         while waiting:
             yield from waiting.popleft().result()

@@ -24,7 +24,7 @@ from sim_mjx.synthesis.plan import SynthesisConfig, indices
 from sim_mjx.synthesis.regroup import Shard
 
 TRIES = 3  # of a shard that fails
-WRITERS = 8  # shards that are written at the same time; each takes about a megabyte a trial
+WRITERS = 4  # shards that are written at the same time; each takes about a megabyte a trial
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
 
 Labelled = tuple[Rollouts, LabelTracks | None]
