@@ -1,6 +1,6 @@
 """Speed of the encoder on the default device, dense labels of many recordings, beside the scan it replaces on a GPU.
 
-A sample has six axes. Recordings are in the device's memory before the clock starts;
+A sample is one number of one axis. Recordings are in the device's memory before the clock starts;
 compilation apart; medians. The layout "time first" is the one in which the kernel writes, "row by row" JAX's default,
 which costs a transposition. Run on a GPU: python -m experiments.words.encoder_speed
 """
@@ -46,7 +46,7 @@ def timed(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
 
 
 def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, repeats: int) -> dict[str, Any]:
-    """Samples per second of a function of (thresholds, wrench, lengths)."""
+    """Samples per second, each axis counted, of a function of (thresholds, wrench, lengths)."""
     limits = jnp.asarray(preset().limits, jnp.float32)
     length = jnp.full(len(wrench), SAMPLES, jnp.int32)
     compiled = jax.jit(function, out_shardings=Format(Layout.AUTO) if layout else None)
@@ -55,7 +55,7 @@ def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, rep
     compiling = time.perf_counter() - start
     row = timed(lambda: run(limits, wrench, length), repeats)
     row["compile_s"] = round(compiling, 2)
-    return row | {"samples_per_s": round(wrench.shape[0] * SAMPLES / statistics.median(row["seconds"]))}
+    return row | {"samples_per_s": round(wrench.size / statistics.median(row["seconds"]))}
 
 
 def scan(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:

@@ -29,7 +29,6 @@ class Shard(NamedTuple):
 
 class _Piece(NamedTuple):
     rows: Int[np.ndarray, " trial"]  # in the shard
-    at: Int[np.ndarray, " trial"]  # in what came off the lanes
     trials: Rollouts
     tracks: LabelTracks | None
 
@@ -61,7 +60,8 @@ class Regroup:
         for key in dict.fromkeys(keys):
             at = np.array([place for place, other in enumerate(keys) if other == key])
             rows = np.array([trials[place][1] for place in at])
-            self._pieces[key].append(_Piece(rows, at, _taken(out, at), _labels_taken(tracks, at, len(out.length))))
+            which = slice(0, len(at)) if at[-1] == len(at) - 1 else at  # a view where it can be
+            self._pieces[key].append(_Piece(rows, _taken(out, which), _labels_taken(tracks, which, len(out.length))))
             self._missing[key] -= len(rows)
             if not self._missing[key]:
                 del self._missing[key]
@@ -69,14 +69,14 @@ class Regroup:
         return complete
 
 
-def _taken(out: Rollouts, at: Arrays) -> Rollouts:
+def _taken(out: Rollouts, at: Arrays | slice) -> Rollouts:
     """Some trials, cut where the longest of them ends."""
     longest = int(out.length[at].max())
     values = {field.name: getattr(out, field.name)[at] for field in fields(Rollouts) if field.name not in PADDED}
     return Rollouts(**values, **{name: getattr(out, name)[at, :longest] for name in PADDED})
 
 
-def _labels_taken(tracks: LabelTracks | None, at: Arrays, trials: int) -> LabelTracks | None:
+def _labels_taken(tracks: LabelTracks | None, at: Arrays | slice, trials: int) -> LabelTracks | None:
     """Labels ``[trial, wrist * axis * slot ...]`` of some trials."""
     if tracks is None:
         return None
@@ -96,6 +96,8 @@ def _joined(key: Hashable, pieces: list[_Piece]) -> Shard:
 
 def _filled(rows: list[Arrays], parts: list[Arrays]) -> Arrays:
     """Parts ``[trial, ...]`` in their rows, padded with zeros to the largest."""
+    if len(parts) == 1 and np.array_equal(rows[0], np.arange(len(parts[0]))):
+        return parts[0]  # the shard in one piece, in order: most are
     shape = np.max([part.shape[1:] for part in parts], axis=0).astype(int)
     out = np.zeros((sum(map(len, rows)), *shape), parts[0].dtype)
     for where, part in zip(rows, parts, strict=True):
