@@ -56,6 +56,8 @@ class Simulate(Command):
     """Longest duration of a trial, s; default the limit of the session."""
     engine: Literal["native", "mjx", "warp"] = "native"
     """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""
+    lanes: int | None = None
+    """Trials that a GPU steps at once; default its share of all, at most 8192 with mjx, 16384 with warp."""
     window: int | None = None
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None
@@ -107,8 +109,9 @@ class Simulate(Command):
                 return be_worker(self, job, progress, notice)
             others = helpers(self, notice)
             report = synthesise(
-                self.out, job, overwrite=self.overwrite, progress=progress, notice=notice, helpers=others
-            )
+                self.out, job, overwrite=self.overwrite, progress=progress, notice=notice, helpers=others,
+                lanes=self.lanes,
+            )  # fmt: skip
         return {
             "store": str(self.out),
             "stored": report.stored,

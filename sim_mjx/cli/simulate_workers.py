@@ -54,6 +54,8 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     environments = _environments(command.devices, gpus) if command.devices is not None else [{}] * (count or 1)
     if len(environments) < 2:
         return None
+    if gpus and command.lanes is None:  # the first worker must not take all trials
+        words += ["--lanes", str(-(-command.trials // len(environments)))]
     return lambda look: launch.local(words, environments, look, notice)
 
 
@@ -93,7 +95,7 @@ def be_worker(
     others = (command.processes, command.devices, command.launch)
     if any(value is not None for value in others) or command.launch_options or command.overwrite:
         raise InputError("--worker is one process of a job; leave --processes, --devices, --launch, --overwrite out.")
-    simulated, complete = work_on(command.out, job, progress=progress, notice=notice)
+    simulated, complete = work_on(command.out, job, progress=progress, notice=notice, lanes=command.lanes)
     return {"store": str(command.out), "simulated": simulated, "complete": complete}
 
 

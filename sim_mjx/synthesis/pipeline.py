@@ -67,6 +67,7 @@ def synthesise(
     progress: Callable[[SynthesisProgress], None] | None = None,
     notice: Callable[[str], None] | None = None,
     helpers: Helpers | None = None,
+    lanes: int | None = None,
 ) -> SynthesisReport:
     """Simulate a set of trials into a store; an interrupted run resumes from its finished shards.
 
@@ -80,12 +81,14 @@ def synthesise(
         progress: called at the start and after each shard.
         notice: called with a sentence on what the user should know, such as a batch that was halved.
         helpers: starts other workers of the same job and waits for them; this process does what they leave.
+        lanes: trials that a device steps together, if there are as many; default and at most those of ``LANES``.
 
     Raises:
         InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
             (:class:`sim_mjx.synthesis.workers.ShardsFailed`), or all trials diverged.
     """
     scenario = check(job)
+    _check_lanes(lanes)
     folder = shards.folder_of(target)
     manifest = manifest_of(job)
     finished = folder.is_dir() and _is_result(target, manifest)
@@ -99,7 +102,7 @@ def synthesise(
     if not finished:
         if helpers is not None:
             helpers(lambda: tally.show(shards.finished(folder)))
-        _work(draft, simulate, tally, notice)
+        _work(draft, simulate, tally, notice, lanes)
     with claims.wait_for(folder, "join") as ours:
         if ours and shards.has_plan(folder):
             if finished:
@@ -120,6 +123,7 @@ def work_on(
     simulate: Simulate | None = None,
     progress: Callable[[SynthesisProgress], None] | None = None,
     notice: Callable[[str], None] | None = None,
+    lanes: int | None = None,
 ) -> tuple[int, bool]:
     """Be one worker of a job, which this begins where nobody has: until no shard is left, the last one joins them.
 
@@ -127,7 +131,7 @@ def work_on(
     ``overwrite`` replaces it, that run joins the shards.
 
     Args:
-        target, job, simulate, progress, notice: as in :func:`synthesise`.
+        target, job, simulate, progress, notice, lanes: as in :func:`synthesise`.
 
     Returns:
         trials that this worker simulated, and whether the store is complete.
@@ -136,6 +140,7 @@ def work_on(
         InputError: as in :func:`synthesise`, but failed shards are not tried anew.
     """
     scenario = check(job)
+    _check_lanes(lanes)
     folder, manifest = shards.folder_of(target), manifest_of(job)
     if not folder.is_dir():
         if _is_made_by(target, manifest):
@@ -143,7 +148,7 @@ def work_on(
         store.check_target(target, False)
     shards.begin(folder, manifest)
     draft = Draft(folder, job, scenario, manifest)
-    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice)
+    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice, lanes)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
@@ -153,6 +158,11 @@ def work_on(
             claim.release()
         shards.close(folder)
     return made, _is_made_by(target, manifest)
+
+
+def _check_lanes(lanes: int | None) -> None:
+    if lanes is not None and lanes < 1:
+        raise InputError(f"The number of lanes is {lanes}; expected 1 or more.")
 
 
 def _complete(target: Path, draft: Draft, overwrite: bool) -> None:
@@ -188,16 +198,22 @@ def _is_made_by(target: Path, manifest: Mapping[str, Any]) -> bool:
     return known is not None and shards.as_json(known) == shards.as_json(provenance(manifest))
 
 
-def _work(draft: Draft, simulate: Simulate | None, tally: Tally, notice: Callable[[str], None] | None) -> int:
+def _work(
+    draft: Draft,
+    simulate: Simulate | None,
+    tally: Tally,
+    notice: Callable[[str], None] | None,
+    lanes: int | None,
+) -> int:
     """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
     made, job, scenario = 0, draft.job, draft.scenario
     if simulate is None and job.engine in LANES:
-        lanes = min(LANES[job.engine], job.trials)
+        count = min(LANES[job.engine], job.trials, lanes or job.trials)
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
         def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
-            return records.simulate_in_lanes(scene, batches, job.engine, lanes, min(job.shard, lanes), *labels)
+            return records.simulate_in_lanes(scene, batches, job.engine, count, min(job.shard, count), *labels)
 
         made = workers.work_in_lanes(draft, stream, tally)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
