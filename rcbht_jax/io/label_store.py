@@ -118,6 +118,16 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     yield from label_parts.regroup(found, sizes)
 
 
+def verify_tracks(path: Path, name: str) -> None:
+    """Read a set of label tracks, part by part, and compare it with its checksums.
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
+    for _ in read_batches(path, name, part_sizes(count_recordings(path))):
+        pass
+
+
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     """How a set of label tracks was made.
 
@@ -130,6 +140,15 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
+
+
+def part_sizes(count: int) -> list[int]:
+    """Sizes of the batches in which the label tracks of so many recordings are gone through.
+
+    >>> part_sizes(2500)
+    [1024, 1024, 452]
+    """
+    return [min(label_parts.PART, count - first) for first in range(0, count, label_parts.PART)]
 
 
 def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:

@@ -268,6 +268,8 @@ def verify(path: Path) -> None:
         return
     stored = Stored.of(path, group)
     store_reader.check_whole(stored)
+    if stored.schema.simulation:
+        store_reader.check_simulation(stored)
     for number in range(len(stored.schema.layout)):
         store_reader.check_part(stored, number)
 

@@ -205,6 +205,17 @@ def check_part(stored: Stored, number: int) -> None:
         read_simulation_part(stored, number)
 
 
+def check_simulation(stored: Stored) -> None:
+    """Check that the parts of the group ``simulation/`` are those of which its digest is made.
+
+    Raises:
+        InputError: they are not.
+    """
+    with zarr_io.reading(stored.path):
+        group, header = zarr_io.subgroup(stored.group, SIMULATION), sorted(stored.schema.simulation)
+        _check_sealed(stored, group, header, "its simulation")
+
+
 def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = ()) -> Arrays:
     """Arrays of the group ``simulation/`` of one part: all, which are verified, or some.
 
@@ -227,11 +238,10 @@ def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Arrays:
         InputError: the store is damaged or not finished, or there is no such array.
     """
     kept = stored.rows()
-    with zarr_io.reading(stored.path):
-        header = sorted(stored.schema.simulation)
-        _check_sealed(stored, zarr_io.subgroup(stored.group, SIMULATION), header, "its simulation")
+    check_simulation(stored)
     if missing := [name for name in names if name not in stored.schema.simulation]:
-        raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {', '.join(header)}.")
+        there = ", ".join(sorted(stored.schema.simulation))
+        raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {there}.")
     found = [read_simulation_part(stored, number, names) for number in range(len(stored.schema.layout))]
     arrays = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     return {name: values[kept] if len(kept) < len(values) else values for name, values in arrays.items()}
