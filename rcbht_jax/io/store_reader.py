@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -29,7 +30,6 @@ from rcbht_jax.io.store_schema import (
     Schema,
     part_digest,
     schema_in,
-    wrench_digests,
 )
 from rcbht_jax.io.summary import Summary, merged
 from rcbht_jax.types import Recordings
@@ -168,6 +168,13 @@ def read_summary(stored: Stored) -> Summary:
         return merged(json.loads(text) for text, counts in zip(texts, there, strict=True) if counts)
 
 
+def read_digests(stored: Stored) -> NDArray[np.uint8]:
+    """Digest of the samples of each recording ``[recording, 32]``."""
+    kept, made = stored.rows(), stored.schema.fields[WRENCH_HASH]
+    with zarr_io.reading(stored.path):
+        return parts.read(stored.group, WRENCH_HASH, slice(None), made)[kept]
+
+
 def read_small(stored: Stored, number: int) -> Arrays:
     """The arrays of a part but its wrenches, verified.
 
@@ -231,8 +238,8 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
     return arrays
 
 
-def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Arrays:
-    """Arrays ``[recording, ...]`` of the group ``simulation/``.
+def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Iterator[Arrays]:
+    """Arrays ``[recording, ...]`` of the group ``simulation/``, of the recordings of one part after the other.
 
     Raises:
         InputError: the store is damaged or not finished, or there is no such array.
@@ -242,9 +249,14 @@ def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Arrays:
     if missing := [name for name in names if name not in stored.schema.simulation]:
         there = ", ".join(sorted(stored.schema.simulation))
         raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {there}.")
-    found = [read_simulation_part(stored, number, names) for number in range(len(stored.schema.layout))]
-    arrays = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-    return {name: values[kept] if len(kept) < len(values) else values for name, values in arrays.items()}
+    layout = stored.schema.layout
+    for number in range(len(layout)):
+        span = layout.span(number)
+        mine = kept[slice(*np.searchsorted(kept, [span.start, span.stop]))] - span.start
+        part = read_simulation_part(stored, number, names)
+        if len(mine):
+            whole = len(mine) == span.stop - span.start
+            yield part if whole else {name: values[mine] for name, values in part.items()}
 
 
 def _there(stored: Stored) -> NDArray[np.bool_]:
