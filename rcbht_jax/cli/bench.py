@@ -220,11 +220,14 @@ def streaming_step(window: int = 5, windows: int = 2000) -> tuple[Values, float]
     scan = jax.jit(lambda s, x: jax.lax.scan(lambda c, w: step(config, limits, c, w), s, x))
     in_scan = median_seconds(lambda: jax.block_until_ready(scan(init(), samples))) / windows
     single = jax.jit(step, static_argnums=0)
-    empty = jax.jit(lambda limits, state, x: (state, x.sum()))
+    empty: Callable[..., Any] = jax.jit(lambda limits, state, x: (state, x.sum()))
     state, _ = single(config, limits, init(), samples[0])
     jax.block_until_ready(empty(limits, state, samples[0]))
     one = np.asarray(samples[1])
-    calls = (lambda: single(config, limits, state, one), lambda: empty(limits, state, one))
+    calls: list[Callable[[], Any]] = [
+        lambda: single(config, limits, state, one),
+        lambda: empty(limits, state, one),
+    ]
     times = np.zeros((windows, 2))
     for row in times:
         for number, call in enumerate(calls):

@@ -54,7 +54,7 @@ LabelledStore = Annotated[
     _PLACE,
     STORE,
 ]
-OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr")]
+OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), _PLACE]
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]

@@ -194,6 +194,16 @@ def test_a_growing_or_large_store_is_described(
     assert json.loads(capsys.readouterr().out)["verified"]
 
 
+def test_dask_computes_on_it_chunk_by_chunk(parted: Path) -> None:
+    pytest.importorskip("dask")
+    with xr.open_zarr(parted) as data:
+        samples = data["wrench"]
+        assert samples.chunks is not None
+        assert max(samples.chunks[0]) <= PART  # no chunk has rows of two parts
+        found = abs(samples).max(("time", "axis")).compute(scheduler="synchronous")
+        np.testing.assert_array_equal(found.values, np.abs(ragged().wrench).max((1, 2)))
+
+
 def test_a_store_of_gaps_alone_is_refused(tmp_path: Path) -> None:
     everything = tuple(range(COUNT))
     path = begun(tmp_path / "none.zarr", everything)

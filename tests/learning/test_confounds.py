@@ -9,6 +9,7 @@ import pytest
 
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
+from rcbht_jax.learning import wrench_facts
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 from rcbht_jax.learning.wrench_facts import WrenchFacts
@@ -50,7 +51,7 @@ def test_one_session_is_no_confound_and_copies_are_counted():
     recordings.wrench[3] = recordings.wrench[1]
     found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), WrenchFacts.of(recordings))
     assert found == ("Exact copies of another recording: 1; keep copies on one side of every split.",)
-    assert doctest.testmod(module).failed == 0
+    assert doctest.testmod(module).failed + doctest.testmod(wrench_facts).failed == 0
 
 
 def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
