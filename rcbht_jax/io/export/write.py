@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,8 @@ from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
+
+ROWS = 2**18  # of a Parquet file, at which a row group is full
 
 _TABLES = """* `trials.{0}`: one row per recording: names, outcome, further columns;
 * `annotations.{0}`: one row per annotated interval, where there are some;
@@ -81,30 +82,60 @@ def _check_names(data: DataSet) -> None:
 
 
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
-    pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
-    period = {"dt_seconds": repr(data.recordings.dt)}
-
-    pq.write_table(pa.table(tables.trials(data.recordings)), folder / "trials.parquet")
-    with ExitStack() as open_files:
-        writers: dict[str, Any] = {}
-
-        def add(title: str, rows: Table) -> None:
-            table = pa.table(rows)
-            if title not in writers:
-                schema = table.schema.with_metadata(period) if title == "wrench" else table.schema
-                writers[title] = open_files.enter_context(pq.ParquetWriter(folder / f"{title}.parquet", schema))
-            writers[title].write_table(pa.table(rows, schema=writers[title].schema))
-
+    with _ParquetFiles(folder, {"wrench": {"dt_seconds": repr(data.recordings.dt)}}) as files:
+        files.add("trials", tables.trials(data.recordings))
         for title, rows in _optional(data):
-            add(title, rows)
+            files.add(title, rows)
         for block in data.blocks():
             for row in range(len(block.recordings)):
-                add("wrench", tables.wrench(block, row))
+                files.add("wrench", tables.wrench(block, row))
                 progress(1)
             for rows in tables.labels(block):
-                add("labels", rows)
-    layout = "`wrench.parquet`: one row per sample, one row group per recording"
+                files.add("labels", rows)
+        files.flush()
+    layout = "`wrench.parquet`: one row per sample, recordings one after the other, none in two row groups"
     write_card(data, folder, _TABLES.format("parquet", layout))
+
+
+class _ParquetFiles:
+    """Parquet files that grow piece by piece; what is added at once is in one row group.
+
+    A row group takes memory until its file is closed, so that a row group per recording would not do.
+    """
+
+    def __init__(self, folder: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        self._pa, self._pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
+        self._folder, self._metadata = folder, metadata
+        self._waiting: dict[str, list[Any]] = {}
+        self._writers: dict[str, Any] = {}
+
+    def __enter__(self) -> _ParquetFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for writer in self._writers.values():
+            writer.close()
+
+    def add(self, title: str, rows: Table) -> None:
+        """Append rows to a file."""
+        waiting = self._waiting.setdefault(title, [])
+        waiting.append(self._pa.table(rows).replace_schema_metadata(self._metadata.get(title)))
+        if sum(len(table) for table in waiting) >= ROWS:
+            self._write(title)
+
+    def flush(self) -> None:
+        """Write what waits for its row group to be full."""
+        for title in self._waiting:
+            self._write(title)
+
+    def _write(self, title: str) -> None:
+        if waiting := self._waiting[title]:
+            if title not in self._writers:
+                path = self._folder / f"{title}.parquet"
+                self._writers[title] = self._pq.ParquetWriter(path, waiting[0].schema)
+            table = self._pa.concat_tables(waiting)
+            self._writers[title].write_table(table, row_group_size=len(table) or None)
+            self._waiting[title] = []
 
 
 def _optional(data: DataSet) -> Iterator[tuple[str, Table]]:
