@@ -266,6 +266,17 @@ def test_damage_is_found_in_what_is_read_and_only_there(copied: Path, rows: list
             use(copied)
 
 
+def test_a_simulation_of_other_parts_is_found(copied: Path) -> None:
+    """Its parts are whole, but not those of which it was made."""
+    file = copied / "simulation" / "zarr.json"
+    content = json.loads(file.read_text())
+    content["attributes"]["content_sha256"] = "0" * 64
+    file.write_text(json.dumps(content))
+    for use in (store.verify, store.read_simulation):
+        with pytest.raises(InputError, match="its simulation does not match its checksum"):
+            use(copied)
+
+
 def test_a_part_of_another_store_is_found(copied: Path, tmp_path: Path) -> None:
     """Each part is whole in itself, but not what the store was made of."""
     path = begun(tmp_path / "other.zarr", GAPS)
