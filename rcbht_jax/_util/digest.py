@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, Int32, UInt8
 from numpy.typing import NDArray
 
 
@@ -60,6 +61,15 @@ def data_hash(recordings: Any, wrenches: Iterable[NDArray[Any]] | None = None, s
         digest.update(f"{name} {values.shape} ".encode())
         digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())
     return digest.hexdigest()
+
+
+def wrench_digests(
+    wrench: Float32[np.ndarray, "recording time axis"], length: Int32[np.ndarray, " recording"]
+) -> UInt8[np.ndarray, "recording byte"]:
+    """Digest of each recording's samples ``[recording, 32]``."""
+    rows = zip(wrench, length.tolist(), strict=True)
+    found = b"".join(hashlib.sha256(row[:samples].tobytes()).digest() for row, samples in rows)
+    return np.frombuffer(found, np.uint8).reshape(len(length), 32)
 
 
 def files_hash(root: Path, paths: Iterable[Path]) -> str:

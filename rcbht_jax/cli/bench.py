@@ -1,83 +1,145 @@
-"""``rcbht bench``: speed and memory of the encoders on one machine, with peers measured in the same run."""
+"""``rcbht bench``: speed and memory on one machine, with references and peers measured in the same run."""
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Command, announce
+from rcbht_jax.cli.command import Command, Flag, announce, option
 from rcbht_jax.errors import InputError
+
+if TYPE_CHECKING:
+    import jax
 
 _REPEATS = 7
 DT = 0.005
+TRIALS, TRIALS_ON_DEVICE = 100, 8192
+Values = dict[str, tuple[float, str]]  # name -> value, unit
 
 
 @dataclass(frozen=True)
 class Bench(Command):
-    """Measure speed and memory of the encoders on this machine: medians, with compile time listed separately.
+    """Measure speed and memory of encoders and store: lines "name value unit", medians, compile time separately.
 
-    The extra "bench" installs other symbolic representations (tslearn, fABBA), which are measured on the same array.
+    A line ratio/... compares with a reference that took turns in the same run, so that it depends little on the
+    machine: the encoder with bare line fits of its windows, a streaming step with an empty one, reading of a store with
+    loading and hashing the same bytes. The extra "bench" installs other symbolic representations (tslearn, fABBA),
+    which are measured on the same array.
 
     Example: rcbht bench --trials 100
+
+    Example: rcbht bench --check benchmarks/history.json
     """
 
-    trials: int = 100
-    """Trials of six axes in the batch."""
+    trials: Annotated[
+        int | None, option("Trials of six axes in the batch.", "100, with --device 8192", metavar="INT")
+    ] = None
     samples: int = 2000
     """Samples per trial."""
+    device: Flag = False
+    """Measure on the accelerator that JAX finds, in place of the processor."""
+    check: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
+    """Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has fallen by
+    more than 20 %."""
+    history: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
+    """File to add this run to; it is made if there is none."""
 
     def run(self) -> dict[str, Any]:
         import jax
 
-        if self.trials < 1 or self.samples < 20:
-            raise InputError(
-                f"{self.trials} trials of {self.samples} samples are too few; expected at least 1 trial of 20."
-            )
-        wrench = signal(self.trials, self.samples)
-        announce(1, 4, "batch encoder")
-        batch = {f"W={window}": batch_encoder(wrench, window) for window in (5, 20)}
-        announce(2, 4, "streaming encoder")
-        streaming = streaming_step()
-        announce(3, 4, "offline encoder")
-        offline = offline_trial()
-        announce(4, 4, "other representations")
-        speeds = peers(wrench, 5)
-        ours = batch["W=5"]["samples_per_second"]
-        return {
-            "devices": [str(device) for device in jax.devices()],
-            "batch": batch,
-            "streaming": streaming,
-            "offline_seconds_for_33_s": offline,
-            "peers_samples_per_second": speeds,
-            "ratio_to_peers": {name: ours / speed for name, speed in speeds.items()},
+        from rcbht_jax._util.ratios import append_record, fallen, latest, read_history
+
+        trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
+        if trials < 1 or self.samples < 20:
+            raise InputError(f"{trials} trials of {self.samples} samples are too few; expected at least 1 trial of 20.")
+        device = _device(self.device)
+        earlier = None if self.check is None else read_history(self.check)
+        with jax.default_device(device):
+            values, ratios = measure(signal(trials, self.samples))
+        record = {
+            "date": time.strftime("%Y-%m-%d", time.gmtime()),
+            "device": device.device_kind,
+            "trials": trials,
+            "samples": self.samples,
+            "values": {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()},
+            "ratios": ratios,
         }
+        result = {**record, "compared_with": None, "fallen": []}
+        if earlier is not None:
+            if (old := latest(earlier, record)) is None:
+                raise InputError(
+                    f"{self.check} has no run of {trials} trials of {self.samples} samples on {device.device_kind}; "
+                    f"add one with --history {self.check}."
+                )
+            result |= {"compared_with": old.get("date"), "fallen": fallen(ratios, old["ratios"])}
+        if self.history is not None:
+            append_record(self.history, record)
+        return result
+
+    def exit_status(self, result: dict[str, Any]) -> int:
+        return 2 if result["fallen"] else 0
 
     def text(self, result: dict[str, Any]) -> str:
-        lines = [f"devices: {', '.join(result['devices'])}"]
-        for name, row in result["batch"].items():
-            lines.append(
-                f"batch {name}, {row['lanes']} lanes: {row['samples_per_second'] / 1e6:.1f} M samples/s "
-                f"(compile {row['compile_seconds']:.1f} s), working memory {row['working_memory_over_wrench']:.1f} x "
-                f"the wrench, {row['label_bytes_per_slot']:.1f} bytes per label slot"
-            )
-        step = result["streaming"]
-        lines.append(
-            f"streaming step, six axes: {step['microseconds_in_scan']:.1f} us in a scan, single call "
-            f"{step['microseconds_single_call_median']:.0f} us median, "
-            f"{step['microseconds_single_call_p99']:.0f} us p99"
-        )
-        lines.append(f"offline encoder: {result['offline_seconds_for_33_s']:.3f} s for a 33 s trial")
-        for name, speed in result["peers_samples_per_second"].items():
-            lines.append(f"{name}: {speed / 1e6:.3f} M samples/s; ours is {result['ratio_to_peers'][name]:.1f} x")
-        if not result["peers_samples_per_second"]:
-            lines.append('others: none installed; pip install "rcbht-jax[bench]"')
+        values = {name: (entry["value"], entry["unit"]) for name, entry in result["values"].items()}
+        values |= {f"ratio/{name}": (ratio, "x") for name, ratio in result["ratios"].items()}
+        lines = [f"# {result['device']}, {result['trials']} trials of {result['samples']} samples"]
+        lines += [f"{name} {value:.6g} {unit}" for name, (value, unit) in values.items()]
+        if not any(name.startswith("peer/") for name in values):
+            lines.append('# no other representation is installed; pip install "rcbht-jax[bench]"')
+        if result["compared_with"] is not None:
+            lines += [f"# {sentence}" for sentence in result["fallen"]] or [
+                f"# no ratio has fallen by more than 20 % since {result['compared_with']}"
+            ]
         return "\n".join(lines)
+
+
+def _device(accelerator: bool) -> jax.Device:
+    """The accelerator that JAX finds, or the processor.
+
+    Raises:
+        InputError: there is no accelerator.
+    """
+    import jax
+
+    if not accelerator:
+        return jax.devices("cpu")[0]
+    if (device := jax.devices()[0]).platform == "cpu":
+        raise InputError('JAX finds no accelerator; leave out --device, or pip install "rcbht-jax[cuda]".')
+    return device
+
+
+def measure(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
+    """All values by name, and the ratios to their references."""
+    values: Values = {}
+    ratios: dict[str, float] = {}
+    announce(1, 5, "batch encoder")
+    for window in (5, 20):
+        found, ratios[f"encode/W={window}"] = batch_encoder(wrench, window)
+        values |= found
+    announce(2, 5, "streaming encoder")
+    found, ratios["step"] = streaming_step()
+    values |= found
+    announce(3, 5, "offline encoder")
+    values["offline/33_s"] = (offline_trial(), "s")
+    announce(4, 5, "store")
+    if importlib.util.find_spec("zarr") is not None:
+        values["store/read"], ratios["store/read"] = store_reading(wrench)
+    announce(5, 5, "other representations")
+    ours = values["encode/W=5"][0]
+    for name, speed in peers(wrench, 5).items():
+        values[f"peer/{name.replace(' ', '_')}"] = (speed, "samples/s")
+        values[f"faster_than/{name.replace(' ', '_')}"] = (ours / speed, "x")
+    return values, ratios
 
 
 def signal(trials: int, samples: int, seed: int = 0) -> NDArray[np.float32]:
@@ -99,11 +161,12 @@ def median_seconds(run: Callable[[], Any], repeats: int = _REPEATS) -> float:
     return float(np.median(times))
 
 
-def batch_encoder(wrench: NDArray[np.float32], window: int) -> dict[str, Any]:
-    """Dense encoding of all trials at once: compile time, throughput, memory relative to the wrench."""
+def batch_encoder(wrench: NDArray[np.float32], window: int) -> tuple[Values, float]:
+    """Dense encoding of all trials at once, and its speed in units of bare line fits of the same windows."""
     import jax
     import jax.numpy as jnp
 
+    from rcbht_jax._util.ratios import interleaved
     from rcbht_jax.encoding.encoder import EncoderConfig, encode
     from rcbht_jax.encoding.thresholds import preset
 
@@ -112,22 +175,40 @@ def batch_encoder(wrench: NDArray[np.float32], window: int) -> dict[str, Any]:
     start = time.perf_counter()
     compiled = jax.jit(encode, static_argnums=0).lower(config, limits, data, length).compile()
     compile_seconds = time.perf_counter() - start
-    seconds = median_seconds(lambda: jax.block_until_ready(compiled(limits, data, length)))
+    fits = jax.jit(_line_fits, static_argnums=0)
+    timing = interleaved(
+        lambda: jax.block_until_ready(compiled(limits, data, length)),
+        lambda: jax.block_until_ready(fits(window, data)),
+        _REPEATS,
+    )
     memory = compiled.memory_analysis()
     tracks = compiled(limits, data, length)
     labels = sum(leaf.nbytes for leaf in jax.tree.leaves(tracks))
     slots = sum(track.label.size for track in (tracks.primitive, tracks.mc, tracks.llb))
-    return {
-        "lanes": len(wrench) * 6,
-        "compile_seconds": compile_seconds,
-        "samples_per_second": wrench.size / seconds,
-        "working_memory_over_wrench": memory.temp_size_in_bytes / wrench.nbytes if memory else float("nan"),
-        "label_bytes_per_slot": labels / slots,
+    name = f"encode/W={window}"
+    values: Values = {
+        name: (wrench.size / timing.seconds, "samples/s"),
+        f"{name}/compile": (compile_seconds, "s"),
+        f"{name}/label": (labels / slots, "bytes/slot"),
     }
+    if memory:
+        values[f"{name}/working_memory"] = (memory.temp_size_in_bytes / wrench.nbytes, "x_wrench")
+    return values, timing.ratio
 
 
-def streaming_step(window: int = 5, windows: int = 2000) -> dict[str, float]:
-    """One step for six axes: inside a scan, and as a single jitted call."""
+def _line_fits(window: int, wrench: Any) -> Any:
+    """Slope and mean of every window ``[trial, window, axis]``: what no encoder of windows can do without."""
+    import jax.numpy as jnp
+
+    count = wrench.shape[1] // window
+    cut = wrench[:, : count * window].reshape(len(wrench), count, window, -1)
+    time = (np.arange(window) - (window - 1) / 2) * DT
+    weights = jnp.asarray(time / (time**2).sum(), wrench.dtype)
+    return jnp.einsum("nwta,t->nwa", cut, weights), cut.mean(2)
+
+
+def streaming_step(window: int = 5, windows: int = 2000) -> tuple[Values, float]:
+    """One step for six axes: inside a scan, as a single jitted call, and that in units of a call that does nothing."""
     import jax
     import jax.numpy as jnp
 
@@ -139,18 +220,44 @@ def streaming_step(window: int = 5, windows: int = 2000) -> dict[str, float]:
     scan = jax.jit(lambda s, x: jax.lax.scan(lambda c, w: step(config, limits, c, w), s, x))
     in_scan = median_seconds(lambda: jax.block_until_ready(scan(init(), samples))) / windows
     single = jax.jit(step, static_argnums=0)
+    empty: Callable[..., Any] = jax.jit(lambda limits, state, x: (state, x.sum()))
     state, _ = single(config, limits, init(), samples[0])
+    jax.block_until_ready(empty(limits, state, samples[0]))
     one = np.asarray(samples[1])
-    times = []
-    for _ in range(windows):
-        start = time.perf_counter()
-        jax.block_until_ready(single(config, limits, state, one))
-        times.append(time.perf_counter() - start)
-    return {
-        "microseconds_in_scan": in_scan * 1e6,
-        "microseconds_single_call_median": float(np.median(times)) * 1e6,
-        "microseconds_single_call_p99": float(np.quantile(times, 0.99)) * 1e6,
+    calls: list[Callable[[], Any]] = [
+        lambda: single(config, limits, state, one),
+        lambda: empty(limits, state, one),
+    ]
+    times = np.zeros((windows, 2))
+    for row in times:
+        for number, call in enumerate(calls):
+            start = time.perf_counter()
+            jax.block_until_ready(call())
+            row[number] = time.perf_counter() - start
+    ours, reference = np.median(times, axis=0)
+    values: Values = {
+        "step/scan": (in_scan * 1e6, "us"),
+        "step/call": (float(ours) * 1e6, "us"),
+        "step/call/p99": (float(np.quantile(times[:, 0], 0.99)) * 1e6, "us"),
     }
+    return values, float(reference / ours)
+
+
+def store_reading(wrench: NDArray[np.float32]) -> tuple[tuple[float, str], float]:
+    """Reading of a store, verified, and its speed in units of loading and hashing the same bytes."""
+    from rcbht_jax._util.ratios import interleaved
+    from rcbht_jax.io.store import read_recordings, write_recordings
+    from rcbht_jax.types import Recordings
+
+    some = wrench[: max(1, 2**26 // wrench[0].nbytes)]
+    with tempfile.TemporaryDirectory(prefix="rcbht-bench-") as folder:
+        path, plain = Path(folder) / "bench.zarr", Path(folder) / "bench.npy"
+        write_recordings(path, Recordings.from_arrays(some, 1 / DT), {})
+        np.save(plain, some)
+        timing = interleaved(
+            lambda: read_recordings(path), lambda: hashlib.sha256(np.load(plain).data).hexdigest(), _REPEATS
+        )
+    return (some.nbytes / timing.seconds, "bytes/s"), timing.ratio
 
 
 def offline_trial(seconds: float = 33.0) -> float:

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from rcbht_jax.calibration.dataset import CalibrationData
     from rcbht_jax.calibration.rest import RestSlopes
     from rcbht_jax.calibration.rest_runs import RestRuns
+    from rcbht_jax.calibration.sample import Sample
     from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
+    from rcbht_jax.learning.tasks import TaskSpec
     from rcbht_jax.types import Recordings
 
 _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
@@ -43,6 +45,8 @@ class Calibrate(RuleCommand):
     best. The gradient method trains thresholds and a linear classifier together by gradient descent. With --rule fit,
     rest, search and gradient find the tolerances of that rule as well. Pass training trials only: scores on the trials
     that chose the thresholds are optimistic.
+
+    Of a store with more than 128 MiB of wrenches, the thresholds come from trials spread evenly over those chosen.
 
     Example: rcbht calibrate hiro.zarr --method search --session B -o thresholds.json
     """
@@ -92,13 +96,12 @@ class Calibrate(RuleCommand):
     def run(self) -> dict[str, Any]:
         import jax
 
-        from rcbht_jax._util.digest import data_hash
         from rcbht_jax.calibration.dataset import calibration_data
         from rcbht_jax.calibration.objective import SCORES, Objective
+        from rcbht_jax.calibration.sample import read_sample
         from rcbht_jax.calibration.search import score_candidates
         from rcbht_jax.encoding.limit_files import write_limits
         from rcbht_jax.encoding.rules import config_fields, gradients_of
-        from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
 
         checked_tolerance(self.rule, self.tolerance)
@@ -112,10 +115,11 @@ class Calibrate(RuleCommand):
             raise InputError("--thresholds is for the methods search and gradient; the method context reads --robot.")
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
-        recordings = read_recordings(self.store)
         if self.method == "rest":
-            return self._rest(recordings)
+            return self._rest(read_sample(self.store, self._everything))
         spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
+        sample = read_sample(self.store, spec)
+        recordings = sample.recordings
         config = self.config(recordings.dt)
         data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
         start = time.perf_counter()
@@ -128,6 +132,7 @@ class Calibrate(RuleCommand):
         result = {
             "method": self.method,
             "trials": len(data),
+            **_of(sample),
             "classes": list(data.classes),
             "value": float(both[1] @ weights),
             "preset_value": float(both[0] @ weights),
@@ -142,7 +147,7 @@ class Calibrate(RuleCommand):
             "robot": self.robot or "",
             **({"thresholds_from": str(self.thresholds)} if self.thresholds else {}),
             "seed": self.seed,
-            "data_hash": data_hash(recordings),
+            "data_hash": sample.data_hash,
             "trial_names": data.trial.tolist(),
         }
         write_limits(self.out, thresholds, provenance, recordings.axes)
@@ -173,6 +178,8 @@ class Calibrate(RuleCommand):
         ]
         if "value" in result:
             lines[0] += f"; objective {result['value']:.3f}, with the initial thresholds {result['preset_value']:.3f}"
+        if "of_trials" in result:
+            lines.append(f"The store is large: these trials are spread evenly over its {result['of_trials']}.")
         lines.append("      " + "".join(f"{name:>10}" for name in names))
         lines += [
             f"{axis:6}" + "".join(f"{limit:10.3f}" for limit in row)
@@ -180,22 +187,28 @@ class Calibrate(RuleCommand):
         ]
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
 
-    def _rest(self, recordings: Recordings) -> dict[str, Any]:
-        from rcbht_jax._util.digest import data_hash
+    @property
+    def _everything(self) -> TaskSpec:
+        """What needs neither annotations nor classes."""
+        from rcbht_jax.learning.tasks import TaskSpec
+
+        return TaskSpec(sources=self.source, sessions=self.session, outcomes=())
+
+    def _rest(self, sample: Sample) -> dict[str, Any]:
         from rcbht_jax.calibration.rest import rest_thresholds
         from rcbht_jax.calibration.rest_runs import fit_rest_limits
         from rcbht_jax.encoding.fit import FitConfig
         from rcbht_jax.encoding.limit_files import write_limits
-        from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings
+        from rcbht_jax.learning.tasks import chosen_recordings
 
         start = time.perf_counter()
-        spec = TaskSpec(sources=self.source, sessions=self.session, outcomes=())
-        chosen = chosen_recordings(recordings, spec)
+        recordings = sample.recordings
+        chosen = chosen_recordings(recordings, self._everything)
         if not chosen.any():
             raise InputError("No recording passes the filters.")
         if self.tolerance:
             raise InputError("The method rest finds the tolerances; leave out --tolerance.")
-        result: dict[str, Any] = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen]))}
+        result: dict[str, Any] = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen])), **_of(sample)}
         config, some = self.config(recordings.dt), recordings.take(chosen)
         limits: AnyLimits
         if isinstance(config, FitConfig):
@@ -204,7 +217,7 @@ class Calibrate(RuleCommand):
             result["rest_constant"] = dict(zip(recordings.axes, found.constant.round(4).tolist(), strict=True))
         else:
             limits = rest_thresholds(some, self.window).thresholds
-        provenance = {**result, "window": self.window, "data_hash": data_hash(recordings)}
+        provenance = {**result, "window": self.window, "data_hash": sample.data_hash}
         write_limits(self.out, limits, provenance, recordings.axes)
         return self._said(limits, recordings, time.perf_counter() - start) | result
 
@@ -272,3 +285,8 @@ class Calibrate(RuleCommand):
             trained = calibrate(data, config, base, options, progress=bar.update, rest=self._slopes(recordings, data))
         losses = [trained.history[0][1], trained.history[-1][1]]
         return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}
+
+
+def _of(sample: Sample) -> dict[str, int]:
+    """How many trials the sample is of; nothing where it is all of the store."""
+    return {} if sample.trials is None else {"of_trials": sample.trials}

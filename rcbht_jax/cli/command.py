@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import tyro
 
+from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,11 +39,22 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
 # Options that several commands have; one without a text is described by the docstring of its field.
 STORE = MadeBy('"rcbht simulate {path}", or from recorded trials with "rcbht import hiro DIR {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
-Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE]
+_PLACE = tyro.constructors.PrimitiveConstructorSpec[Path](  # a folder or a URL, which Path would fold
+    nargs=1,
+    metavar="STORE.zarr",
+    instance_from_str=lambda words: as_path(words[0]),
+    is_instance=lambda value: isinstance(value, Path),
+    str_from_instance=lambda path: [str(path)],
+)
+Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), _PLACE, STORE]
 LabelledStore = Annotated[
-    Path, tyro.conf.Positional, option('Store with label tracks, made by "rcbht encode".', metavar="STORE.zarr"), STORE
+    Path,
+    tyro.conf.Positional,
+    option('Store with label tracks, made by "rcbht encode".', metavar="STORE.zarr"),
+    _PLACE,
+    STORE,
 ]
-OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr")]
+OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), _PLACE]
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
@@ -129,7 +141,7 @@ class Command(ABC):
         for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
             for mark in getattr(hint, "__metadata__", ()):
                 path = getattr(self, name)
-                if isinstance(mark, MadeBy) and path is not None and not path.exists():
+                if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
 

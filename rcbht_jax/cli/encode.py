@@ -61,7 +61,9 @@ class Encode(RuleCommand):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks, write_batches
+        from rcbht_jax.io.zarr import check_writable
 
+        check_writable(self.store)
         name = self.name or self._default_name()
         if (self.thresholds is not None or self.scale != 1) and self.mode == "offline":
             raise InputError(

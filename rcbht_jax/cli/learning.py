@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from rcbht_jax.learning.model_io import TrainedModel
     from rcbht_jax.learning.predict import Classification
     from rcbht_jax.learning.svm import Grid
-    from rcbht_jax.learning.tasks import TaskSpec
-    from rcbht_jax.types import LabelTracks, Recordings
+    from rcbht_jax.learning.tasks import TaskSpec, TrackBatches
+    from rcbht_jax.learning.wrench_facts import WrenchFacts
+    from rcbht_jax.types import Recordings
 
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
 Family = Literal[
@@ -87,13 +88,20 @@ class _Learning(Command):
 
     def read_tracks(self) -> tuple[Grammars, dict[str, dict[str, Any]]]:
         """The label tracks to choose from, and how those of each name were made."""
-        from rcbht_jax.io.label_store import choose_tracks
+        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs, track_batches
 
         choices = [choice.split("+") for choice in self.tracks or ("",)]
-        read = {wanted: choose_tracks(self.store, wanted) for choice in choices for wanted in choice}
-        grammars = [{read[wanted][0]: read[wanted][1] for wanted in choice} for choice in choices]
-        how = {name: attrs for name, _, attrs in read.values()}
-        return {"+".join(grammar): grammar for grammar in grammars}, how
+        grammars = [[choose_name(self.store, wanted) for wanted in choice] for choice in choices]
+        how = {name: read_tracks_attrs(self.store, name) for names in grammars for name in names}
+        return {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}, how
+
+    def read_data(self) -> tuple[Recordings, WrenchFacts]:
+        """The recordings without their samples, and what is needed of these."""
+        from rcbht_jax.io.store import longest_of, read_batches, read_table
+        from rcbht_jax.learning.wrench_facts import WrenchFacts
+
+        recordings = read_table(self.store)
+        return recordings, WrenchFacts.of(recordings, read_batches(self.store), longest_of(self.store))
 
 
 @dataclass(frozen=True)
@@ -117,15 +125,15 @@ class Evaluate(_Learning):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
-        from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 
         grammars, how = self.read_tracks()
         protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        recordings, folds = read_recordings(self.store), 1 if self.train_on else self.folds * self.repeats
+        folds = 1 if self.train_on else self.folds * self.repeats
+        recordings, facts = self.read_data()
         with progress_bar("evaluate", "folds", folds) as bar:
-            result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update)
+            result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -161,15 +169,14 @@ class Train(_Learning):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
-        from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.evaluation import train
         from rcbht_jax.learning.model_io import save
 
         grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        recordings, grid = read_recordings(self.store), self.grid
+        (recordings, facts), grid = self.read_data(), self.grid
         with progress_bar("train", "folds", grid.inner) as bar:
-            model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update)
+            model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update, facts)
         save(self.out, model)
         chosen = model.svm.spec
         return {
@@ -225,7 +232,7 @@ class Classify(Command):
         model = load(self.model)
         spec = task_of(model, self.source, self.session, self.outcome)
         recordings = read_table(self.store)
-        tracks = self._read_tracks(model, len(recordings))
+        tracks = self._tracks(model)
         write = _csv if self.out.suffix == ".csv" else _json_lines
         with progress_bar("classify", "steps", 2) as bar:
             wrenches = (batch.wrench for batch in read_batches(self.store))
@@ -248,10 +255,9 @@ class Classify(Command):
             "accuracy_of_those": classification.accuracy(seen=True),
         }
 
-    def _read_tracks(self, model: TrainedModel, count: int) -> Iterator[dict[str, LabelTracks]]:
+    def _tracks(self, model: TrainedModel) -> TrackBatches:
         """The labels that the model reads, by the names that it gives them, in batches."""
-        from rcbht_jax.io.label_parts import PART
-        from rcbht_jax.io.label_store import choose_name, read_batches, read_tracks_attrs
+        from rcbht_jax.io.label_store import choose_name, read_tracks_attrs, track_batches
         from rcbht_jax.learning.predict import check_encoders, encoders_of
 
         names = list(encoders_of(model))
@@ -262,9 +268,7 @@ class Classify(Command):
             )
         chosen = {name: choose_name(self.store, wanted) for name, wanted in zip(names, given, strict=True)}
         check_encoders(model, {name: read_tracks_attrs(self.store, wanted) for name, wanted in chosen.items()})
-        sizes = [min(PART, count - first) for first in range(0, count, PART)]
-        batches = [read_batches(self.store, wanted, sizes) for wanted in chosen.values()]
-        return (dict(zip(chosen, tracks, strict=True)) for tracks in zip(*batches, strict=True))
+        return track_batches(self.store, chosen)
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
+from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import Arm, CompileCache, OnlineModel, RuleCommand, checked_tolerance
 from rcbht_jax.errors import InputError
 
@@ -125,7 +126,7 @@ class Source(RuleCommand):
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.labels import UNIT_OF
 
-        path = Path(self.source)
+        path = as_path(self.source)
         if _is_store(path):
             recordings = read_recordings(path)
             rate = self.sampling_rate or 1 / recordings.dt
@@ -162,7 +163,7 @@ class Source(RuleCommand):
 
         if self.source == "-":
             return read_live(_standard_input(), self.timeout)
-        path = Path(self.source)
+        path = as_path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
         if is_bag(path):
             return read_bag(path, self.topic)
@@ -184,4 +185,4 @@ def _standard_input() -> LineReader:
 
 
 def _is_store(path: Path) -> bool:
-    return (path / "zarr.json").is_file()
+    return url_of(path) is not None or (path / "zarr.json").is_file()

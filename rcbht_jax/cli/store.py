@@ -14,6 +14,7 @@ from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.learning.wrench_facts import WrenchFacts
     from rcbht_jax.types import Recordings
 
 
@@ -79,13 +80,15 @@ class Info(Command):
         from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_recordings, read_summary, verify
         from rcbht_jax.io.summary import summary_of
         from rcbht_jax.learning.tasks import task_names
+        from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), False
         if there == expected and size <= SMALL_BYTES:
             recordings = read_recordings(self.store)
             summary, verified = summary_of(recordings), True
-            tasks = {name: _task(recordings, name) for name in task_names(recordings)}
+            facts = WrenchFacts.of(recordings)
+            tasks = {name: _task(recordings, name, facts) for name in task_names(recordings)}
         else:
             summary = read_summary(self.store)
             if self.check:
@@ -148,7 +151,7 @@ def _group(group: list[Any], dt: float) -> dict[str, Any]:
     }
 
 
-def _task(recordings: Recordings, name: str) -> dict[str, Any]:
+def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, Any]:
     """Intervals of each class, and sentences about confounds and what is left out."""
     from rcbht_jax.learning.confounds import confounds
     from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
@@ -160,7 +163,7 @@ def _task(recordings: Recordings, name: str) -> dict[str, Any]:
         return {"classes": {}, "sentences": [str(error)]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
-    sentences = [*confounds(items, recordings), *left]
+    sentences = [*confounds(items, facts), *left]
     return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 
 

@@ -76,6 +76,7 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.learning.confounds import confounds
         from rcbht_jax.learning.tasks import TaskSpec, chosen_recordings, labelled_intervals, track_of
+        from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         recordings = read_recordings(self.store)
         tasks = [TaskSpec(task, sources=self.source, sessions=self.session) for task in self.task]
@@ -105,13 +106,14 @@ class TrainOnline(RuleCommand):
 
             model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
+        facts = WrenchFacts.of(recordings)
         heads = {
             head.name: {
                 "classes": list(head.classes),
                 "kernel": head.machine.svm.spec.kernel,
                 "cost": head.machine.svm.spec.cost,
                 "features": int(head.machine.svm.center.size),
-                "confounds": " ".join(confounds(labelled_intervals(recordings, spec.task), recordings)),
+                "confounds": " ".join(confounds(labelled_intervals(recordings, spec.task), facts)),
             }
             for spec, head in zip(specs, model.heads, strict=True)
         }

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.optional import needs_extra
@@ -18,6 +19,7 @@ from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store import count_recordings, open_store, recording_rows
 from rcbht_jax.io.store_schema import LABELS
 from rcbht_jax.labels import LAYERS
+from rcbht_jax.learning.tasks import TrackBatches
 from rcbht_jax.types import LabelTrack, LabelTracks
 
 with needs_extra("store"):
@@ -68,6 +70,7 @@ def write_batches(
     Raises:
         InputError: as for :func:`write_tracks`.
     """
+    zarr_io.check_writable(path)
     rows, folder = recording_rows(path), _folder(path, name)
     if folder.exists():
         raise InputError(f"{path} has label tracks {name} already; choose another name.")
@@ -118,6 +121,48 @@ def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelT
     yield from label_parts.regroup(found, sizes)
 
 
+def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
+    """Label tracks of some recordings, by ascending number; only the parts that hold them are read.
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
+    if "part_rows" in read_tracks_attrs(path, name):
+        return label_parts.joined(list(label_parts.read(_folder(path, name), recording_rows(path)[numbers])))
+    return label_parts.taken(read_tracks(path, name)[0], numbers)
+
+
+def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
+    """Label tracks of a store for what goes through them in batches.
+
+    >>> batches = track_batches(Path("trials.zarr"), {"W5": "online-W5"})  # doctest: +SKIP
+
+    Args:
+        path: the store.
+        names: what they are called -> their name in the store.
+
+    Raises:
+        InputError: ``path`` is not a store; the rest, as for :func:`read_batches`, while they are read.
+    """
+    sizes = part_sizes(count_recordings(path))
+
+    def read() -> Iterator[dict[str, LabelTracks]]:
+        batches = [read_batches(path, name, sizes) for name in names.values()]
+        return (dict(zip(names, tracks, strict=True)) for tracks in zip(*batches, strict=True))
+
+    return TrackBatches(tuple(names), read)
+
+
+def verify_tracks(path: Path, name: str) -> None:
+    """Read a set of label tracks, part by part, and compare it with its checksums.
+
+    Raises:
+        InputError: ``path`` is not a store, has no such tracks, or they are damaged.
+    """
+    for _ in read_batches(path, name, part_sizes(count_recordings(path))):
+        pass
+
+
 def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     """How a set of label tracks was made.
 
@@ -126,10 +171,19 @@ def read_tracks_attrs(path: Path, name: str) -> dict[str, Any]:
     """
     open_store(path)
     folder = _folder(path, name)
-    if not folder.is_dir():
+    if not zarr_io.has_group(folder):
         names = ", ".join(list_tracks(path)) or "none"
         raise InputError(f"{path} has no label tracks {name}; it has: {names}.")
     return dict(zarr_io.open_group(folder).attrs)
+
+
+def part_sizes(count: int) -> list[int]:
+    """Sizes of the batches in which the label tracks of so many recordings are gone through.
+
+    >>> part_sizes(2500)
+    [1024, 1024, 452]
+    """
+    return [min(label_parts.PART, count - first) for first in range(0, count, label_parts.PART)]
 
 
 def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
@@ -167,8 +221,7 @@ def list_tracks(path: Path) -> list[str]:
         InputError: ``path`` is not a store.
     """
     open_store(path)
-    entries = [entry for entry in (path / LABELS).glob("*") if entry.is_dir() and not entry.name.startswith(".")]
-    return sorted(entry.name for entry in entries if NAME.fullmatch(entry.name))
+    return sorted(name for name in zarr_io.subfolders(path / LABELS) if NAME.fullmatch(name))
 
 
 def _folder(path: Path, name: str) -> Path:

@@ -28,7 +28,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store_reader, store_v1, store_v2, store_writer
 from rcbht_jax.io import zarr as zarr_io
@@ -44,9 +46,9 @@ with needs_extra("store"):
 
 __all__ = [
     "FORMAT", "FORMAT_VERSION", "SIMULATION", "VARIABLES", "check_target", "count_recordings", "is_finished",
-    "longest_of", "open_store", "progress_of", "read_attrs", "read_batches", "read_lengths", "read_recordings",
-    "read_rows", "read_sample", "read_simulation", "read_summary", "read_table", "validate", "verify",
-    "write_recordings",
+    "longest_of", "open_store", "progress_of", "read_attrs", "read_batches", "read_digests", "read_lengths",
+    "read_recordings", "read_rows", "read_sample", "read_simulation", "read_simulation_batches", "read_summary",
+    "read_table", "validate", "verify", "write_recordings",
 ]  # fmt: skip
 
 BATCH_BYTES = 2**26  # of wrenches that are in memory at once
@@ -120,7 +122,7 @@ def read_recordings(path: Path | str) -> Recordings:
         InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged (a
             chunk is missing, truncated or altered).
     """
-    path = Path(path)
+    path = as_path(path)
     group = open_store(path)
     return _valid(path, store_reader.read_all(Stored.of(path, group)) if _in_parts(group) else _read_old(path, group))
 
@@ -135,7 +137,7 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
     Raises:
         InputError: there is no such recording, or as for :func:`read_recordings`.
     """
-    path, numbers = Path(path), np.atleast_1d(np.asarray(rows))
+    path, numbers = as_path(path), np.atleast_1d(np.asarray(rows))
     group = open_store(path, collected=True)
     stored = Stored.of(path, group) if _in_parts(group) else None
     count = count_recordings(path) if stored is None else len(stored.rows())
@@ -146,22 +148,22 @@ def read_rows(path: Path | str, rows: ArrayLike) -> Recordings:
     return _valid(path, store_reader.read_rows(stored, numbers.astype(np.int64)))
 
 
-def read_batches(path: Path | str, most: int = BATCH_BYTES) -> Iterator[Recordings]:
+def read_batches(path: Path | str, most: int | None = None) -> Iterator[Recordings]:
     """All recordings of a store in their order, in batches: what is done to each needs the memory of one.
 
     >>> samples = sum(int(batch.length.sum()) for batch in read_batches(Path("trials.zarr")))  # doctest: +SKIP
 
     Args:
         path: the store; of version 1 or 2 it is read whole.
-        most: bytes of wrenches in a batch.
+        most: bytes of wrenches in a batch; default 64 MiB.
 
     Raises:
         InputError: as for :func:`read_recordings`.
     """
-    path = Path(path)
+    path = as_path(path)
     group = open_store(path)
     if _in_parts(group):
-        for batch in store_reader.read_parts(Stored.of(path, group), most):
+        for batch in store_reader.read_parts(Stored.of(path, group), BATCH_BYTES if most is None else most):
             yield _valid(path, batch)
     else:
         yield _valid(path, _read_old(path, group))
@@ -268,6 +270,8 @@ def verify(path: Path) -> None:
         return
     stored = Stored.of(path, group)
     store_reader.check_whole(stored)
+    if stored.schema.simulation:
+        store_reader.check_simulation(stored)
     for number in range(len(stored.schema.layout)):
         store_reader.check_part(stored, number)
 
@@ -287,18 +291,42 @@ def read_simulation(path: Path, *names: str) -> dict[str, NDArray[Any]]:
     Raises:
         InputError: ``path`` is not a store, holds no simulation or no such array, or is damaged.
     """
+    found = list(read_simulation_batches(path, *names))
+    return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+
+
+def read_simulation_batches(path: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
+    """As :func:`read_simulation`, of consecutive recordings in batches: the parts of the store.
+
+    Raises:
+        InputError: as there.
+    """
     group = open_store(path)
     sub = group.get(SIMULATION)
     if not isinstance(sub, zarr.Group):
         raise InputError(f'{path} holds no simulation; expected a store made by "rcbht simulate".')
     if _in_parts(group):
-        return store_reader.read_simulation(Stored.of(path, group), names)
+        yield from store_reader.read_simulation(Stored.of(path, group), names)
+        return
     with zarr_io.reading(path):
         arrays = store_v2.read_arrays(sub)
         expected = sub.attrs[HASH]
     if store_v2.arrays_hash(arrays) != expected:
         raise InputError(f"{path} is damaged: its simulation does not match its checksum. Simulate or copy it again.")
-    return {name: arrays[name] for name in names or arrays}
+    yield {name: arrays[name] for name in names or arrays}
+
+
+def read_digests(path: Path) -> NDArray[np.uint8]:
+    """SHA-256 of the samples of each recording ``[recording, 32]``: equal ones are copies.
+
+    Raises:
+        InputError: ``path`` does not exist, is not a store of this format, is still being written, or is damaged.
+    """
+    group = open_store(path)
+    if _in_parts(group):
+        return store_reader.read_digests(Stored.of(path, group))
+    recordings = _read_old(path, group)
+    return wrench_digests(recordings.wrench, recordings.length)
 
 
 def read_attrs(path: Path) -> dict[str, Any]:

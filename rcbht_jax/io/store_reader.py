@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -29,7 +30,6 @@ from rcbht_jax.io.store_schema import (
     Schema,
     part_digest,
     schema_in,
-    wrench_digests,
 )
 from rcbht_jax.io.summary import Summary, merged
 from rcbht_jax.types import Recordings
@@ -168,6 +168,13 @@ def read_summary(stored: Stored) -> Summary:
         return merged(json.loads(text) for text, counts in zip(texts, there, strict=True) if counts)
 
 
+def read_digests(stored: Stored) -> NDArray[np.uint8]:
+    """Digest of the samples of each recording ``[recording, 32]``."""
+    kept, made = stored.rows(), stored.schema.fields[WRENCH_HASH]
+    with zarr_io.reading(stored.path):
+        return parts.read(stored.group, WRENCH_HASH, slice(None), made)[kept]
+
+
 def read_small(stored: Stored, number: int) -> Arrays:
     """The arrays of a part but its wrenches, verified.
 
@@ -205,6 +212,17 @@ def check_part(stored: Stored, number: int) -> None:
         read_simulation_part(stored, number)
 
 
+def check_simulation(stored: Stored) -> None:
+    """Check that the parts of the group ``simulation/`` are those of which its digest is made.
+
+    Raises:
+        InputError: they are not.
+    """
+    with zarr_io.reading(stored.path):
+        group, header = zarr_io.subgroup(stored.group, SIMULATION), sorted(stored.schema.simulation)
+        _check_sealed(stored, group, header, "its simulation")
+
+
 def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = ()) -> Arrays:
     """Arrays of the group ``simulation/`` of one part: all, which are verified, or some.
 
@@ -220,21 +238,25 @@ def read_simulation_part(stored: Stored, number: int, names: tuple[str, ...] = (
     return arrays
 
 
-def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Arrays:
-    """Arrays ``[recording, ...]`` of the group ``simulation/``.
+def read_simulation(stored: Stored, names: tuple[str, ...] = ()) -> Iterator[Arrays]:
+    """Arrays ``[recording, ...]`` of the group ``simulation/``, of the recordings of one part after the other.
 
     Raises:
         InputError: the store is damaged or not finished, or there is no such array.
     """
     kept = stored.rows()
-    with zarr_io.reading(stored.path):
-        header = sorted(stored.schema.simulation)
-        _check_sealed(stored, zarr_io.subgroup(stored.group, SIMULATION), header, "its simulation")
+    check_simulation(stored)
     if missing := [name for name in names if name not in stored.schema.simulation]:
-        raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {', '.join(header)}.")
-    found = [read_simulation_part(stored, number, names) for number in range(len(stored.schema.layout))]
-    arrays = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-    return {name: values[kept] if len(kept) < len(values) else values for name, values in arrays.items()}
+        there = ", ".join(sorted(stored.schema.simulation))
+        raise InputError(f"{stored.path} has no simulation/{missing[0]}; it has: {there}.")
+    layout = stored.schema.layout
+    for number in range(len(layout)):
+        span = layout.span(number)
+        mine = kept[slice(*np.searchsorted(kept, [span.start, span.stop]))] - span.start
+        part = read_simulation_part(stored, number, names)
+        if len(mine):
+            whole = len(mine) == span.stop - span.start
+            yield part if whole else {name: values[mine] for name, values in part.items()}
 
 
 def _there(stored: Stored) -> NDArray[np.bool_]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -148,15 +147,6 @@ def values_of(recordings: Recordings) -> dict[str, NDArray[Any]]:
 def part_digest(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
     """Digest of a part of the recordings; the wrenches enter by their own digests, so that rows can be read alone."""
     return parts.digest_of(values, {name: made for name, made in fields.items() if name != "wrench"})
-
-
-def wrench_digests(
-    wrench: Float32[np.ndarray, "recording time axis"], length: Int32[np.ndarray, " recording"]
-) -> UInt8[np.ndarray, "recording byte"]:
-    """Digest of each recording's samples ``[recording, 32]``."""
-    rows = zip(wrench, length.tolist(), strict=True)
-    found = b"".join(hashlib.sha256(row[:samples].tobytes()).digest() for row, samples in rows)
-    return np.frombuffer(found, np.uint8).reshape(len(length), 32)
 
 
 def dtype_of(values: NDArray[Any]) -> str:

@@ -14,16 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
-from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.optional import MissingPackage, needs_extra, require
+from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
 with needs_extra("store"):
     import zarr
+    import zarr.storage
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
     """Check that a group of format ``kind`` can be written at ``path``; see :func:`store.check_target`."""
+    check_writable(path)
     if not path.name:
         raise InputError(f'"{path}" is not a name for a store; expected for example trials.zarr.')
     if not path.parent.is_dir():
@@ -39,6 +42,19 @@ def check_target(path: Path, kind: str, overwrite: bool) -> None:
         ours = False
     if not ours or path.is_symlink():
         raise InputError(f"{path} exists and is not a store made by rcbht; move it away or choose another name.")
+
+
+def check_writable(path: Path) -> None:
+    """Refuse to write to an object store, which knows no renaming: what is there would not be whole at once.
+
+    Raises:
+        InputError: ``path`` is a URL.
+    """
+    if url_of(path) is not None:
+        raise InputError(
+            f"{path} can be read, not written: stores are written in folders alone. Write into a folder, and copy it "
+            "there when it is complete."
+        )
 
 
 @uninterrupted()
@@ -59,7 +75,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
     """Open a group, for reading or for changing it.
 
     Args:
-        path: of the group.
+        path: of the group, a folder or a URL.
         mode: "r" to read, "r+" to change.
         collected: take the metadata of its members from its own, where :func:`consolidate` collected them: quicker, but
             it is not seen that they are lost.
@@ -67,6 +83,8 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
     Raises:
         InputError: ``path`` is not a readable Zarr v3 group.
     """
+    if url_of(path) is not None:
+        return _open_remote(path, mode)
     try:
         if not path.is_dir():
             raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
@@ -75,6 +93,43 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         raise
     except Exception as error:  # a foreign folder can fail in any way inside zarr
         raise InputError(f'{path} is not a Zarr group; expected a store made by "rcbht import".') from error
+
+
+def subfolders(path: Path) -> list[str]:
+    """Names of the folders inside a folder, or below a URL; none where there is none."""
+    if (url := url_of(path)) is None:
+        return [entry.name for entry in path.iterdir() if entry.is_dir()] if path.is_dir() else []
+    with reading(path):
+        files, root = _fsspec(path).url_to_fs(url)
+        entries = files.ls(root, detail=True) if files.isdir(root) else []
+        return [entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == "directory"]
+
+
+def has_group(path: Path) -> bool:
+    """Whether there is a group, or a folder where one should be."""
+    return path.is_dir() if url_of(path) is None else path.name in subfolders(path.parent)
+
+
+def _open_remote(path: Path, mode: Literal["r", "r+"]) -> zarr.Group:
+    """A group in an object store; its metadata are collected, since each request takes its time."""
+    if mode != "r":
+        check_writable(path)
+    _fsspec(path)
+    try:
+        store = zarr.storage.FsspecStore.from_url(str(url_of(path)), read_only=True)
+        return zarr.open_group(store, mode="r", zarr_format=3)
+    except ImportError as error:  # the package of this kind of URL
+        raise InputError(f'{path} cannot be read: {error}. pip install "rcbht-jax[cloud]" brings s3fs.') from error
+    except Exception as error:  # anything may be wrong with a network, rights and what is there
+        detail = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path} cannot be read as a store ({type(error).__name__}: {detail}).") from error
+
+
+def _fsspec(path: Path) -> Any:
+    try:
+        return require("fsspec.core", "cloud")
+    except MissingPackage as error:
+        raise InputError(f"{path} is a URL, and {error}") from error
 
 
 @contextmanager

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
-from rcbht_jax._util.digest import content_hash
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.tasks import LabelledIntervals
-from rcbht_jax.types import Recordings
+from rcbht_jax.learning.wrench_facts import WrenchFacts
 
 
-def confounds(items: LabelledIntervals, recordings: Recordings | None = None) -> tuple[str, ...]:
+def confounds(items: LabelledIntervals, facts: WrenchFacts | None = None) -> tuple[str, ...]:
     """Sentences about confounds that this data has; none if no check finds one.
 
     Checked are sessions that hold a single class, classes that duration alone or, of whole recordings, the first second
@@ -20,12 +19,13 @@ def confounds(items: LabelledIntervals, recordings: Recordings | None = None) ->
 
     Args:
         items: intervals with their classes, durations and sessions.
-        recordings: the data set of the intervals; copies are counted where it is given.
+        facts: of the wrenches of the data set; copies are counted, and first seconds compared, where they are given.
     """
     sentences = [_sessions(items), _durations(items), *_single_samples(items)]
-    if recordings is not None:
-        sentences.append(_first_second(items, recordings))
-        sentences.append(copies(recordings, np.unique(np.concatenate([i.recording for i in items.intervals]))))
+    if facts is not None:
+        sentences.append(_first_second(items, facts))
+        rows = np.unique(np.concatenate([i.recording for i in items.intervals]))
+        sentences.append(copies(facts.digests[rows]))
     return tuple(filter(None, sentences))
 
 
@@ -53,13 +53,13 @@ def _durations(items: LabelledIntervals) -> str:
     )
 
 
-def _first_second(items: LabelledIntervals, recordings: Recordings) -> str:
+def _first_second(items: LabelledIntervals, facts: WrenchFacts) -> str:
     spans = items.intervals[0]
-    samples = max(1, round(1 / recordings.dt))
+    samples = max(1, round(1 / spans.dt))
     if spans.start.any() or len(items.y) < 2 * len(items.classes) or (spans.end <= 2 * samples).any():
         return ""  # of an interval inside a recording, or of a short one, the beginning is the thing itself
     chance = 1 / len(items.classes)
-    score = first_mean_score(recordings.wrench[spans.recording, :samples].mean(1), items.y)
+    score = first_mean_score(facts.opening[spans.recording], items.y)
     if score <= (1 + chance) / 2:
         return ""
     return (
@@ -103,8 +103,11 @@ def _single_samples(items: LabelledIntervals) -> list[str]:
     ]
 
 
-def copies(recordings: Recordings, rows: Int[np.ndarray, " row"]) -> str:
-    """How many of the recordings ``rows`` have the wrench of another one before, as a sentence; "" if none has."""
-    distinct = {content_hash([recordings.wrench[row, : recordings.length[row]]]) for row in rows}
-    count = len(rows) - len(distinct)
+def copies(digests: UInt8[np.ndarray, "recording byte"]) -> str:
+    """How many of the recordings have the samples of another one before, as a sentence; "" if none has.
+
+    >>> copies(np.array([[7, 1], [7, 2], [7, 1]], np.uint8))
+    'Exact copies of another recording: 1; keep copies on one side of every split.'
+    """
+    count = len(digests) - len(np.unique(digests, axis=0))
     return f"Exact copies of another recording: {count}; keep copies on one side of every split." if count else ""

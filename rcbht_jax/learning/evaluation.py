@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, TrackBatches, extract_features, labelled_intervals
+from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
 
@@ -72,7 +72,7 @@ class EvaluationResult:
 
 
 # Candidates by name, each the labels of one or several encoders (by name) whose features go side by side.
-Grammars = Mapping[str, Mapping[str, LabelTracks]]
+Grammars = Mapping[str, Mapping[str, LabelTracks] | TrackBatches]
 
 
 def candidates(
@@ -98,6 +98,7 @@ def evaluate(
     label_attrs: Mapping[str, Any] | None = None,
     progress: Callable[[int], Any] | None = None,
     splitter: Any = None,
+    facts: WrenchFacts | None = None,
 ) -> EvaluationResult:
     """Score a nested SVM on the features of labels.
 
@@ -110,6 +111,7 @@ def evaluate(
         label_attrs: how the labels were made; goes into the result.
         splitter: scikit-learn splitter to use in place of the protocol's folds; its groups are the trials.
         progress: called with 1 after each fold of the SVM.
+        facts: of the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: unknown sessions, too few trials for the folds, fewer than two classes, or a splitter that divides
@@ -127,15 +129,16 @@ def evaluate(
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = labelled_intervals(recordings, task)
     described = candidates(tracks, items, features)
+    facts = facts or WrenchFacts.of(recordings)
     provenance = {
         "version": rcbht_jax.__version__,
         "labels": dict(label_attrs or {}),
         "features": {name: asdict(spec) for name, spec in specs.items()},
-        "data_hash": data_hash(recordings),
+        "data_hash": facts.data_hash,
     }
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
-    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, recordings, splitter)
+    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, facts, splitter)
 
 
 def score(
@@ -146,12 +149,12 @@ def score(
     provenance: dict[str, Any],
     weights: Mapping[str, Weight] | None = None,
     progress: Callable[[int], Any] | None = None,
-    recordings: Recordings | None = None,
+    facts: WrenchFacts | None = None,
     splitter: Any = None,
 ) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits.
 
-    ``recordings`` serve to find copies; everything else is as in :func:`evaluate`.
+    ``facts`` serve to find copies; everything else is as in :func:`evaluate`.
     """
     estimators = {
         "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights, progress),
@@ -188,7 +191,7 @@ def score(
         fold_accuracy=fold_accuracy,
         confusion=tables["svm"][1].tolist(),
         chosen=dict(Counter(_line(c) for c in chosen).most_common()),
-        confounds=" ".join(confounds(items, recordings)),
+        confounds=" ".join(confounds(items, facts)),
         provenance=provenance,
     )
 
@@ -224,6 +227,7 @@ def train(
     encoder: Mapping[str, Any] | None = None,
     seed: int = 0,
     progress: Callable[[int], Any] | None = None,
+    facts: WrenchFacts | None = None,
 ) -> TrainedModel:
     """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation among them.
 
@@ -237,6 +241,7 @@ def train(
             candidates are given; stored in the model, by name only where the selected candidate has several encoders.
         seed: of the folds.
         progress: called with 1 after each inner fold of the choice of hyper-parameters.
+        facts: of the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: fewer than two classes, or a class with a single trial.
@@ -258,7 +263,9 @@ def train(
     svm = fit(best.values, items.y, items.classes, chosen, weight)
     how = dict(encoder or {})
     if not isinstance(tracks, LabelTracks):
-        used = {name: how.get(name, {}) for name in tracks[chosen.features]}
+        grammar = tracks[chosen.features]
+        names = grammar.names if isinstance(grammar, TrackBatches) else grammar
+        used = {name: how.get(name, {}) for name in names}
         how = used if len(used) > 1 else next(iter(used.values()))
     return TrainedModel(
         svm=svm,
@@ -266,6 +273,6 @@ def train(
         feature_names=best.names,
         task=asdict(task),
         encoder=how,
-        data_hash=data_hash(recordings),
+        data_hash=(facts or WrenchFacts.of(recordings)).data_hash,
         extra={"items": len(items.y), "trials": len(np.unique(items.trial)), "seed": seed},
     )

@@ -6,7 +6,7 @@ Probabilities while a stream goes on are :mod:`rcbht_jax.introspection`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
-from rcbht_jax.learning.tasks import TaskSpec, UnlabelledIntervals, extract_batched_features, unlabelled_intervals
+from rcbht_jax.learning.tasks import TaskSpec, TrackBatches, UnlabelledIntervals, extract_features, unlabelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
@@ -111,7 +111,7 @@ def _difference(wanted: Any, items: Any) -> str:
 def classify(
     model: TrainedModel,
     recordings: Recordings,
-    tracks: Mapping[str, LabelTracks] | Iterable[Mapping[str, LabelTracks]],
+    tracks: Mapping[str, LabelTracks] | TrackBatches,
     spec: TaskSpec,
     data: str | None = None,
 ) -> Classification:
@@ -121,7 +121,7 @@ def classify(
         model: trained by :func:`rcbht_jax.learning.evaluation.train`.
         recordings: the data set.
         tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``; see
-            :func:`check_encoders`; or batches of them, of consecutive recordings.
+            :func:`check_encoders`; or batches of them.
         spec: of :func:`task_of`.
         data: digest of the data set (:func:`rcbht_jax._util.digest.data_hash`), if the recordings have no samples.
 
@@ -143,8 +143,7 @@ def classify(
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")
-    batches = [tracks] if isinstance(tracks, Mapping) else tracks
-    features = extract_batched_features(batches, items, model.feature_spec)
+    features = extract_features(tracks, items, model.feature_spec)
     if features.names != model.feature_names:
         raise InputError(
             f"the labels give {len(features.names)} features and the model of version {model.version} reads "

@@ -7,7 +7,7 @@ recordings are classified.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,14 @@ class TaskSpec:
     outcomes: tuple[str, ...] | None = None  # None = successes of a track if there are some; of a column all
     classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
     complete: bool = False  # only recordings that have every label of the track, each after the one before
+
+
+@dataclass(frozen=True)
+class TrackBatches:
+    """Label tracks by name that are read in batches, each time anew, because together they may not fit in memory."""
+
+    names: tuple[str, ...]
+    read: Callable[[], Iterable[Mapping[str, LabelTracks]]]  # of consecutive recordings, from the first to the last
 
 
 @dataclass(frozen=True)
@@ -161,12 +169,14 @@ def column_names(recordings: Recordings) -> tuple[str, ...]:
 
 
 def extract_features(
-    tracks: LabelTracks | Mapping[str, LabelTracks], items: LabelledIntervals | UnlabelledIntervals, spec: FeatureSpec
+    tracks: LabelTracks | Mapping[str, LabelTracks] | TrackBatches,
+    items: LabelledIntervals | UnlabelledIntervals,
+    spec: FeatureSpec,
 ) -> Features:
     """Features of every item, both arms side by side where the task has two.
 
     Args:
-        tracks: labels, or those of several encoders by name, which are put side by side.
+        tracks: labels, or those of several encoders by name, which are put side by side; or batches of such.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
 
@@ -178,6 +188,8 @@ def extract_features(
         >>> features.values.shape, features.names[0]
         ((2, 96), 'histogram.llb.Fx.time.FX')
     """
+    if isinstance(tracks, TrackBatches):
+        return extract_batched_features(tracks.read(), items, spec)
     return extract_batched_features([tracks if isinstance(tracks, Mapping) else {"": tracks}], items, spec)
 
 

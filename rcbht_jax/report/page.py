@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.digest import data_hash
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
@@ -51,10 +50,11 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     """
     rows = chosen(data.recordings, options)
     introspector = _introspector(data.recordings, options)
+    shown = data.rows(rows)
     abouts, blobs = [], []
-    for row in rows.tolist():
-        beliefs = [] if introspector is None else infer_beliefs(introspector, data.recordings, row)
-        about, blob = pack(data.recordings, data.tracks, row, beliefs)
+    for row in range(len(rows)):
+        beliefs = [] if introspector is None else infer_beliefs(introspector, shown.recordings, row)
+        about, blob = pack(shown.recordings, shown.tracks, row, beliefs)
         abouts.append(about)
         blobs.append(blob)
         progress(1)
@@ -70,7 +70,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     parts = {
         "TITLE": escape(options.title),
         "STYLE": _asset("report.css"),
-        "SUMMARY": _summary(data, len(rows)) + _about_model(data.recordings, options.model),
+        "SUMMARY": _summary(data, len(rows)) + _about_model(data, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
         "FACTS": _script_json(facts),
         "BLOBS": "\n".join(f'<script type="text/plain" id="blob-{n}">{blob}</script>' for n, blob in enumerate(blobs)),
@@ -133,13 +133,13 @@ def _summary(data: DataSet, shown: int) -> str:
     )
 
 
-def _about_model(recordings: Recordings, model: IntrospectionModel | None) -> str:
+def _about_model(data: DataSet, model: IntrospectionModel | None) -> str:
     """How to read the beliefs that are shown."""
     if model is None:
         return ""
     trained = (
         "The model was trained on this store: its beliefs about these trials are optimistic."
-        if model.data_hash == data_hash(recordings)
+        if model.data_hash == data.data_hash()
         else "The model was trained on other data than this store."
     )
     return f"<p><strong>Beliefs:</strong> {trained} The start of each sub-task is given to it, from the store.</p>"

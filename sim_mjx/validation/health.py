@@ -22,7 +22,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.label_store import list_tracks, read_tracks
+from rcbht_jax.io.label_store import list_tracks, verify_tracks
 from sim_mjx import engines
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import shards
@@ -38,7 +38,7 @@ SAMPLES, RECORDINGS, TRIALS = 2000, 64, 64
 class StoreHealth:
     """What was found in a store."""
 
-    recordings: int  # that could be read
+    recordings: int  # that its lengths count
     damage: list[str]  # sentences: what cannot be believed or is missing
     notes: list[str]  # sentences: what is as it should be, but good to know
     repairable: bool  # the installed code makes the same trials from the seed
@@ -100,7 +100,7 @@ def benchmark() -> dict[str, float]:
 
 
 def check_store(path: Path) -> StoreHealth:
-    """Read everything in a store, compare it with its checksums, and its provenance with what is installed.
+    """Read everything in a store, part by part, compare it with its checksums, and its provenance with the installed.
 
     Raises:
         InputError: there is no store.
@@ -108,17 +108,16 @@ def check_store(path: Path) -> StoreHealth:
     attrs = store.read_attrs(path)
     damage: list[str] = []
     notes: list[str] = []
-    recordings = _read(partial(store.read_recordings, path), damage)
+    _read(partial(store.verify, path), damage)
+    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is told already
     names = _read(partial(list_tracks, path), damage) or []
     for name in names:
-        _read(partial(read_tracks, path, name), damage)
-    count = 0 if recordings is None else len(recordings)
+        _read(partial(verify_tracks, path, name), damage)
     if shards.folder_of(path).is_dir():
         notes.append(f"{shards.folder_of(path)} is of a simulation that goes on, or was interrupted.")
     simulated = attrs.get("simulated")
     if simulated is None:
         return StoreHealth(count, damage, notes, False)
-    _read(partial(store.read_simulation, path), damage)
     job, difference = _made_by(simulated)
     if job is not None and not damage:
         expected = (job.trials - len(attrs.get("diverged", []))) * len(get_scenario(job.preset).arms)

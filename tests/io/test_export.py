@@ -20,7 +20,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.export import FORMATS, DataSet, export, load, tables
+from rcbht_jax.io.export import FORMATS, Block, DataSet, export, load, tables
 from rcbht_jax.io.export.dataset import codes_at_samples, states_at_samples
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.messages import Sample
@@ -65,8 +65,11 @@ def data(store: Path) -> DataSet:
     return load(store)
 
 
-def bare(recordings: Recordings) -> DataSet:
-    return DataSet(recordings, None, "", {}, {}, {})
+@pytest.fixture(scope="module")
+def block(data: DataSet) -> Block:
+    """All of the store, which fits into one block."""
+    [block] = data.blocks()
+    return block
 
 
 def same_columns(found: Any, expected: tables.Table) -> None:
@@ -81,36 +84,36 @@ def same_columns(found: Any, expected: tables.Table) -> None:
             np.testing.assert_array_equal(got, values)
 
 
-def whole_wrench(recordings: Recordings) -> tables.Table:
-    parts = [tables.wrench(recordings, row) for row in range(len(recordings))]
+def whole_wrench(block: Block) -> tables.Table:
+    parts = [tables.wrench(block, row) for row in range(len(block.recordings))]
     return {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
 
 
-def all_labels(data: DataSet) -> tables.Table:
-    parts = list(tables.labels(data))
+def all_labels(block: Block) -> tables.Table:
+    parts = list(tables.labels(block))
     return {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
 
 
-def test_tables_say_what_the_store_says(data: DataSet) -> None:
-    trials, labels = tables.trials(data.recordings), all_labels(data)
+def test_tables_say_what_the_store_says(data: DataSet, block: Block) -> None:
+    trials, labels = tables.trials(data.recordings), all_labels(block)
     assert trials["trial"].tolist() == NAMES
     marks = tables.intervals(data.recordings)
     rotation = (marks["track"] == RECORDED) & (marks["label"] == "rotation")
     np.testing.assert_array_equal(marks["start"][rotation], data.recordings.starts(RECORDED)[:, 1])
-    assert data.tracks is not None
-    assert len(labels["code"]) == sum(np.count_nonzero(getattr(data.tracks, layer).label) for layer in LAYERS)
+    assert block.tracks is not None
+    assert len(labels["code"]) == sum(np.count_nonzero(getattr(block.tracks, layer).label) for layer in LAYERS)
     chosen = (labels["recording"] == 1) & (labels["layer"] == "llb") & (labels["axis"] == "My")
-    track = data.tracks.llb
+    track = block.tracks.llb
     assert labels["code"][chosen].tolist() == [c for c in track.label[1, 4].tolist() if c]
     np.testing.assert_array_equal(labels["avg"][chosen], track.avg[1, 4][track.label[1, 4] > 0])
     assert labels["label"][chosen].tolist() == [name("llb", c) for c in labels["code"][chosen].tolist()]
 
 
-def test_codes_at_samples_are_what_was_known_then(data: DataSet) -> None:
+def test_codes_at_samples_are_what_was_known_then(block: Block) -> None:
     """Against the definition, label by label and sample by sample."""
-    assert data.tracks is not None
-    offline = encode_dataset(data.recordings)
-    for tracks, online in ((data.tracks, True), (offline, False)):
+    assert block.tracks is not None
+    offline = encode_dataset(block.recordings)
+    for tracks, online in ((block.tracks, True), (offline, False)):
         codes = codes_at_samples(tracks, 1, 250)
         for number, layer in enumerate(LAYERS):
             track = getattr(tracks, layer)
@@ -122,18 +125,24 @@ def test_codes_at_samples_are_what_was_known_then(data: DataSet) -> None:
                         if emit <= sample + 1 if online else t0 <= sample < t1:
                             expected[sample] = int(track.label[1, axis, slot])
                 assert codes[:, number, axis].tolist() == expected
-    assert states_at_samples(data.recordings, 0).tolist() == [0] * 80 + [1] * 100 + [2] * 220
+    assert states_at_samples(block.recordings, 0).tolist() == [0] * 80 + [1] * 100 + [2] * 220
 
 
-def test_parquet_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
+def test_no_recording_is_in_two_row_groups(data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcbht_jax.io.export.write.ROWS", 500)
+    export(data, tmp_path / "out", "parquet")
+    file = pq.ParquetFile(tmp_path / "out/wrench.parquet")
+    assert [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)] == [650, 333]
+
+
+def test_parquet_opens_in_pandas(data: DataSet, block: Block, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export(data, out, "parquet")
     same_columns(pd.read_parquet(out / "trials.parquet"), tables.trials(data.recordings))
     same_columns(pd.read_parquet(out / "annotations.parquet"), tables.intervals(data.recordings))
-    same_columns(pd.read_parquet(out / "wrench.parquet"), whole_wrench(data.recordings))
-    same_columns(pd.read_parquet(out / "labels.parquet"), all_labels(data))
+    same_columns(pd.read_parquet(out / "wrench.parquet"), whole_wrench(block))
+    same_columns(pd.read_parquet(out / "labels.parquet"), all_labels(block))
     file = pq.ParquetFile(out / "wrench.parquet")
-    assert file.num_row_groups == 3
     assert float(file.schema_arrow.metadata[b"dt_seconds"]) == data.recordings.dt
     assert json.loads((out / "dataset.json").read_text())["store"]["made"] == "up"
 
@@ -143,13 +152,13 @@ def test_parquet_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
 def test_any_recordings_survive_parquet_and_csv(fields: dict[str, Any]) -> None:
     recordings = snap_recordings(**fields)
     with tempfile.TemporaryDirectory() as folder:
-        export(bare(recordings), Path(folder) / "p", "parquet")
+        export(DataSet.of(recordings), Path(folder) / "p", "parquet")
         same_columns(pd.read_parquet(Path(folder) / "p/trials.parquet"), tables.trials(recordings))
-        same_columns(pd.read_parquet(Path(folder) / "p/wrench.parquet"), whole_wrench(recordings))
-        export(bare(recordings), Path(folder) / "c", "csv")
+        same_columns(pd.read_parquet(Path(folder) / "p/wrench.parquet"), whole_wrench(Block(recordings, None)))
+        export(DataSet.of(recordings), Path(folder) / "c", "csv")
         same_text(Path(folder) / "c/trials.csv", tables.trials(recordings))
         for row in range(len(recordings)):
-            same_text(Path(folder) / f"c/wrench/{row:06d}.csv", tables.wrench(recordings, row))
+            same_text(Path(folder) / f"c/wrench/{row:06d}.csv", tables.wrench(Block(recordings, None), row))
 
 
 def same_text(path: Path, expected: tables.Table) -> None:
@@ -165,17 +174,17 @@ def same_text(path: Path, expected: tables.Table) -> None:
             np.testing.assert_array_equal(got, values)
 
 
-def test_csv_opens_in_pandas(data: DataSet, tmp_path: Path) -> None:
+def test_csv_opens_in_pandas(data: DataSet, block: Block, tmp_path: Path) -> None:
     export(data, tmp_path / "out", "csv")
     trials = pd.read_csv(tmp_path / "out/trials.csv", keep_default_na=False)
     assert trials["trial"].tolist() == NAMES
     marks = pd.read_csv(tmp_path / "out/annotations.csv")
     assert marks["label"].tolist() == tables.intervals(data.recordings)["label"].tolist()
     assert pd.read_csv(tmp_path / "out/wrench/000001.csv").shape == (250, 9)
-    assert pd.read_csv(tmp_path / "out/labels.csv")["label"].tolist() == all_labels(data)["label"].tolist()
+    assert pd.read_csv(tmp_path / "out/labels.csv")["label"].tolist() == all_labels(block)["label"].tolist()
 
 
-def test_mcap_opens_in_its_own_reader(data: DataSet, tmp_path: Path) -> None:
+def test_mcap_opens_in_its_own_reader(data: DataSet, block: Block, tmp_path: Path) -> None:
     export(data, tmp_path / "out", "mcap")
     folder_is_clean(
         tmp_path / "out",
@@ -197,15 +206,15 @@ def test_mcap_opens_in_its_own_reader(data: DataSet, tmp_path: Path) -> None:
                 events.append(json.loads(ros.json)["begin"])
             else:
                 last = [list(getattr(ros, layer)) for layer in LAYERS]
-    np.testing.assert_array_equal(np.array(values, np.float32), data.recordings.wrench[1, :250])
+    np.testing.assert_array_equal(np.array(values, np.float32), block.recordings.wrench[1, :250])
     assert events == [0, 80, 180]
     again = [message.wrench for message in read_bag(tmp_path / "out/000001.mcap") if isinstance(message, Sample)]
-    np.testing.assert_array_equal(np.array(again, np.float32), data.recordings.wrench[1, :250])
-    assert data.tracks is not None
-    assert last == codes_at_samples(data.tracks, 1, 250)[-1].tolist()
+    np.testing.assert_array_equal(np.array(again, np.float32), block.recordings.wrench[1, :250])
+    assert block.tracks is not None
+    assert last == codes_at_samples(block.tracks, 1, 250)[-1].tolist()
 
 
-def test_lerobot_layout(data: DataSet, tmp_path: Path) -> None:
+def test_lerobot_layout(data: DataSet, block: Block, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export(data, out, "lerobot")
     info = json.loads((out / "meta/info.json").read_text())
@@ -220,7 +229,7 @@ def test_lerobot_layout(data: DataSet, tmp_path: Path) -> None:
         part = frames[episode["dataset_from_index"] : episode["dataset_to_index"]]
         samples = int(data.recordings.length[row])
         assert (part["episode_index"] == row).all()
-        np.testing.assert_array_equal(np.stack(part["observation.wrench"]), data.recordings.wrench[row, :samples])
+        np.testing.assert_array_equal(np.stack(part["observation.wrench"]), block.recordings.wrench[row, :samples])
         assert part["next.done"].tolist() == [False] * (samples - 1) + [True]
         assert (episode["trial"], episode["length"]) == (NAMES[row], samples)
     everything = np.stack(frames["observation.wrench"]).astype(np.float64)
@@ -260,7 +269,7 @@ def test_lerobot_starts_another_file_when_one_is_full(
 
 def test_lerobot_refuses_a_broken_rate(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="whole number of frames"):
-        export(bare(dataclasses.replace(simple(), dt=0.0033)), tmp_path / "out", "lerobot")
+        export(DataSet.of(dataclasses.replace(simple(), dt=0.0033)), tmp_path / "out", "lerobot")
     folder_is_clean(tmp_path)
 
 
@@ -309,7 +318,7 @@ def test_card_counts_and_warns(data: DataSet, tmp_path: Path) -> None:
         outcome=np.array(["success", "success", "failure"]), session=np.array(["A", "A", "B"]),
     )  # fmt: skip
     twice.wrench[2, 200:] = 0
-    export(bare(twice), tmp_path / "out", "csv")
+    export(DataSet.of(twice), tmp_path / "out", "csv")
     text = (tmp_path / "out/README.md").read_text()
     assert "| set | A | success | R | 1 | 2.00 / 2.00 / 2.00 |" in text
     assert "Task outcome: No session holds more than one class: A (success), B (failure);" in text
@@ -333,24 +342,26 @@ def test_command(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "not both" in capsys.readouterr().err
 
 
-def test_labels_can_be_made_on_the_way(store: Path, data: DataSet, tmp_path: Path) -> None:
+def test_labels_can_be_made_on_the_way(store: Path, block: Block, tmp_path: Path) -> None:
     plain = tmp_path / "plain.zarr"
     write_recordings(plain, signals(), {})
-    assert load(plain).tracks is None
-    made = load(plain, window=5)
+    assert load(plain).tracks_name == ""
+    assert [some.tracks for some in load(plain).blocks()] == [None]
+    [made] = load(plain, window=5).blocks()
     for layer in LAYERS:
-        np.testing.assert_array_equal(getattr(made.tracks, layer).label, getattr(data.tracks, layer).label)
+        np.testing.assert_array_equal(getattr(made.tracks, layer).label, getattr(block.tracks, layer).label)
     fitted = load(plain, window=5, rule="fit", tolerance=(0.5,))
     assert fitted.tracks_name == "online-W5-fit"
     assert (fitted.tracks_attrs["config"]["rule"], fitted.tracks_attrs["config"]["tolerance"]) == ("fit", [0.5] * 6)
-    assert not np.array_equal(fitted.tracks.primitive.label, made.tracks.primitive.label)
+    [words] = fitted.blocks()
+    assert not np.array_equal(words.tracks.primitive.label, made.tracks.primitive.label)
     for options in ({"rule": "fit"}, {"tolerance": (1.0,)}, {"window": 5, "tolerance": (1.0,)},
                     {"window": 5, "rule": "fit", "tolerance": (1.0, 2.0)}):  # fmt: skip
         with pytest.raises(InputError):
             load(plain, **options)
-    assert data.tracks is not None
-    write_tracks(plain, "a", data.tracks, {})
-    write_tracks(plain, "b", data.tracks, {})
+    assert block.tracks is not None
+    write_tracks(plain, "a", block.tracks, {})
+    write_tracks(plain, "b", block.tracks, {})
     with pytest.raises(InputError, match="several label tracks"):
         load(plain)
     assert load(plain, "b").tracks_name == "b"

@@ -194,6 +194,16 @@ def test_a_growing_or_large_store_is_described(
     assert json.loads(capsys.readouterr().out)["verified"]
 
 
+def test_dask_computes_on_it_chunk_by_chunk(parted: Path) -> None:
+    pytest.importorskip("dask")
+    with xr.open_zarr(parted) as data:
+        samples = data["wrench"]
+        assert samples.chunks is not None
+        assert max(samples.chunks[0]) <= PART  # no chunk has rows of two parts
+        found = abs(samples).max(("time", "axis")).compute(scheduler="synchronous")
+        np.testing.assert_array_equal(found.values, np.abs(ragged().wrench).max((1, 2)))
+
+
 def test_a_store_of_gaps_alone_is_refused(tmp_path: Path) -> None:
     everything = tuple(range(COUNT))
     path = begun(tmp_path / "none.zarr", everything)
@@ -253,6 +263,17 @@ def test_damage_is_found_in_what_is_read_and_only_there(copied: Path, rows: list
             store.read_rows(copied, rows)
     for use in (store.read_recordings, store.verify, lambda path: list(store.read_batches(path))):
         with pytest.raises(InputError, match="damaged"):
+            use(copied)
+
+
+def test_a_simulation_of_other_parts_is_found(copied: Path) -> None:
+    """Its parts are whole, but not those of which it was made."""
+    file = copied / "simulation" / "zarr.json"
+    content = json.loads(file.read_text())
+    content["attributes"]["content_sha256"] = "0" * 64
+    file.write_text(json.dumps(content))
+    for use in (store.verify, store.read_simulation):
+        with pytest.raises(InputError, match="its simulation does not match its checksum"):
             use(copied)
 
 

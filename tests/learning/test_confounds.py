@@ -9,8 +9,10 @@ import pytest
 
 from rcbht_jax.features import Intervals
 from rcbht_jax.learning import confounds as module
+from rcbht_jax.learning import wrench_facts
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import Recordings
 from tests.support.store_cases import simple
 
@@ -25,7 +27,10 @@ def labelled(session: str, length: list[int], y: list[int]) -> LabelledIntervals
 
 def test_balanced_data_is_told_nothing():
     recordings = simple(8)
-    assert confounds(labelled("ABABABAB", [20, 20, 30, 30] * 2, [0, 0, 1, 1, 1, 1, 0, 0]), recordings) == ()
+    assert (
+        confounds(labelled("ABABABAB", [20, 20, 30, 30] * 2, [0, 0, 1, 1, 1, 1, 0, 0]), WrenchFacts.of(recordings))
+        == ()
+    )
 
 
 @pytest.mark.parametrize(
@@ -44,9 +49,9 @@ def test_each_confound_has_its_sentence(items, sentence):
 def test_one_session_is_no_confound_and_copies_are_counted():
     recordings = simple(4)
     recordings.wrench[3] = recordings.wrench[1]
-    found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), recordings)
+    found = confounds(labelled("AAAA", [20, 30, 30, 20], [0, 0, 1, 1]), WrenchFacts.of(recordings))
     assert found == ("Exact copies of another recording: 1; keep copies on one side of every split.",)
-    assert doctest.testmod(module).failed == 0
+    assert doctest.testmod(module).failed + doctest.testmod(wrench_facts).failed == 0
 
 
 def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
@@ -57,6 +62,7 @@ def test_a_bias_that_gives_the_class_away_is_told_by_the_first_second() -> None:
     texts = []
     for wrench in (plain, biased):
         recordings = Recordings.from_arrays(wrench, outcome=outcome, session=np.repeat(["a", "b"], 10))
-        texts.append(" ".join(confounds(labelled_intervals(recordings, TaskSpec("outcome")), recordings)))
+        items = labelled_intervals(recordings, TaskSpec("outcome"))
+        texts.append(" ".join(confounds(items, WrenchFacts.of(recordings))))
     assert "first second" not in texts[0]
     assert "first second predicts the classes with a balanced accuracy of 100%" in texts[1]

@@ -27,7 +27,7 @@ from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel, save
 from rcbht_jax.introspection.session import Session
-from rcbht_jax.io.export import DataSet, load
+from rcbht_jax.io.export import Block, DataSet, load
 from rcbht_jax.io.playback import read_store
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import LAYERS, MEANING, name
@@ -68,6 +68,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def data(store: Path) -> DataSet:
     return load(store)
+
+
+@pytest.fixture(scope="module")
+def block(data: DataSet) -> Block:
+    """All of the store, which fits into one block."""
+    [block] = data.blocks()
+    return block
 
 
 @pytest.fixture(scope="module")
@@ -116,13 +123,13 @@ def unpack(about: dict[str, Any], blob: str) -> dict[str, Any]:
     return found
 
 
-def test_blob_holds_words_and_beliefs(data: DataSet, store: Path) -> None:
+def test_blob_holds_words_and_beliefs(block: Block, store: Path) -> None:
     introspector = Introspector(model())
-    about, blob = pack(data.recordings, data.tracks, 1, infer_beliefs(introspector, data.recordings, 1))
+    about, blob = pack(block.recordings, block.tracks, 1, infer_beliefs(introspector, block.recordings, 1))
     found = unpack(about, blob)
-    assert (np.abs(found["wrench"].T - data.recordings.wrench[1]) <= np.array(about["step"]) * 0.51).all()
+    assert (np.abs(found["wrench"].T - block.recordings.wrench[1]) <= np.array(about["step"]) * 0.51).all()
     for layer, counts in zip(LAYERS, about["words"], strict=True):
-        track = getattr(data.tracks, layer)
+        track = getattr(block.tracks, layer)
         used = track.label[1] > 0
         assert counts == used.sum(1).tolist()
         for field in ("label", "t0", "t1", "emit"):
@@ -188,9 +195,9 @@ def test_choice_of_trials(data: DataSet) -> None:
         page(slow, Options(model=model()))
 
 
-def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, report: Path) -> None:
+def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, block: Block, report: Path) -> None:
     assert "trained on other data" in report.read_text()
-    seen = dataclasses.replace(model(), data_hash=data_hash(data.recordings))
+    seen = dataclasses.replace(model(), data_hash=data_hash(block.recordings))
     assert "are optimistic" in page(data, Options(model=seen, trials=("one",)))
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
@@ -283,7 +290,7 @@ def opened(driver: Any, path: Path) -> float:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 900), (390, 844)])
-def test_page_works_at_this_width(width: int, height: int, report: Path, data: DataSet) -> None:
+def test_page_works_at_this_width(width: int, height: int, report: Path, data: DataSet, block: Block) -> None:
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
@@ -292,10 +299,10 @@ def test_page_works_at_this_width(width: int, height: int, report: Path, data: D
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
         plot, said = driver.find_element(By.ID, "plot"), driver.find_element(By.ID, "word")
         decoded = np.array(driver.execute_script("return view.trial.wrench.map(values => Array.from(values))"))
-        np.testing.assert_allclose(decoded.T, data.recordings.wrench[0], atol=1e-3)
+        np.testing.assert_allclose(decoded.T, block.recordings.wrench[0], atol=1e-3)
         pixels = "c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
         assert driver.execute_script(f"const c = arguments[0]; return new Set({pixels}).size", plot) > 20
-        told = describe_recording(data.recordings, 0)
+        told = describe_recording(block.recordings, 0)
         rows = driver.execute_script("return Array.from(document.querySelectorAll('#told li'), row => row.textContent)")
         assert rows == [f"{seconds:.2f} s {text}" for seconds, text in told]
         driver.execute_script("look(0, 1)")
@@ -304,7 +311,7 @@ def test_page_works_at_this_width(width: int, height: int, report: Path, data: D
         # Keyboard: the first word of Fx's behaviours, then the next one, zoom, next trial.
         driver.execute_script("arguments[0].focus()", plot)
         plot.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
-        track = data.tracks.llb
+        track = block.tracks.llb
         word = np.flatnonzero(track.label[0, 0])[1]
         code, t0 = int(track.label[0, 0, word]), int(track.t0[0, 0, word])
         assert said.text.startswith(f"Fx llb: {name('llb', code)} ({MEANING['llb'][code - 1]}), {t0 * 0.005:.3f} to")
@@ -321,7 +328,7 @@ def test_page_works_at_this_width(width: int, height: int, report: Path, data: D
         assert [entry["message"] for entry in driver.get_log("browser")] == []
 
 
-def test_mouse_words_and_print(report: Path, data: DataSet) -> None:
+def test_mouse_words_and_print(report: Path, data: DataSet, block: Block) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.by import By
     from selenium.webdriver.support.ui import Select
@@ -335,7 +342,7 @@ def test_mouse_words_and_print(report: Path, data: DataSet) -> None:
         height = plot.size["height"]
         ActionChains(driver).move_to_element_with_offset(plot, 0, height // 2 - 24 - 16 - 15).perform()
         sample = driver.execute_script("return tOf(plot.clientWidth / 2, plot.clientWidth) / dt")
-        track = data.tracks.llb
+        track = block.tracks.llb
         [code] = [
             int(c)
             for c, t0, t1 in zip(track.label[0, 4], track.t0[0, 4], track.t1[0, 4], strict=True)
@@ -350,7 +357,7 @@ def test_mouse_words_and_print(report: Path, data: DataSet) -> None:
         driver.find_element(By.XPATH, "//summary[contains(., 'as a table')]").click()
         Select(driver.find_element(By.ID, "layer")).select_by_visible_text("mc")
         rows = driver.find_elements(By.CSS_SELECTOR, "#list tr")
-        assert len(rows) == np.count_nonzero(data.tracks.mc.label[0, 4])
+        assert len(rows) == np.count_nonzero(block.tracks.mc.label[0, 4])
         pdf = base64.b64decode(driver.execute_cdp_cmd("Page.printToPDF", {})["data"])
         assert pdf.startswith(b"%PDF")
         most = 5 + len(read_results(RESULTS).rows) // 15  # a page holds at least fifteen rows of results
@@ -361,7 +368,7 @@ def test_a_hundred_long_trials_open_within_two_seconds(data: DataSet, tmp_path: 
     """33 s each, as long as the longest recorded session, of noise that hardly deflates."""
     long = marked(signals(6600), data.recordings.starts(RECORDED), data.recordings.starts(RECORDED))
     write_recordings(tmp_path / "long.zarr", long, {})
-    few = load(tmp_path / "long.zarr", window=5)
+    [few] = load(tmp_path / "long.zarr", window=5).blocks()
     rows = np.arange(100) % 4
     many = few.recordings.take(rows)
     layers = {}
@@ -369,7 +376,7 @@ def test_a_hundred_long_trials_open_within_two_seconds(data: DataSet, tmp_path: 
         track = getattr(few.tracks, layer)
         fields = {f.name: getattr(track, f.name)[rows] for f in dataclasses.fields(track)}
         layers[layer] = dataclasses.replace(track, **fields)
-    text = page(dataclasses.replace(few, recordings=many, tracks=dataclasses.replace(few.tracks, **layers)))
+    text = page(DataSet.of(many, dataclasses.replace(few.tracks, **layers)))
     assert len(text) < 15e6
     path = tmp_path / "report.html"
     path.write_text(text)

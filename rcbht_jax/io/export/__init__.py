@@ -4,7 +4,7 @@ Parquet and LeRobot need the extra ``export`` (pyarrow, pandas). Values, names, 
 in the store; nothing is resampled, filtered or rotated.
 """
 
-from rcbht_jax.io.export.dataset import DataSet, load
+from rcbht_jax.io.export.dataset import Block, DataSet, load
 from rcbht_jax.io.export.write import FORMATS, export
 
-__all__ = ["FORMATS", "DataSet", "export", "load"]
+__all__ = ["FORMATS", "Block", "DataSet", "export", "load"]

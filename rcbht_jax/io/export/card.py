@@ -102,13 +102,13 @@ def confounds(data: DataSet) -> Sequence[str]:
             items = labelled_intervals(recordings, task)
             sentences += [f"Task {task.task}: {sentence}" for sentence in learning.confounds(items)]
             sentences += [f"Task {task.task}: {count} trials left out: {why}." for why, count in items.dropped.items()]
-    if copies := learning.copies(recordings, np.arange(len(recordings))):
+    if copies := learning.copies(data.digests):
         sentences.append(copies)
     return sentences or ["None was detected; that does not mean that there is none."]
 
 
 def _labels(data: DataSet) -> str:
-    if data.tracks is None:
+    if not data.tracks_name:
         return "None are included."
     attrs = data.tracks_attrs
     window = f", windows of {attrs['window']} samples" if "window" in attrs else ""

@@ -1,42 +1,88 @@
-"""What is exported: the recordings of a store with one set of label tracks, read once."""
+"""What is exported: the recordings of a store with one set of label tracks, read block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int8, Int16
+from jaxtyping import Int8, Int16, UInt8
 from numpy.typing import NDArray
 
+from rcbht_jax._util.digest import data_hash, wrench_digests
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import config_of, limits_for, made_by
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.label_store import choose_tracks, list_tracks
-from rcbht_jax.io.store import SIMULATION, open_store, read_attrs, read_recordings, read_simulation
+from rcbht_jax.io import label_store
+from rcbht_jax.io.label_parts import taken
+from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
+from rcbht_jax.io.store import (
+    SIMULATION,
+    longest_of,
+    open_store,
+    read_attrs,
+    read_batches,
+    read_digests,
+    read_rows,
+    read_sample,
+    read_simulation_batches,
+    read_table,
+)
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 
 @dataclass(frozen=True)
-class DataSet:
-    """Recordings, their labels, and the provenance of both."""
+class Block:
+    """Some recordings in memory, with their labels."""
 
     recordings: Recordings
     tracks: LabelTracks | None  # [recording, axis, slot]; None = no labels
-    tracks_name: str  # "" = no labels
-    tracks_attrs: dict[str, Any]  # how the labels were made
-    attrs: dict[str, Any]  # of the store: provenance
-    simulation: dict[str, NDArray[Any]]  # [recording, ...]; empty = not simulated
+    first: int = 0  # number of the first recording in the data set, where they are consecutive
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Recordings, their labels, and the provenance of both; of a store, blocks are read when they are asked for."""
+
+    recordings: Recordings  # all; those of a store without their samples
+    blocks: Callable[[], Iterator[Block]]  # all, in their order
+    rows: Callable[[NDArray[np.int64]], Block]  # some, by ascending number
+    digests: UInt8[np.ndarray, "recording byte"]  # of the samples of each recording
+    samples: int  # of the longest recording, to which all are padded in the digest of the data
+    tracks_name: str = ""  # "" = no labels
+    tracks_attrs: dict[str, Any] = field(default_factory=dict)  # how the labels were made
+    attrs: dict[str, Any] = field(default_factory=dict)  # of the store: provenance
+    simulation: Callable[[], Iterator[dict[str, NDArray[Any]]]] = lambda: iter(())  # [recording, ...], in their order
+
+    @staticmethod
+    def of(recordings: Recordings, tracks: LabelTracks | None = None, **more: Any) -> DataSet:
+        """Recordings and labels that are in memory; ``more`` are fields.
+
+        >>> [len(block.recordings) for block in DataSet.of(Recordings.example()).blocks()]
+        [8]
+        """
+
+        def rows(numbers: NDArray[np.int64]) -> Block:
+            return Block(recordings.take(numbers), None if tracks is None else taken(tracks, numbers))
+
+        digests = wrench_digests(recordings.wrench, recordings.length)
+        samples = recordings.wrench.shape[1]
+        return DataSet(recordings, lambda: iter([Block(recordings, tracks)]), rows, digests, samples, **more)
+
+    def data_hash(self) -> str:
+        """The digest that models hold of what they were trained on; all wrenches are read."""
+        return data_hash(self.recordings, (block.recordings.wrench for block in self.blocks()), self.samples)
 
 
 def load(
     store: Path, tracks: str = "", window: int | None = None, rule: str = "paper", tolerance: Sequence[float] = ()
 ) -> DataSet:
-    """Read a store for export.
+    """Open a store for export.
 
     Args:
         store: folder made by ``rcbht import`` or ``rcbht simulate``.
@@ -44,7 +90,8 @@ def load(
         window: encode now with the streaming encoder, this many samples per window and HIRO's thresholds, instead
             of reading stored labels.
         rule: of the labels that are made now, "paper" or "fit".
-        tolerance: of the fit rule, one number or one for each axis; empty = from the recordings.
+        tolerance: of the fit rule, one number or one for each axis; empty = from the recordings, of a large store from
+            some spread evenly over it.
 
     Raises:
         InputError: no such store or tracks, several tracks and none chosen, both ``tracks`` and ``window``, a rule or
@@ -54,25 +101,66 @@ def load(
         raise InputError("--rule and --tolerance are for labels that are made now; add --window, or leave them out.")
     if window is not None and tracks:
         raise InputError("Labels are either read from the store or made now; give --tracks or --window, not both.")
-    recordings = read_recordings(store)
-    name, labels, attrs = "", None, dict[str, Any]()
+    labels = _Labels()
     if window is not None:
-        name = f"online-W{window}" + ("-fit" if rule == "fit" else "")
-        labels, attrs = _encode(recordings, window, rule, tolerance)
+        labels = _made_now(store, window, rule, tolerance)
     elif tracks or list_tracks(store):
-        name, labels, attrs = choose_tracks(store, tracks)
-    simulation = read_simulation(store) if SIMULATION in open_store(store) else {}
-    return DataSet(recordings, labels, name, attrs, read_attrs(store), simulation)
+        name = choose_name(store, tracks)
+        labels = _Labels(name, read_tracks_attrs(store, name))
+
+    def rows(numbers: NDArray[np.int64]) -> Block:
+        some = read_rows(store, numbers)
+        if labels.encode is not None:
+            return Block(some, labels.encode(some))
+        return Block(some, label_store.read_rows(store, labels.name, numbers) if labels.name else None)
+
+    return DataSet(
+        read_table(store), lambda: _blocks(store, labels), rows, read_digests(store), longest_of(store),
+        labels.name, labels.attrs, read_attrs(store),
+        lambda: read_simulation_batches(store) if SIMULATION in open_store(store) else iter(()),
+    )  # fmt: skip
 
 
-def _encode(
-    recordings: Recordings, window: int, rule: str, tolerance: Sequence[float]
-) -> tuple[LabelTracks, dict[str, Any]]:
-    config = config_of(rule, window, recordings.dt)
-    thresholds = preset("hiro", recordings.axes)
-    limits = limits_for(config, thresholds, tolerance or None, recordings.wrench, recordings.length)
-    tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
-    return tracks, {"semantics": "online", "window": window, **made_by(config, limits)}
+@dataclass(frozen=True)
+class _Labels:
+    """Label tracks of a store, or how they are made."""
+
+    name: str = ""  # "" = none
+    attrs: dict[str, Any] = field(default_factory=dict)
+    encode: Callable[[Recordings], LabelTracks] | None = None  # None = they are in the store
+
+
+def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float]) -> _Labels:
+    learns = rule == "fit" and not tolerance
+    teachers = read_sample(store)[0] if learns else read_table(store)
+    config = config_of(rule, window, teachers.dt)
+    thresholds = preset("hiro", teachers.axes)
+    limits = limits_for(config, thresholds, tolerance or None, teachers.wrench, teachers.length)
+
+    def encode(recordings: Recordings) -> LabelTracks:
+        return encode_batch(config, limits, recordings.wrench, recordings.length)
+
+    attrs = {"semantics": "online", "window": window, **made_by(config, limits)}
+    return _Labels(f"online-W{window}" + ("-fit" if rule == "fit" else ""), attrs, encode)
+
+
+def _blocks(store: Path, labels: _Labels) -> Iterator[Block]:
+    first, waiting = 0, deque[Recordings]()
+
+    def sizes() -> Iterator[int]:
+        for batch in read_batches(store):
+            waiting.append(batch)
+            yield len(batch)
+
+    tracks: Iterator[LabelTracks | None]
+    if labels.encode is not None or not labels.name:
+        tracks = (None if labels.encode is None else labels.encode(waiting[0]) for _ in sizes())
+    else:
+        tracks = label_store.read_batches(store, labels.name, sizes())
+    for some in tracks:
+        batch = waiting.popleft()
+        yield Block(batch, some, first)
+        first += len(batch)
 
 
 def words(track: LabelTrack, row: int, axis: int) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,7 @@ Source: the LeRobotDataset v3.0 documentation (folder layout, ``meta/info.json``
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,15 @@ from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
-from rcbht_jax.io.export.dataset import DataSet, codes_at_samples, states_at_samples
+from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples, states_at_samples
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.labels import LAYERS
 
 VERSION = "v3.0"
 CHUNK, FILE_BYTES = 1000, 100 * 2**20  # files per folder; largest file, before compression
+GROUP = 256  # episodes in a row group of their table
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+_Statistics = dict[str, dict[str, NDArray[Any]]]  # of each feature, by name
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 _LAYOUT = """LeRobotDataset v3.0: `LeRobotDataset("any/name", root="this folder")` reads it. One episode is one
@@ -47,17 +49,18 @@ def write_lerobot(data: DataSet, folder: Path, progress: Callable[[int], None]) 
     """
     pd, fps = require("pandas", "export"), _fps(data.recordings.dt)
     tasks = list(dict.fromkeys(source or "unnamed" for source in data.recordings.source.tolist()))
-    episodes, total = _write_frames(data, folder, fps, tasks, progress)
-    if intervals := tables.intervals(data.recordings):
-        _write_table(intervals, folder / "annotations.parquet")
     meta = folder / "meta"
     (meta / "episodes" / "chunk-000").mkdir(parents=True)
-    flat = {key: [episode[key] for episode in episodes] for key in episodes[0]}
-    _write_table(flat, meta / "episodes" / "chunk-000" / "file-000.parquet")
+    with _Episodes(meta / "episodes" / "chunk-000" / "file-000.parquet") as episodes:
+        frames = _write_frames(data, folder, fps, tasks, episodes, progress)
+        episodes.flush()
+    if intervals := tables.intervals(data.recordings):
+        _write_table(intervals, folder / "annotations.parquet")
     named = pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks, name="task"))
     named.to_parquet(meta / "tasks.parquet")
-    _write_json(meta / "info.json", _info(data, fps, len(tasks), len(episodes), total))
-    _write_json(meta / "stats.json", _total(episodes))
+    _write_json(meta / "info.json", _info(data, fps, len(tasks), episodes.count, frames))
+    total = {key: {name: v.tolist() for name, v in found.items()} for key, found in episodes.total.items()}
+    _write_json(meta / "stats.json", total)
     front = "---\ntags: [LeRobot, robotics, force-torque]\nconfigs:\n- config_name: default\n"
     front += "  data_files: data/*/*.parquet\n---\n"
     write_card(data, folder, _LAYOUT, front)
@@ -102,47 +105,47 @@ def _info(data: DataSet, fps: int, tasks: int, episodes: int, frames: int) -> di
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": None,
-        "features": _features(data.tracks is not None, list(data.recordings.axes)),
+        "features": _features(bool(data.tracks_name), list(data.recordings.axes)),
     }
 
 
-def _frames(data: DataSet, row: int, fps: int, first: int, task: int) -> Table:
+def _frames(block: Block, row: int, fps: int, first: int, task: int) -> Table:
     """Features of one episode: ``[frame]`` or ``[frame, axis]``."""
-    recordings, samples = data.recordings, int(data.recordings.length[row])
+    recordings, samples = block.recordings, int(block.recordings.length[row])
     number = np.arange(samples, dtype=np.int64)
     table: Table = {
         "observation.wrench": recordings.wrench[row, :samples],
         "observation.state_index": states_at_samples(recordings, row).astype(np.int64),
     }
-    if data.tracks is not None:
-        codes = codes_at_samples(data.tracks, row, samples).astype(np.int64)
+    if block.tracks is not None:
+        codes = codes_at_samples(block.tracks, row, samples).astype(np.int64)
         table |= {f"observation.label.{layer}": codes[:, place] for place, layer in enumerate(LAYERS)}
     return table | {
         "next.done": number == samples - 1,
         "timestamp": (number / fps).astype(np.float32),
         "frame_index": number,
-        "episode_index": np.full(samples, row, np.int64),
+        "episode_index": np.full(samples, block.first + row, np.int64),
         "index": first + number,
         "task_index": np.full(samples, task, np.int64),
     }
 
 
 def _write_frames(
-    data: DataSet, folder: Path, fps: int, tasks: list[str], progress: Callable[[int], None]
-) -> tuple[list[dict[str, Any]], int]:
-    """Write the frames, one row group per episode.
+    data: DataSet, folder: Path, fps: int, tasks: list[str], episodes: _Episodes, progress: Callable[[int], None]
+) -> int:
+    """Write the frames, one row group per episode, and tell ``episodes`` of each.
 
     Returns:
-        the rows of ``meta/episodes`` and the number of frames.
+        the number of frames.
     """
     pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
     names = tables.trials(data.recordings)
-    episodes: list[dict[str, Any]] = []
     first, file, written, writer = 0, 0, 0, None
     try:
-        for row in range(len(data.recordings)):
-            task = str(data.recordings.source[row]) or "unnamed"
-            frames = _frames(data, row, fps, first, tasks.index(task))
+        for block, row in ((some, row) for some in data.blocks() for row in range(len(some.recordings))):
+            number = block.first + row
+            task = str(block.recordings.source[row]) or "unnamed"
+            frames = _frames(block, row, fps, first, tasks.index(task))
             table = pa.table({key: _column(pa, values) for key, values in frames.items()})
             if writer is not None and written + table.nbytes > FILE_BYTES:
                 writer.close()
@@ -155,22 +158,57 @@ def _write_frames(
             writer.write_table(table)
             written += table.nbytes
             last = first + len(frames["index"])
-            columns = {key: values[row].item() for key, values in names.items() if key not in ("recording", "samples")}
-            episodes.append(
-                {
-                    "episode_index": row, "tasks": [task], "length": last - first,
-                    "dataset_from_index": first, "dataset_to_index": last,
-                    "data/chunk_index": chunk, "data/file_index": place,
-                    "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-                    **columns, **_statistics(frames),
-                }
-            )  # fmt: skip
+            columns = {key: v[number].item() for key, v in names.items() if key not in ("recording", "samples")}
+            about = {
+                "episode_index": number, "tasks": [task], "length": last - first,
+                "dataset_from_index": first, "dataset_to_index": last,
+                "data/chunk_index": chunk, "data/file_index": place,
+                "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, **columns,
+            }  # fmt: skip
+            episodes.add(about, _statistics(frames))
             first = last
             progress(1)
     finally:
         if writer is not None:
             writer.close()
-    return episodes, first
+    return first
+
+
+class _Episodes:
+    """The table ``meta/episodes``, written group by group, and the statistics of all frames so far."""
+
+    def __init__(self, path: Path) -> None:
+        self.count, self.total = 0, _Statistics()
+        self._path, self._rows = path, list[dict[str, Any]]()
+        self._writer: Any = None
+
+    def __enter__(self) -> _Episodes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add(self, about: dict[str, Any], statistics: _Statistics) -> None:
+        """One more episode."""
+        self.count += 1
+        values = {f"stats/{key}/{name}": v.tolist() for key, found in statistics.items() for name, v in found.items()}
+        self._rows.append(about | values)
+        if len(self._rows) == GROUP:
+            self.flush()
+        for key, found in statistics.items():
+            self.total[key] = _combined(self.total[key], found) if key in self.total else found
+
+    def flush(self) -> None:
+        """Write the episodes that are not yet written."""
+        pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
+        if not self._rows:
+            return
+        columns = {key: [row[key] for row in self._rows] for key in self._rows[0]}
+        table = pa.table(columns, schema=None if self._writer is None else self._writer.schema)
+        self._writer = self._writer or pq.ParquetWriter(self._path, table.schema)
+        self._writer.write_table(table)
+        self._rows = []
 
 
 def _column(pa: Any, values: NDArray[Any]) -> Any:
@@ -179,42 +217,27 @@ def _column(pa: Any, values: NDArray[Any]) -> Any:
     return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), values.shape[1])
 
 
-def _statistics(frames: Table) -> dict[str, list[Any]]:
-    """``stats/FEATURE/STATISTIC`` of one episode: lists of one value per element, ``count`` of one number."""
-    statistics: dict[str, list[Any]] = {}
+def _statistics(frames: Table) -> _Statistics:
+    """Of each feature of one episode, by name: one value per element; ``count`` is one number."""
+    statistics: _Statistics = {}
     for key, values in frames.items():
         wide = values.reshape(len(values), -1).astype(np.float64)
         moments = {"min": wide.min(0), "max": wide.max(0), "mean": wide.mean(0), "std": wide.std(0)}
         levels = zip(QUANTILES, np.quantile(wide, QUANTILES, 0), strict=True)
         quantiles = {f"q{100 * q:02.0f}": level for q, level in levels}
-        statistics |= {f"stats/{key}/{name}": value.tolist() for name, value in (moments | quantiles).items()}
-        statistics[f"stats/{key}/count"] = [len(values)]
+        statistics[key] = moments | quantiles | {"count": np.array([len(values)])}
     return statistics
 
 
-def _total(episodes: list[dict[str, Any]]) -> dict[str, dict[str, list[Any]]]:
-    """Statistics of all frames; quantiles are means over the episodes, weighted by frames, as in LeRobot."""
-    weight = np.array([episode["length"] for episode in episodes], np.float64)[:, None]
-    total: dict[str, dict[str, list[Any]]] = {}
-    for path in (key for key in episodes[0] if key.startswith("stats/")):
-        key, name = path.removeprefix("stats/").rsplit("/", 1)
-        total.setdefault(key, {})[name] = _combined(name, _stacked(episodes, path), weight).tolist()
-    for key, statistics in total.items():
-        means = _stacked(episodes, f"stats/{key}/mean")
-        within = _stacked(episodes, f"stats/{key}/std") ** 2
-        variance = ((within + (means - statistics["mean"]) ** 2) * weight).sum(0) / weight.sum()
-        statistics["std"] = np.sqrt(variance).tolist()
-    return total
-
-
-def _stacked(episodes: Iterable[dict[str, Any]], path: str) -> NDArray[Any]:
-    return np.array([episode[path] for episode in episodes])
-
-
-def _combined(name: str, values: NDArray[Any], weight: NDArray[np.float64]) -> NDArray[Any]:
-    if name in ("min", "max"):
-        return values.min(0) if name == "min" else values.max(0)
-    return values.sum(0) if name == "count" else (values * weight).sum(0) / weight.sum()
+def _combined(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Statistics of the frames of both; quantiles are means, weighted by frames, as in LeRobot."""
+    frames, more = one["count"], two["count"]
+    share = more / (frames + more)
+    found = {name: one[name] + share * (two[name] - one[name]) for name in one}
+    within = one["std"] ** 2 + share * (two["std"] ** 2 - one["std"] ** 2)
+    found["std"] = np.sqrt(within + share * (1 - share) * (two["mean"] - one["mean"]) ** 2)
+    found |= {"min": np.minimum(one["min"], two["min"]), "max": np.maximum(one["max"], two["max"])}
+    return found | {"count": frames + more}
 
 
 def _write_table(columns: Mapping[str, Any], path: Path) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.io.export.dataset import DataSet, words
+from rcbht_jax.io.export.dataset import Block, words
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.types import Recordings
 
@@ -60,49 +60,61 @@ def intervals(recordings: Recordings) -> Table:
     return table | {"start": marks.start, "end": marks.end}
 
 
-def wrench(recordings: Recordings, row: int) -> Table:
-    """One row per sample of one recording."""
+def wrench(block: Block, row: int) -> Table:
+    """One row per sample of one recording of a block."""
+    recordings = block.recordings
     samples = int(recordings.length[row])
     number = np.arange(samples, dtype=np.int32)
-    table: Table = {"recording": np.full(samples, row, np.int32), "sample": number, "time": number * recordings.dt}
+    table: Table = {
+        "recording": np.full(samples, block.first + row, np.int32),
+        "sample": number,
+        "time": number * recordings.dt,
+    }
     return table | {axis: recordings.wrench[row, :samples, column] for column, axis in enumerate(recordings.axes)}
 
 
-def labels(data: DataSet) -> Iterator[Table]:
-    """One row per label, one table per recording."""
-    if data.tracks is None:
+def labels(block: Block) -> Iterator[Table]:
+    """One row per label, one table per recording of a block."""
+    if block.tracks is None:
         return
-    for row in range(len(data.recordings)):
-        parts = [_sentence(data, row, layer, axis) for layer in LAYERS for axis in range(len(data.recordings.axes))]
+    for row in range(len(block.recordings)):
+        axes = range(len(block.recordings.axes))
+        parts = [_sentence(block, row, layer, axis) for layer in LAYERS for axis in axes]
         yield {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
 
 
-def _sentence(data: DataSet, row: int, layer: str, axis: int) -> Table:
-    word = words(getattr(data.tracks, layer), row, axis)
+def _sentence(block: Block, row: int, layer: str, axis: int) -> Table:
+    word = words(getattr(block.tracks, layer), row, axis)
     count = len(word["label"])
     names = np.array([name(layer, code) for code in range(len(MEANING[layer]) + 1)])
     return {
-        "recording": np.full(count, row, np.int32),
+        "recording": np.full(count, block.first + row, np.int32),
         "layer": np.full(count, layer),
-        "axis": np.full(count, data.recordings.axes[axis]),
+        "axis": np.full(count, block.recordings.axes[axis]),
         "word": np.arange(count, dtype=np.int32),
         "code": word["label"].astype(np.int8),
         "label": names[word["label"]],
         **{field: word[field].astype(np.int32) for field in ("t0", "t1")},
-        "start": word["t0"] * data.recordings.dt,
-        "end": word["t1"] * data.recordings.dt,
+        "start": word["t0"] * block.recordings.dt,
+        "end": word["t1"] * block.recordings.dt,
         "emit": word["emit"].astype(np.int32),
         **{field: word[field].astype(np.float32) for field in ("vmax", "vmin", "avg", "grad")},
     }
 
 
-def simulation(data: DataSet) -> Table:
-    """Parameters and ground truth of a simulation, one row per recording; a column per element: ``name[i,j]``."""
-    table: Table = {"recording": np.arange(len(data.recordings), dtype=np.int32)}
-    for key, values in data.simulation.items():
+def simulation(arrays: Mapping[str, NDArray[Any]], first: int = 0) -> Table:
+    """Parameters and ground truth of simulated recordings, one row each; a column per element: ``name[i,j]``.
+
+    Args:
+        arrays: ``[recording, ...]`` by name.
+        first: number of the first recording.
+    """
+    count = len(next(iter(arrays.values())))
+    table: Table = {"recording": np.arange(first, first + count, dtype=np.int32)}
+    for key, values in arrays.items():
         if values.ndim == 1:
             table[key] = values
             continue
         for index in np.ndindex(values.shape[1:]):
             table[f"{key}[{','.join(map(str, index))}]"] = values[(slice(None), *index)]
-    return table if data.simulation else {}
+    return table

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,14 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
 from rcbht_jax.io.export.card import write_card
-from rcbht_jax.io.export.dataset import DataSet, codes_at_samples
+from rcbht_jax.io.export.dataset import Block, DataSet, codes_at_samples
 from rcbht_jax.io.export.lerobot import write_lerobot
 from rcbht_jax.io.export.tables import Table
 from rcbht_jax.io.rosbags import McapWriter
 
 Progress = Callable[[int], None]  # called with the number of recordings done since the last call
+
+ROWS = 2**18  # of a Parquet file, at which a row group is full
 
 _TABLES = """* `trials.{0}`: one row per recording: names, outcome, further columns;
 * `annotations.{0}`: one row per annotated interval, where there are some;
@@ -79,38 +82,77 @@ def _check_names(data: DataSet) -> None:
 
 
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:
-    pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
-    period = {"dt_seconds": repr(data.recordings.dt)}
-
-    pq.write_table(pa.table(tables.trials(data.recordings)), folder / "trials.parquet")
-    for title, rows in _optional(data):
-        pq.write_table(pa.table(rows), folder / f"{title}.parquet")
-    schema = pa.table(tables.wrench(data.recordings, 0)).schema.with_metadata(period)
-    with pq.ParquetWriter(folder / "wrench.parquet", schema) as writer:
-        for row in range(len(data.recordings)):
-            writer.write_table(pa.table(tables.wrench(data.recordings, row), schema=schema))
-            progress(1)
-    writer = None
-    try:
-        for part in tables.labels(data):
-            table = pa.table(part)
-            writer = writer or pq.ParquetWriter(folder / "labels.parquet", table.schema)
-            writer.write_table(table)
-    finally:
-        if writer is not None:
-            writer.close()
-    layout = "`wrench.parquet`: one row per sample, one row group per recording"
+    with _ParquetFiles(folder, {"wrench": {"dt_seconds": repr(data.recordings.dt)}}) as files:
+        files.add("trials", tables.trials(data.recordings))
+        for title, rows in _optional(data):
+            files.add(title, rows)
+        for block in data.blocks():
+            for row in range(len(block.recordings)):
+                files.add("wrench", tables.wrench(block, row))
+                progress(1)
+            for rows in tables.labels(block):
+                files.add("labels", rows)
+        files.flush()
+    layout = "`wrench.parquet`: one row per sample, recordings one after the other, none in two row groups"
     write_card(data, folder, _TABLES.format("parquet", layout))
 
 
-def _optional(data: DataSet) -> list[tuple[str, Table]]:
-    """Tables that not every data set has, with their names."""
-    both = (("annotations", tables.intervals(data.recordings)), ("simulation", tables.simulation(data)))
-    return [(title, table) for title, table in both if table]
+class _ParquetFiles:
+    """Parquet files that grow piece by piece; what is added at once is in one row group.
+
+    A row group takes memory until its file is closed, so that a row group per recording would not do.
+    """
+
+    def __init__(self, folder: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        self._pa, self._pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
+        self._folder, self._metadata = folder, metadata
+        self._waiting: dict[str, list[Any]] = {}
+        self._writers: dict[str, Any] = {}
+
+    def __enter__(self) -> _ParquetFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for writer in self._writers.values():
+            writer.close()
+
+    def add(self, title: str, rows: Table) -> None:
+        """Append rows to a file."""
+        waiting = self._waiting.setdefault(title, [])
+        waiting.append(self._pa.table(rows).replace_schema_metadata(self._metadata.get(title)))
+        if sum(len(table) for table in waiting) >= ROWS:
+            self._write(title)
+
+    def flush(self) -> None:
+        """Write what waits for its row group to be full."""
+        for title in self._waiting:
+            self._write(title)
+
+    def _write(self, title: str) -> None:
+        if waiting := self._waiting[title]:
+            if title not in self._writers:
+                path = self._folder / f"{title}.parquet"
+                self._writers[title] = self._pq.ParquetWriter(path, waiting[0].schema)
+            table = self._pa.concat_tables(waiting)
+            self._writers[title].write_table(table, row_group_size=len(table) or None)
+            self._waiting[title] = []
 
 
-def _write_csv(path: Path, table: Table, *, header: bool = True) -> None:
-    """Append a table; numbers are the shortest text that reads back equal, NaN is empty."""
+def _optional(data: DataSet) -> Iterator[tuple[str, Table]]:
+    """Tables that not every data set has, with their names; the rows of one may come in several pieces."""
+    if marks := tables.intervals(data.recordings):
+        yield "annotations", marks
+    first = 0
+    for arrays in data.simulation():
+        yield "simulation", tables.simulation(arrays, first)
+        first += len(next(iter(arrays.values())))
+
+
+def _write_csv(path: Path, table: Table) -> None:
+    """Append a table; a new file begins with its header.
+
+    Numbers are the shortest text that reads back equal, NaN is empty.
+    """
     columns = [
         ["" if text == "nan" else text for text in values.astype(str).tolist()]
         if values.dtype.kind == "f"
@@ -119,7 +161,7 @@ def _write_csv(path: Path, table: Table, *, header: bool = True) -> None:
     ]
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        if header:
+        if file.tell() == 0:
             writer.writerow(table)
         writer.writerows(zip(*columns, strict=True))
 
@@ -128,12 +170,13 @@ def _csv(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
     for title, rows in _optional(data):
         _write_csv(folder / f"{title}.csv", rows)
-    for number, table in enumerate(tables.labels(data)):
-        _write_csv(folder / "labels.csv", table, header=number == 0)
     (folder / "wrench").mkdir()
-    for row in range(len(data.recordings)):
-        _write_csv(folder / "wrench" / f"{row:06d}.csv", tables.wrench(data.recordings, row))
-        progress(1)
+    for block in data.blocks():
+        for table in tables.labels(block):
+            _write_csv(folder / "labels.csv", table)
+        for row in range(len(block.recordings)):
+            _write_csv(folder / "wrench" / f"{block.first + row:06d}.csv", tables.wrench(block, row))
+            progress(1)
     write_card(data, folder, _TABLES.format("csv", "`wrench/NNNNNN.csv`: one row per sample of recording N"))
 
 
@@ -141,9 +184,10 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
     _write_csv(folder / "trials.csv", tables.trials(data.recordings))
     for title, rows in _optional(data):
         _write_csv(folder / f"{title}.csv", rows)
-    for row in range(len(data.recordings)):
-        _mcap_recording(data, row, folder / f"{row:06d}.mcap")
-        progress(1)
+    for block in data.blocks():
+        for row in range(len(block.recordings)):
+            _mcap_recording(block, row, folder / f"{block.first + row:06d}.mcap")
+            progress(1)
     layout = (
         "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped), `/labels` (whenever one "
         "changes; online labels appear when they were published), `/events` (starts of annotated intervals);\n"
@@ -154,9 +198,9 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
     write_card(data, folder, layout)
 
 
-def _mcap_recording(data: DataSet, row: int, path: Path) -> None:
-    recordings, samples = data.recordings, int(data.recordings.length[row])
-    codes = None if data.tracks is None else codes_at_samples(data.tracks, row, samples)
+def _mcap_recording(block: Block, row: int, path: Path) -> None:
+    recordings, samples = block.recordings, int(block.recordings.length[row])
+    codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
     begins = set(np.rint(recordings.annotations.begins(row) / recordings.dt).astype(int).tolist())
     with McapWriter(path, recordings.axes) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):

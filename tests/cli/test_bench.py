@@ -1,0 +1,101 @@
+"""``rcbht bench``: lines of numbers, ratios and their history; a fall is found, noise is not."""
+
+from __future__ import annotations
+
+import doctest
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rcbht_jax._util import ratios
+from rcbht_jax.cli import bench
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+
+SMALL = ("bench", "--trials", "2", "--samples", "40")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick() -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "_REPEATS", 1)
+        step = bench.streaming_step
+        patch.setattr(bench, "streaming_step", lambda: step(windows=3))
+        patch.setattr(bench, "offline_trial", lambda: 0.1)
+        patch.setattr(bench, "peers", lambda *_: {"tslearn SAX": 10.0})
+        yield
+
+
+@pytest.fixture(scope="module")
+def measured(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A history of one run."""
+    path = tmp_path_factory.mktemp("bench") / "history.json"
+    assert main([*SMALL, "--history", str(path)]) == 0
+    return path
+
+
+def test_a_run_is_lines_of_name_value_unit(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    [record] = json.loads(measured.read_text())
+    assert set(record["ratios"]) == {"encode/W=5", "encode/W=20", "step", "store/read"}
+    assert all(ratio > 0 for ratio in record["ratios"].values())
+    command = bench.Bench(trials=2, samples=40)
+    lines = command.text({**record, "compared_with": None, "fallen": []}).splitlines()
+    assert lines[0].startswith("# ")
+    rows = [line.split(" ") for line in lines[1:]]
+    assert all(len(row) == 3 and float(row[1]) > 0 for row in rows)
+    units = {name: unit for name, _, unit in rows}
+    assert (units["encode/W=5"], units["step/call"], units["store/read"]) == ("samples/s", "us", "bytes/s")
+    assert units["ratio/encode/W=5"] == "x"
+
+
+def test_a_fall_is_an_exit_status(
+    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    [record] = json.loads(measured.read_text())
+    values = {name: (entry["value"], entry["unit"]) for name, entry in record["values"].items()}
+
+    def measure(factor: float) -> Callable[[Any], Any]:
+        return lambda _: (values, {name: factor * ratio for name, ratio in record["ratios"].items()})
+
+    path = tmp_path / "history.json"
+    path.write_text(json.dumps([{**record, "ratios": {"step": 1e9}}, record, {**record, "device": "other"}]))
+    monkeypatch.setattr(bench, "measure", measure(0.85))
+    assert main([*SMALL, "--check", str(path)]) == 0
+    assert f"no ratio has fallen by more than 20 % since {record['date']}" in capsys.readouterr().out
+    monkeypatch.setattr(bench, "measure", measure(0.75))
+    assert main([*SMALL, "--check", str(path), "--history", str(path)]) == 2
+    assert "25 % below the earlier" in capsys.readouterr().out
+    assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 4, 4, 4]
+    assert main([*SMALL[:2], "3", *SMALL[3:], "--check", str(path)]) == 2
+    assert "has no run of 3 trials" in capsys.readouterr().err
+
+
+def test_a_ratio_that_is_gone_is_told() -> None:
+    assert ratios.fallen({"a": 1.0, "new": 1.0}, {"a": 1.2, "b": 1.0}) == ["The ratio b is no longer measured."]
+    assert doctest.testmod(ratios).failed == 0
+
+
+def test_the_two_calls_take_turns() -> None:
+    made: list[str] = []
+    ratios.interleaved(lambda: made.append("a"), lambda: made.append("b"), repeats=3)
+    assert "".join(made) == "ab" * 4
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '[{"ratios": {}}]', "{}x"])
+def test_what_is_no_history_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "h.json"
+    path.write_text(text)
+    for words in (("--check", str(path)), ("--check", str(tmp_path / "none.json"))):
+        assert main([*SMALL, *words]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    with pytest.raises(InputError, match="not a history"):
+        ratios.append_record(path, {})
+    assert path.read_text() == text
+
+
+def test_a_device_must_be_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SMALL, "--device"]) == 2
+    assert "no accelerator" in capsys.readouterr().err
