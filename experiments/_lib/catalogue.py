@@ -147,8 +147,10 @@ EXPERIMENTS = (
     Experiment(
         "environment_speed", "simulation.environment_speed", 4, ("--engine", "mjx", "warp"), elsewhere=GPU
     ),
+    Experiment("encoder_speed", "words.encoder_speed", 3, elsewhere=GPU),
+    Experiment("repeatability", "simulation.repeatability", 2, elsewhere=GPU),
     Experiment(
         "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
-        elsewhere=GPU,
+        results=("engines_gpu", "simulate_gpu"), elsewhere=GPU,
     ),
 )  # fmt: skip

@@ -75,6 +75,10 @@ def _measure(check: Result | None) -> str:
     return f"{check['value']:.2f}" if check["holds"] else f"**{check['value']:.2f}**"
 
 
+ENCODED = ("time first", "row by row", "scan")
+SYNTHESIS = (("utilisation", 2), ("host_memory_peak_GB", 1), ("store_GB", 1))
+
+
 @table("solver", *DEVICES)
 def solver(gpu: Result, cpu: Result) -> str:
     """How far the solver of the device engines must go."""
@@ -102,15 +106,35 @@ def speed(gpu: Result, cpu: Result) -> str:
     return markdown(("engine", "trials at once", "million steps per second", "compilation, s", "memory, GB"), lines)
 
 
-@table("synthesis", *DEVICES)
-def synthesis(gpu: Result, cpu: Result) -> str:
-    """A store of labelled trials from a GPU, from the command to the last byte."""
+@table("synthesis", "simulate_gpu")
+def synthesis(result: Result) -> str:
+    """Stores of labelled trials from GPUs, from the command to the last byte."""
     lines = []
-    for engine, run in _runs(gpu, cpu, "synthesis").items():
-        parts = run["seconds_by_part"]
-        seconds = (run["seconds"], run["with_compilation_s"], parts["run"], parts["encode_on_device"])
-        counts = (f"{run['trials']:,}", f"{run['physics_steps_per_trial']:,}")
-        rest = (f"{run['store_GB']:.1f}", str(run["diverged"]))
-        lines.append((engine, *counts, *(f"{value:.0f}" for value in seconds), *rest))
-    head = ("engine", "trials", "physics steps each", "seconds", "with compilation", "of them physics", "labels")
-    return markdown((*head, "store, GB", "diverged, left out"), lines)
+    for name, row in result["rows"].items():
+        rest = [f"{row[key]:.{digits}f}" if key in row else "–" for key, digits in SYNTHESIS]
+        lines.append((name, f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest))
+    head = ("", "seconds", "trials a second", "lanes busy", "host memory, GB", "store, GB")
+    return markdown(head, lines)
+
+
+@table("repeatability", "repeatability")
+def repeatability(result: Result) -> str:
+    """The same trials simulated twice on a GPU."""
+    lines = []
+    for engine, rows in result["engines"].items():
+        for how, row in rows.items():
+            counts = (str(row[key]) for key in ("trials", "equal", "same_outcome", "same_length"))
+            lines.append((f"`{engine}`, {how}", *counts, f"{row['largest_difference']:.1f} N"))
+    return markdown(("", "trials", "same bytes", "same outcome", "same length", "largest difference"), lines)
+
+
+@table("encoder-speed", "encoder_speed")
+def encoder_speed(result: Result) -> str:
+    """The encoder on a GPU, by number of recordings and window."""
+    lines = []
+    for window, rows in result["windows"].items():
+        for count, row in rows.items():
+            cells = [f"{row[how]['samples_per_s'] / 1e9:.1f}" if how in row else "–" for how in ENCODED]
+            lines.append((f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}"))
+    head = ("recordings", "window", "billion samples a second", "with a transposition", "former scan", "compilation, s")
+    return markdown(head, lines)

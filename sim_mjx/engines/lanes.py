@@ -2,7 +2,8 @@
 
 A lane is a place in the batch that the device steps together. After each stretch of control periods the host learns
 which trials have ended; new ones begin in their lanes. What a lane logs goes to its trial's slot of a buffer on the
-device, from where finished trials are taken out together. A trial's bytes do not depend on its lane or its neighbours.
+device, from where finished trials are taken out together. What becomes of a trial does not depend on its lane or its
+neighbours.
 """
 
 from __future__ import annotations

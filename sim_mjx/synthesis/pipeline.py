@@ -2,10 +2,10 @@
 
 The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``), of which each shard is a part; when
 all are there it is completed and moved to its place. A trial depends on seed and index alone, so the shard size
-decides only how much an interruption costs and how the files of the store are divided. The store holds no date. Its
-group ``simulation/`` has one row per recording: index, fault, failed_in, seated [4], noise_key [2] and the drawn
-parameters (``Scenario.parameters``). A two-arm trial is two recordings, right arm and left arm, as the importer stores
-them.
+decides only how much an interruption costs and how the files of the store are divided. (On a GPU, engines do not give
+the same bytes twice.) The store holds no date. Its group ``simulation/`` has one row per recording: index, fault,
+failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). A two-arm trial is two
+recordings, right arm and left arm, as the importer stores them.
 
 Processes that are given the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on
 several that see the same folder. The last one completes the store.

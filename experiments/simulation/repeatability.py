@@ -1,0 +1,67 @@
+"""Whether a device gives a trial twice: the same trials again, and in other lanes of the batch.
+
+Run: python -m experiments.simulation.repeatability --engine warp mjx
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Annotated, Any, Literal
+
+import jax
+import numpy as np
+import tyro
+
+from experiments._lib.results_io import write_result
+from experiments.simulation.engines import SEED, trials_of
+from sim_mjx import engines
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.scene import one_arm
+
+LONGEST = 8.0  # s
+
+
+def compared(first: Rollouts, second: Rollouts) -> dict[str, Any]:
+    """What is the same of the same trials simulated twice."""
+    equal, largest, begins = 0, 0.0, []
+    for row, (a, b) in enumerate(zip(first.length, second.length, strict=True)):
+        samples = min(a, b)
+        off = np.abs(first.wrench[row, :samples] - second.wrench[row, :samples]).max(1)
+        equal += int(a == b and not off.any())
+        largest = max(largest, float(off.max()))
+        if off.any():
+            begins.append(int(np.argmax(off > 0)))
+    return {
+        "trials": len(first.length),
+        "equal": equal,
+        "largest_difference": largest,  # N or Nm
+        "median_first_different_sample": float(np.median(begins)) if begins else None,
+        "same_outcome": int((first.seated == second.seated).all(1).sum()),
+        "same_length": int((first.length == second.length).sum()),
+    }
+
+
+def backwards(out: Rollouts) -> Rollouts:
+    """The trials in the opposite order."""
+    return Rollouts(**{field.name: getattr(out, field.name)[::-1] for field in fields(Rollouts)})
+
+
+def main(
+    engine: Annotated[tuple[Literal["native", "mjx", "warp"], ...], tyro.conf.arg(help="engines")] = ("warp", "mjx"),
+    trials: int = 512,
+) -> None:
+    """Measure and store."""
+    params, rows = trials_of(trials, LONGEST), {}
+    for name in engine:
+        first = engines.simulate(one_arm(), params, name)
+        turned = engines.simulate(one_arm(), jax.tree.map(lambda leaf: leaf[::-1].copy(), params), name)
+        rows[name] = {
+            "again": compared(first, engines.simulate(one_arm(), params, name)),
+            "in other lanes": compared(first, backwards(turned)),
+        }
+    command = f"python -m experiments.simulation.repeatability --engine {' '.join(engine)} --trials {trials}"
+    write_result("repeatability", command, {"longest_s": LONGEST, "engines": rows}, SEED)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
