@@ -134,7 +134,7 @@ def encoder_speed(result: Result) -> str:
     lines = []
     for window, rows in result["windows"].items():
         for count, row in rows.items():
-            cells = [f"{row[how]['samples_per_s'] / 1e9:.1f}" if how in row else "–" for how in ENCODED]
+            cells = [f"{row[how]['samples_per_s'] / 1e9:.2f}" if how in row else "–" for how in ENCODED]
             lines.append((f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}"))
     head = ("recordings", "window", "billion samples a second", "with a transposition", "former scan", "compilation, s")
     return markdown(head, lines)
