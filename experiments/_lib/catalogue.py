@@ -49,6 +49,12 @@ EXPERIMENTS = (
         "grammar", "classification.grammar", 8, needs=("data",), shorter_minutes=3,
         shorter=("--only", "SIM1", "A to B", "B to A"),
     ),
+    Experiment("frozen_choice", "classification.frozen_choice", 5, needs=("data",)),
+    Experiment("frozen_stream_choice", "online.frozen_stream_choice", 5, needs=("data",)),
+    Experiment("headline", "classification.headline", 12, needs=("data",)),
+    Experiment(
+        "causal", "online.causal", 15, needs=("data",), shorter=("--only", "A to B", "B to A"), shorter_minutes=5
+    ),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
     Experiment(
