@@ -55,6 +55,8 @@ EXPERIMENTS = (
     Experiment(
         "causal", "online.causal", 15, needs=("data",), shorter=("--only", "A to B", "B to A"), shorter_minutes=5
     ),
+    Experiment("failure_calibration", "online.failure_calibration", 6, needs=("data",)),
+    Experiment("zero_shot", "classification.zero_shot", 8, (SETS,), ("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
     Experiment(

@@ -97,7 +97,7 @@ class FrozenMethod:
         return EncoderConfig(window=self.content["encoders"][encoder]["window"], dt=dt)
 
     def description(self) -> dict[str, Any]:
-        """Arguments of ``StateClassifier`` that make the words and features of the first candidate.
+        """Arguments of ``StateClassifier``, which has one encoder: the first one, with the first families.
 
         Example:
             >>> import rcbht_jax as rj

@@ -6,7 +6,7 @@ random forest on statistics of the raw wrench. Intervals are corrected for the o
 another and where no mistake was made, Wilson's by trial; then the result also says how large a share of trials with a
 mistake none in so many allows (rule of three). Success and failure are scored by mean recall.
 
-Run: python -m experiments.classification.headline --repeats 5 --seed 0
+Run: python -m experiments.classification.headline --repeats 3 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
@@ -160,7 +160,7 @@ def _chosen(choice: dict[str, Any]) -> str:
     return f"{choice['features']}: {choice['kernel']} C={choice['cost']:g}" if choice else ""
 
 
-def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
+def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
     experiment = Experiment(repeats, seed)
     command = f"python -m experiments.classification.headline --repeats {repeats} --seed {seed}"
     wanted = {f"{name} | {row}": experiment.row(name, row) for name in NAMES for row in ROWS}

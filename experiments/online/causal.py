@@ -9,7 +9,7 @@ in a random forest.
 The last rows say what features without duration and offset know of the time since a sub-task began: a ridge regression
 of its logarithm on them, within each class, trained on half of the trials and scored on the others.
 
-Run: python -m experiments.online.causal --repeats 5 --seed 0
+Run: python -m experiments.online.causal --repeats 3 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
 """
 
@@ -243,7 +243,7 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
     return {name: round(float(np.median(values)), 4) for name, values in found.items()}
 
 
-def main(repeats: int = 5, seed: int = 0, only: Only = ALL_ROWS) -> None:
+def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
     method = frozen.load()
     data = recorded()
     streams = {name: cache(partial(Stream, method, data, sources=(SETS[name],))) for name in ("REAL", "SIM1")}

@@ -93,7 +93,7 @@ def streamed(
     test: Floats,
     seed: int,
 ) -> tuple[ProbabilisticSvm, Floats]:
-    """A classifier of the trials that are not in ``test``; its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
+    """A classifier of all trials but ``test``, and its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
     tested = np.isin(snapshots.interval, test)
     rows = np.flatnonzero(~tested & training)
     described = FeatureSpec(families=method.families)

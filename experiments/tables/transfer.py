@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
-from experiments.tables.cells import markdown, table
+from experiments.tables.cells import markdown, score, table
 
 Result = dict[str, Any]
 
@@ -25,6 +25,16 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> str:
         lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return markdown(head, lines)
+
+
+@table("zero-shot", "zero_shot")
+def zero_shot(result: Result) -> str:
+    """States of recorded trials by simulated ones that were fitted to none of them."""
+    lines = []
+    for name, row in result["rows"].items():
+        cells = [f"{row[on]['mean']:.3f}" for on in ("A", "B")]
+        lines.append((*name.split(" | "), str(row["training trials"]), *cells, score(row["A+B"])))
+    return markdown(("", "by", "training trials", "A", "B", "both"), lines)
 
 
 CHOICES = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")
