@@ -62,3 +62,15 @@ def time_known(result: Result) -> str:
     states = list(next(iter(rows.values())))
     lines = [(name, *(f"{row[state]:.3f}" for state in states)) for name, row in rows.items()]
     return markdown(("within-class R² of log elapsed time", *states), lines)
+
+
+@table("failure-calibration", "failure_calibration")
+def failure_calibration(result: Result) -> str:
+    """Calibration error of streamed types of failure by quarter of the record: the likeliest, the worst type."""
+    quarters = [f"quarter {number}" for number in range(1, 5)]
+    lines = []
+    for name, kinds in result["rows"].items():
+        for kind, row in kinds.items():
+            cells = [f"{row[part]['likeliest']:.3f} / {row[part]['worst class']:.3f}" for part in quarters]
+            lines.append((name, kind, f"{row['pooled']:.3f}", *cells))
+    return markdown(("", "beliefs", "pooled", *quarters), lines)

@@ -56,6 +56,8 @@ CELLS = [
     ("causal", "noticed | elapsed time", "B to A",
      ".3f causal > rows > B to A > noticed | elapsed time > macro step accuracy > mean"),
     ("zero-shot", "four states | frozen", "A", ".3f zero_shot > rows > four states | frozen > A > mean"),
+    ("failure-calibration", "richer words | by progress", "quarter 4",
+     ".3f failure_calibration > rows > richer words > by progress > quarter 4 > likeliest"),
     ("time-known", "SIM1", "rotation", ".3f causal > rows > time known, SIM1 > rotation"),
     ("peers-folds", "MiniRocket + ridge", "SIM1 states",
      ".3f peers > rows > SIM1 states | MiniRocket + ridge > accuracy > mean"),
