@@ -7,7 +7,7 @@ the beginning (told) or since the start of the record (noticed), alone or with t
 in a random forest.
 
 The last rows say what features without duration and offset know of the time since a sub-task began: a ridge regression
-of its logarithm on them, within each class, trained on half of the trials and scored on the others.
+of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
 
 Run: python -m experiments.online.causal --repeats 3 --seed 0
 Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import RidgeCV
 from sklearn.metrics import r2_score
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from experiments._lib import frozen
 from experiments._lib.benchmarks import recorded
@@ -48,6 +46,7 @@ from rcbht_jax.introspection.training import (
 )
 from rcbht_jax.learning import metrics
 from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.scaling import fit_scale
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
 
@@ -238,8 +237,9 @@ def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
         inside = halves(made.items, seed)[snapshots.interval]
         for number, name in enumerate(made.items.classes):
             a, b = np.flatnonzero(inside & (y == number)), np.flatnonzero(~inside & (y == number))
-            machine = make_pipeline(StandardScaler(), RidgeCV(ALPHAS)).fit(x[a], elapsed[a])
-            found[name].append(float(r2_score(elapsed[b], machine.predict(x[b]))))
+            scale = fit_scale(x[a], True, 0.0, True)
+            machine = RidgeCV(ALPHAS).fit(scale(x[a]), elapsed[a])
+            found[name].append(float(r2_score(elapsed[b], machine.predict(scale(x[b])))))
     return {name: round(float(np.median(values)), 4) for name, values in found.items()}
 
 
