@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from experiments._lib.intervals import rule_of_three
+
 Record = dict[str, Any]
 MEASURE = "macro step accuracy"  # of streamed states
 NOTICED = "noticed | "
@@ -40,6 +42,11 @@ STREAMED = {
     "B to A": "the same, session B to session A",
     "SIM1": "states, the authors' simulated trials, streamed, beginnings not told",
 }
+# Boundaries of zero_shot.json -> what it is called.
+ZERO_SHOT = {
+    "three states": "three states, real trials, zero shot: trained on simulation fitted to no recorded session",
+    "four states": "four states, real trials, zero shot",
+}
 
 
 @dataclass(frozen=True)
@@ -59,8 +66,14 @@ class HeadlineRow:
     source: str
 
 
-def headline_rows(headline: Record, causal: Record, peers: Record) -> Iterator[HeadlineRow]:
+def headline_rows(headline: Record, zero_shot: Record, causal: Record, peers: Record) -> Iterator[HeadlineRow]:
     """The rows in the order of the README."""
+    yield from _offline(headline, peers)
+    yield from _zero_shot(zero_shot)
+    yield from _streamed(causal)
+
+
+def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
     for name, (title, paper, flags) in OFFLINE.items():
         rows = {what: headline["rows"][f"{name} | {what}"] for what in ("frozen", "frozen, relative")}
         others = {"statistics + random forest": headline["rows"][f"{name} | statistics + random forest"]["score"]}
@@ -77,6 +90,22 @@ def headline_rows(headline: Record, causal: Record, peers: Record) -> Iterator[H
             rows["frozen"].get("trials with a mistake, at most"), rows["frozen"]["trials tested"],
             rows["frozen"]["method"], flags, "headline",
         )  # fmt: skip
+
+
+def _zero_shot(result: Record) -> Iterator[HeadlineRow]:
+    both = "A+B"
+    for name, title in ZERO_SHOT.items():
+        rows = {what.split(" | ")[1]: row for what, row in result["rows"].items() if what.startswith(f"{name} | ")}
+        mine, other = rows["frozen"], "statistics + random forest"
+        tested = mine[both]["trials"]
+        yield HeadlineRow(
+            title, "", mine[both], rows["frozen, relative"][both], rows["duration alone"][both],
+            (other, rows[other][both]), None if mine["wrong"] else rule_of_three(tested), tested, mine["method"],
+            ("lengths",), "zero_shot",
+        )  # fmt: skip
+
+
+def _streamed(causal: Record) -> Iterator[HeadlineRow]:
     for name, title in STREAMED.items():
         row, belief = causal["rows"][name], causal["belief of the method"]
         yield HeadlineRow(

@@ -85,7 +85,7 @@ def _interval(score: Record) -> tuple[float, float]:
 
 def _frozen() -> Iterator[Record]:
     """The frozen method, on every benchmark."""
-    for row in headline_rows(committed("headline"), committed("causal"), committed("peers")):
+    for row in headline_rows(*map(committed, ("headline", "zero_shot", "causal", "peers"))):
         yield _row(
             f"One frozen method ({row.method[:12]})", row.title, row.score, row.flags, row.source, row.paper,
             _peer(*row.peer), row.duration["mean"],

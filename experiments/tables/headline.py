@@ -11,11 +11,11 @@ Result = dict[str, Any]
 SHORT = 12  # digits of a digest that are shown
 
 
-@table("results", "headline", "causal", "peers", links=True)
-def results(headline: Result, causal: Result, peers: Result, way: str) -> str:
+@table("results", "headline", "zero_shot", "causal", "peers", links=True)
+def results(headline: Result, zero_shot: Result, causal: Result, peers: Result, way: str) -> str:
     """The frozen method on every benchmark; each row carries the digest of the method that made it."""
     lines = []
-    for row in headline_rows(headline, causal, peers):
+    for row in headline_rows(headline, zero_shot, causal, peers):
         seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
         name, peer = row.peer
         lines.append(
