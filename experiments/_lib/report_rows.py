@@ -64,8 +64,10 @@ def _row(
     group: str, what: str, score: Record, flags: tuple[str, ...], source: str,
     paper: str = "", peer: Record | None = None, duration: float | None = None,
 ) -> Record:  # fmt: skip
+    ends = _interval(score)  # of no width: no mistake, or the same in every trial
     return {
-        "group": group, "what": what, "paper": paper, "ours": _mean(score), "interval": _interval(score),
+        "group": group, "what": what, "paper": paper, "ours": _mean(score),
+        "interval": ends if ends[0] < ends[1] else None,
         "peer": peer, "duration": duration, "flags": flags, "source": f"{source}.json",
     }  # fmt: skip
 

@@ -10,7 +10,7 @@ from experiments._lib.catalogue import EXPERIMENTS
 from experiments._lib.report_rows import NAME
 from experiments._lib.results_io import COMMITTED
 from experiments.figures.all import FIGURES, PICTURES
-from experiments.tables.cells import NONE, markdown, table
+from experiments.tables.cells import NONE, ends, markdown, table
 from rcbht_jax.errors import InputError
 
 # Other methods than the frozen one: beginning of the group, of the row's text -> what it is called.
@@ -47,9 +47,15 @@ def ablations(record: dict[str, Any], way: str) -> str:
     lines = []
     for (group, what), title in ABLATIONS.items():
         row = _only([row for row in rows if row["group"].startswith(group) and row["what"].startswith(what)], what)
-        low, high = row["interval"]
         link = f"[{Path(row['source']).stem}]({way}{row['source']})"
-        lines.append((title, row["paper"] or "none", f"{row['ours']:.3f} ({low:.3f} to {high:.3f})", link))
+        lines.append(
+            (
+                title,
+                row["paper"] or "none",
+                f"{row['ours']:.3f}{ends(*row['interval']) if row['interval'] else ''}",
+                link,
+            )
+        )
     return markdown(("accuracy", "paper", "95 % interval", "result"), lines)
 
 
