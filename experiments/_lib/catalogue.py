@@ -50,8 +50,8 @@ EXPERIMENTS = (
         shorter=("--only", "SIM1", "A to B", "B to A"),
     ),
     Experiment(
-        "frozen_choice", "classification.frozen_choice", 4, needs=("data",), shorter=("--only", "preset | "),
-        shorter_minutes=1,
+        "frozen_choice", "classification.frozen_choice", 4, needs=("data",), shorter=("--only", "untimed"),
+        shorter_minutes=2,
     ),
     Experiment("frozen_stream_choice", "online.frozen_stream_choice", 2, needs=("data",)),
     Experiment(
