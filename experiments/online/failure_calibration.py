@@ -4,8 +4,8 @@ A type cannot be known before the parts touch; sigmoids fitted on all snapshots 
 little late, and a pooled error lets the two cancel. Here a belief is calibrated by progress, the time that has passed
 as a share of the median record of the training trials, which a planner knows: in every quarter of it, a temperature and
 a share of the classes' frequencies, fitted by likelihood. Five folds grouped by trial; the calibration of a fold is
-fitted on the beliefs about the trials of the other folds, none of which trained the classifier that they come from. Those
-classifiers had seen the trials of the fold; two numbers for each quarter hardly carry that over.
+fitted on the beliefs about the trials of the other folds, none of which trained the classifier that they come from.
+Those classifiers had seen the trials of the fold; two numbers for each quarter hardly carry that over.
 
 Errors are expected calibration errors of the likeliest type, and of every type by itself (its belief against how often
 it is true), over ten bins and all snapshots of a quarter of the trial's own record.
