@@ -44,7 +44,7 @@ STREAMED = {
 }
 # Boundaries of zero_shot.json -> what it is called.
 ZERO_SHOT = {
-    "three states": "three states, real trials, zero shot: trained on simulation fitted to no recorded session",
+    "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to no recording of it",
     "four states": "four states, real trials, zero shot",
 }
 
