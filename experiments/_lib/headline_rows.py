@@ -44,7 +44,7 @@ STREAMED = {
 }
 # Boundaries of zero_shot.json -> what it is called.
 ZERO_SHOT = {
-    "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to no recording of it",
+    "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to none of them",
     "four states": "four states, real trials, zero shot",
 }
 
