@@ -49,6 +49,22 @@ EXPERIMENTS = (
         "grammar", "classification.grammar", 8, needs=("data",), shorter_minutes=3,
         shorter=("--only", "SIM1", "A to B", "B to A"),
     ),
+    Experiment(
+        "frozen_choice", "classification.frozen_choice", 4, needs=("data",), shorter=("--only", "untimed"),
+        shorter_minutes=2,
+    ),
+    Experiment("frozen_stream_choice", "online.frozen_stream_choice", 2, needs=("data",)),
+    Experiment(
+        "headline", "classification.headline", 5, needs=("data",), shorter=("--only", "REAL states"), shorter_minutes=2
+    ),
+    Experiment(
+        "causal", "online.causal", 9, needs=("data",), shorter=("--only", "A to B", "B to A"), shorter_minutes=4
+    ),
+    Experiment(
+        "failure_calibration", "online.failure_calibration", 6, needs=("data",), shorter=("--only", "/ 256"),
+        shorter_minutes=3,
+    ),
+    Experiment("zero_shot", "classification.zero_shot", 3, (SETS,), ("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
     Experiment(
@@ -68,7 +84,10 @@ EXPERIMENTS = (
     Experiment("table2", "online.table2", 36, needs=("data",), shorter=("--repeats", "10"), shorter_minutes=9),
     Experiment("confidence", "online.confidence", 2, needs=("data",)),
     Experiment("abnormal_real", "online.abnormal_real", 3, needs=("data",)),
-    Experiment("failure_types_online", "online.failure_types", 10, needs=("data",)),
+    Experiment(
+        "failure_types_online", "online.failure_types", 10, needs=("data",), shorter=("--only", "/ 256"),
+        shorter_minutes=3,
+    ),
     Experiment(
         "detected_starts", "online.detected_starts", 18, needs=("data",), shorter=("--only", "paper"), shorter_minutes=2
     ),

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from experiments._lib.headline_rows import headline_rows
 from experiments._lib.results_io import COMMITTED, committed
 from rcbht_jax.report.results import SCHEMA
 
@@ -31,7 +32,7 @@ Record = dict[str, Any]
 
 def report_rows() -> Record:
     """The content of ``experiments/results/report_rows.json``."""
-    readers = (_words, _probes, _sim_to_real, _table1_ours, _table1, _table2, _two_arm)
+    readers = (_frozen, _words, _probes, _sim_to_real, _table1_ours, _table1, _table2, _two_arm)
     sources = []
     for path in sorted(COMMITTED.glob("*.json")):
         if path.stem != NAME:
@@ -63,8 +64,10 @@ def _row(
     group: str, what: str, score: Record, flags: tuple[str, ...], source: str,
     paper: str = "", peer: Record | None = None, duration: float | None = None,
 ) -> Record:  # fmt: skip
+    ends = _interval(score)  # of no width: no mistake, or the same in every trial
     return {
-        "group": group, "what": what, "paper": paper, "ours": _mean(score), "interval": _interval(score),
+        "group": group, "what": what, "paper": paper, "ours": _mean(score),
+        "interval": ends if ends[0] < ends[1] else None,
         "peer": peer, "duration": duration, "flags": flags, "source": f"{source}.json",
     }  # fmt: skip
 
@@ -80,6 +83,15 @@ def _mean(score: Record) -> float:
 def _interval(score: Record) -> tuple[float, float]:
     low, high = score["interval"] if "interval" in score else (score["low"], score["high"])
     return low, high
+
+
+def _frozen() -> Iterator[Record]:
+    """The frozen method, on every benchmark."""
+    for row in headline_rows(*map(committed, ("headline", "zero_shot", "causal", "peers"))):
+        yield _row(
+            f"One frozen method ({row.method[:12]})", row.title, row.score, row.flags, row.source, row.paper,
+            _peer(*row.peer), row.duration["mean"],
+        )  # fmt: skip
 
 
 def _words() -> Iterator[Record]:
@@ -124,7 +136,7 @@ def _sim_to_real() -> Iterator[Record]:
             same = name == "all presets"  # only there were the others trained on the same trials
             peer = _peer("raw statistics + forest", raw[states]["A+B"]) if same else None
             yield _row(
-                "Simulation only, tested on recorded trials", f"{name}, {states} states", row[states]["A+B"],
+                "Trained on simulation, tested on recorded trials", f"{name}, {states} states", row[states]["A+B"],
                 ("lengths",), "sim_to_real", peer=peer, duration=alone[states]["A+B"]["accuracy"] if same else None,
             )  # fmt: skip
 

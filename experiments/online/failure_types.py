@@ -39,6 +39,7 @@ from rcbht_jax.introspection.training import (
     training_snapshots,
 )
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
@@ -83,6 +84,25 @@ def moments(items: LabelledIntervals, snapshots: Snapshots) -> dict[str, NDArray
     return rows
 
 
+def streamed(
+    items: LabelledIntervals,
+    snapshots: Snapshots,
+    training: NDArray[np.bool_],
+    x: Floats,
+    method: Method,
+    test: Floats,
+    seed: int,
+) -> tuple[ProbabilisticSvm, Floats]:
+    """A classifier of all trials but ``test``, and its beliefs ``[snapshot, class]`` about those, NaN elsewhere."""
+    tested = np.isin(snapshots.interval, test)
+    rows = np.flatnonzero(~tested & training)
+    described = FeatureSpec(families=method.families)
+    machine = learn(x[rows], snapshots.take(rows), items, described, method.grid, ENDS, seed)
+    p = np.full((len(tested), len(items.classes)), np.nan)
+    p[tested] = machine.probability(x[tested])
+    return machine, p
+
+
 def fold(
     items: LabelledIntervals,
     snapshots: Snapshots,
@@ -93,12 +113,8 @@ def fold(
     seed: int,
 ) -> dict[str, Any]:
     """Train on the trials that are not in ``test``, stream those."""
+    machine, p = streamed(items, snapshots, training, x, method, test, seed)
     tested, y = np.isin(snapshots.interval, test), items.y[snapshots.interval]
-    rows = np.flatnonzero(~tested & training)
-    described = FeatureSpec(families=method.families)
-    machine = learn(x[rows], snapshots.take(rows), items, described, method.grid, ENDS, seed)
-    p = np.full((len(y), len(items.classes)), np.nan)
-    p[tested] = machine.probability(x[tested])
     out: dict[str, Any] = {"every tenth of a second": metrics.accuracy(y[tested], p[tested].argmax(1))}
     for name, at in moments(items, snapshots).items():
         mine = at[tested[at]]
@@ -137,13 +153,17 @@ def watched(recordings: Recordings, snapshots: Snapshots, method: Method) -> Flo
     return x.astype(np.float64)
 
 
+def that_train(items: LabelledIntervals, snapshots: Snapshots, dt: float) -> NDArray[np.bool_]:
+    """Which of the regular snapshots train."""
+    chosen = training_snapshots(items, round(1 / (RATE * dt)), PICKED, early=False)
+    return np.isin(snapshots.interval * 10**7 + snapshots.now, chosen.interval * 10**7 + chosen.now)
+
+
 def row(
     recordings: Recordings, items: LabelledIntervals, snapshots: Snapshots, method: Method, repeats: int, seed: int
 ) -> Callable[[], Any]:
     def make() -> Any:
-        every = round(1 / (RATE * recordings.dt))
-        chosen = training_snapshots(items, every, PICKED, early=False)
-        training = np.isin(snapshots.interval * 10**7 + snapshots.now, chosen.interval * 10**7 + chosen.now)
+        training = that_train(items, snapshots, recordings.dt)
         x = watched(recordings, snapshots, method)
         splits = repeated_folds(items.y, items.trial, FOLDS, repeats, seed)
         parts = [(seed + k, test) for k, folds in enumerate(splits) for _, test in folds]

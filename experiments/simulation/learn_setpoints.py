@@ -23,9 +23,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments._lib.intervals import wilson
 from experiments._lib.results_io import write_result
 from experiments.simulation import steered
-from experiments.simulation.success import wilson
 from rcbht_jax._util import checkpoint as checkpoints
 from sim_mjx import engines, env
 from sim_mjx.assembly import task

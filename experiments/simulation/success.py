@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments._lib.catalogue import DATA
+from experiments._lib.intervals import wilson
 from experiments._lib.results_io import RESULTS, pictures, write_result
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.plots import save
@@ -59,14 +60,6 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
         "diverged": diverged,
         "seconds": round(time.perf_counter() - start, 1),
     }
-
-
-def wilson(good: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    share, spread = good / trials, z * z / trials
-    middle = (share + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
-    return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
 
 
 def success_map(

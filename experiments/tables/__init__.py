@@ -1,6 +1,17 @@
 """Tables in Markdown of the committed results, by name; importing the modules registers them."""
 
-from experiments.tables import beliefs, calibration, engines, external, methods, online, overview, transfer, words  # noqa: F401
+from experiments.tables import (  # noqa: F401
+    beliefs,
+    calibration,
+    engines,
+    external,
+    headline,
+    methods,
+    online,
+    overview,
+    transfer,
+    words,
+)
 from experiments.tables.cells import TABLES
 
 __all__ = ["TABLES"]

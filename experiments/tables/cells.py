@@ -41,9 +41,18 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def ends(low: float, high: float) -> str:
+    """A 95 % interval behind its mean; nothing where the ends coincide: no mistake, or the same in every trial.
+
+    >>> ends(0.5, 0.75), ends(1.0, 1.0)
+    (' (0.500 to 0.750)', '')
+    """
+    return f" ({low:.3f} to {high:.3f})" if low < high else ""
+
+
 def score(values: dict[str, float] | None, interval: bool = True) -> str:
     """A mean with its 95 % interval, or a dash."""
     if values is None:
         return NONE
-    limits = f" ({values['low']:.3f} to {values['high']:.3f})" if interval and "low" in values else ""
+    limits = ends(values["low"], values["high"]) if interval and "low" in values else ""
     return f"{values['mean']:.3f}{limits}"

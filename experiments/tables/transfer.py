@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from experiments.figures.sim_to_real import TITLES_OF_ROWS
-from experiments.tables.cells import markdown, table
+from experiments.tables.cells import ends, markdown, score, table
 
 Result = dict[str, Any]
 
@@ -19,12 +19,21 @@ def _transfers(result: Result, groups: tuple[str, ...]) -> str:
         scores = [rows[name][states][on] for states in ("merged", "harmonised") for on in ("A", "B", "A+B")]
         cells = [f"{score['accuracy']:.3f}" for score in scores]
         for place in (2, 5):
-            low, high = scores[place]["interval"]
-            cells[place] += f" ({low:.3f} to {high:.3f})"
+            cells[place] += ends(*scores[place]["interval"])
         title = TITLES_OF_ROWS.get(name, name.replace(" | ", ": "))
         lines.append((title, str(rows[name]["merged"]["trials"]), *cells))
     head = ("", "training trials", *(f"{n} states, {on}" for n in (3, 4) for on in ("A", "B", "both")))
     return markdown(head, lines)
+
+
+@table("zero-shot", "zero_shot")
+def zero_shot(result: Result) -> str:
+    """States of recorded trials by simulated ones that were fitted to none of them."""
+    lines = []
+    for name, row in result["rows"].items():
+        cells = [f"{row[on]['mean']:.3f}" for on in ("A", "B")]
+        lines.append((*name.split(" | "), str(row["training trials"]), *cells, score(row["A+B"])))
+    return markdown(("", "by", "training trials", "A", "B", "both"), lines)
 
 
 CHOICES = ("randomisation", "mating", "sensor", "amount", "features", "features, without A and B", "window", "tare")

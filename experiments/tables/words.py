@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import NONE, markdown, table
+from experiments.tables.cells import NONE, ends, markdown, table
 
 TARGET = "0.01"  # residual at which methods are compared
 LAYERS = {"primitive": "primitives", "mc": "compositions", "llb": "behaviours"}
@@ -95,8 +95,7 @@ def streamed(result: dict[str, Any]) -> str:
 
 
 def _mean(score: dict[str, Any]) -> str:
-    low, high = score["interval"]
-    return f"{score['mean']:.3f} ({low:.3f} to {high:.3f})"
+    return f"{score['mean']:.3f}{ends(*score['interval'])}"
 
 
 @table("fit-transfer", "fit_sim_to_real")
@@ -105,8 +104,7 @@ def transfer(result: dict[str, Any]) -> str:
     rows = []
     for kind, row in result["rows"].items():
         four, three = row["harmonised"], row["merged"]
-        low, high = four["A+B"]["interval"]
-        both = f"{four['A+B']['accuracy']:.3f} ({low:.3f} to {high:.3f})"
+        both = f"{four['A+B']['accuracy']:.3f}{ends(*four['A+B']['interval'])}"
         rows.append((kind, *(f"{four[one]['accuracy']:.3f}" for one in "AB"), both, f"{three['A+B']['accuracy']:.3f}"))
     return markdown(("words", "4 states, A", "4 states, B", "4 states, both", "3 states, both"), rows)
 

@@ -1,0 +1,116 @@
+"""The rows of the headline: the frozen method on every benchmark, and what a simpler or another method reaches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from experiments._lib.intervals import rule_of_three
+
+Record = dict[str, Any]
+MEASURE = "macro step accuracy"  # of streamed states
+NOTICED = "noticed | "
+ELAPSED, FOREST = f"{NOTICED}elapsed time", f"{NOTICED}last 0.1 s and elapsed time, forest"
+
+# Benchmark of headline.json -> what it is called, what the paper prints, flags of the report.
+OFFLINE = {
+    "REAL states": ("states, real trials", "0.97 (0.93 to 1.00)", ("lengths",)),
+    "SIM1 states": ("states, the authors' simulated trials", "0.89 (0.84 to 0.94)", ("lengths",)),
+    "REAL success or failure": (
+        "success or failure, real trials (confounded: other sessions)", "0.97 (0.83 to 1.00)", ("sessions", "lengths")
+    ),
+    "REAL success or failure, session held out": (
+        "the same, the tested session's successes never seen (still confounded)", "", ("sessions", "lengths")
+    ),
+    "REAL merged states, A to B": ("three states, session A to session B", "", ("lengths",)),
+    "REAL merged states, B to A": ("three states, session B to session A", "", ("lengths",)),
+    "REAL states, A to B": ("four states, session A to session B", "", ("lengths",)),
+    "REAL states, B to A": ("four states, session B to session A", "", ("lengths",)),
+    "failure types": ("13 failure types of the authors' simulation", "", ("batches", "lengths")),
+    "failure types, other batch (at rest to loaded)": (
+        "failure types of the batch not trained on (loaded)", "", ("batches", "lengths")
+    ),
+    "failure types, other batch (loaded to at rest)": (
+        "failure types of the batch not trained on (at rest)", "", ("batches", "lengths")
+    ),
+}  # fmt: skip
+# Row of causal.json -> what it is called.
+STREAMED = {
+    "REAL": "states, real trials, streamed, beginnings not told",
+    "A to B": "the same, session A to session B",
+    "B to A": "the same, session B to session A",
+    "SIM1": "states, the authors' simulated trials, streamed, beginnings not told",
+}
+# Boundaries of zero_shot.json -> what it is called.
+ZERO_SHOT = {
+    "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to none of them",
+    "four states": "four states, real trials, zero shot",
+}
+
+
+@dataclass(frozen=True)
+class HeadlineRow:
+    """One score of the frozen method; scores are records with ``mean``, ``low`` and ``high``."""
+
+    title: str
+    paper: str  # as printed; "" = the paper has none
+    score: Record
+    relative: Record  # of the method without what an offset or a duration changes
+    duration: Record  # of the duration, or of the time that has passed, alone
+    peer: tuple[str, Record]  # the best of the other methods
+    allowed: float | None  # share of trials with a mistake that none seen allows; None = one was seen
+    tested: int  # trials
+    method: str  # SHA-256
+    flags: tuple[str, ...]
+    source: str
+
+
+def headline_rows(headline: Record, zero_shot: Record, causal: Record, peers: Record) -> Iterator[HeadlineRow]:
+    """The rows in the order of the README."""
+    yield from _offline(headline, peers)
+    yield from _zero_shot(zero_shot)
+    yield from _streamed(causal)
+
+
+def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
+    for name, (title, paper, flags) in OFFLINE.items():
+        rows = {what: headline["rows"][f"{name} | {what}"] for what in ("frozen", "frozen, relative")}
+        others = {"statistics + random forest": headline["rows"][f"{name} | statistics + random forest"]["score"]}
+        others |= {
+            method: row["accuracy"]
+            for place, row in peers["rows"].items()
+            for benchmark, method in [place.split(" | ")]
+            if benchmark == name and row["kind"] == "peer" and method not in others
+        }
+        best = max(others, key=lambda method: others[method]["mean"])
+        yield HeadlineRow(
+            title, paper, rows["frozen"]["score"], rows["frozen, relative"]["score"],
+            headline["rows"][f"{name} | duration alone"]["score"], (best, others[best]),
+            rows["frozen"].get("trials with a mistake, at most"), rows["frozen"]["trials tested"],
+            rows["frozen"]["method"], flags, "headline",
+        )  # fmt: skip
+
+
+def _zero_shot(result: Record) -> Iterator[HeadlineRow]:
+    both = "A+B"
+    for name, title in ZERO_SHOT.items():
+        rows = {what.split(" | ")[1]: row for what, row in result["rows"].items() if what.startswith(f"{name} | ")}
+        mine, other = rows["frozen"], "statistics + random forest"
+        tested = mine[both]["trials"]
+        yield HeadlineRow(
+            title, "", mine[both], rows["frozen, relative"][both], rows["duration alone"][both],
+            (other, rows[other][both]), None if mine["wrong"] else rule_of_three(tested), tested, mine["method"],
+            ("lengths",), "zero_shot",
+        )  # fmt: skip
+
+
+def _streamed(causal: Record) -> Iterator[HeadlineRow]:
+    for name, title in STREAMED.items():
+        row, belief = causal["rows"][name], causal["belief of the method"]
+        yield HeadlineRow(
+            title, "", row[f"{NOTICED}frozen, {belief}"][MEASURE],
+            row[f"{NOTICED}frozen, relative, {belief}"][MEASURE],
+            row[ELAPSED][MEASURE], ("last 0.1 s and elapsed time, forest", row[FOREST][MEASURE]),
+            None, row["trials tested"], row["method"], ("lengths",), "causal",
+        )  # fmt: skip

@@ -1,0 +1,152 @@
+"""The choice of the frozen method, made on the authors' simulated trials and session A alone.
+
+Sessions B and C are not read. Every option is a list of grammars and one of families of features; the inner folds
+choose among them, and ties go to the earlier. Five scores: states of the simulated trials, of session A, and from each
+of these two to the other (merged), and types of the simulated failures. The option with the best mean is frozen; of
+those within a thousandth of it, the one that leaves least to be chosen.
+
+Run: python -m experiments.classification.frozen_choice
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, recorded
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.tasks import failure_types, states
+from experiments.classification.grammar import ENCODERS, RANKS
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.recipes import ALL, LEVELS, RICHER
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.svm import Split, Weight, fewest_groups, grouped_folds, predictions, select
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, extract_features, labelled_intervals
+from rcbht_jax.learning.validation import repeated_folds
+from rcbht_jax.types import LabelTracks
+
+SEED = 100  # of the folds: not those of the headline
+CLOSE = 0.001  # of two options whose scores differ by less, the simpler is taken
+GRAMMARS = {"preset": ("W5",), "fine": ("W20 fine", "W20 finer"), "preset and fine": tuple(ENCODERS)}
+FAMILIES = {
+    "levels": LEVELS,
+    "relative": RICHER,
+    "untimed": tuple(family for family in ALL if family != "duration"),  # a duration is a confound: no option has it
+}
+MIXED = ("SIM1 states", "session A states", "failure types")
+ACROSS = {"merged states, A to SIM1": ("A", "SIM1"), "merged states, SIM1 to A": ("SIM1", "A")}
+TASKS: dict[str, TaskSpec] = {
+    "SIM1 states": states(sources=(SIM1,)),
+    "session A states": states(sources=(REAL,), sessions=("A",)),
+    "failure types": failure_types(sources=(FAILURES,)),
+    **{name: states(boundaries="merged", sessions=("A", "SIM1")) for name in ACROSS},
+}
+REPEATS = {"SIM1 states": 2, "session A states": 2, "failure types": 1}
+OPTIONS = [
+    *[((g,), (f,)) for g, f in product(GRAMMARS, FAMILIES)],
+    *[(("preset", "fine"), families) for families in [("levels",), ("relative",), ("levels", "relative")]],
+    *[(("preset", "fine"), families) for families in [("relative", "levels"), ("untimed", "levels", "relative")]],
+    *[(("preset and fine",), families) for families in [("levels", "relative"), ("relative", "levels")]],
+    *[(("preset and fine",), families) for families in [("untimed", "relative"), ("untimed", "levels", "relative")]],
+    (("preset", "fine", "preset and fine"), ("levels", "relative")),
+]
+
+Answer = tuple[float, NDArray[np.int64]]  # score of the inner folds, classes of the test rows
+
+
+class Experiment:
+    """Session A and the simulated trials, read, labelled and described once."""
+
+    def __init__(self) -> None:
+        known = recorded()
+        self.recordings = known.take((known.session == "A") | np.isin(known.source, (SIM1, FAILURES)))
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def tracks(self, encoder: str) -> LabelTracks:
+        window, scale = ENCODERS[encoder]
+        limits = GradientThresholds(np.asarray(preset().limits) * scale)
+        trials = self.recordings
+        return encode_batch(EncoderConfig(window, trials.dt), limits, trials.wrench, trials.length)
+
+    @cache  # noqa: B019
+    def items(self, task: str) -> LabelledIntervals:
+        return labelled_intervals(self.recordings, TASKS[task])
+
+    @cache  # noqa: B019
+    def splits(self, task: str) -> list[Split]:
+        items = self.items(task)
+        if task in ACROSS:
+            train, test = (np.flatnonzero(items.session == session) for session in ACROSS[task])
+            return [(train, test)]
+        folds = repeated_folds(items.y, items.trial, FOLDS, REPEATS[task], SEED)
+        return [split for repeat in folds for split in repeat]
+
+    @cache  # noqa: B019
+    def answers(self, task: str, grammar: str, families: str) -> list[Answer]:
+        """What one candidate says in every split, and how it fared in the inner folds."""
+        items = self.items(task)
+        tracks = {name: self.tracks(name) for name in GRAMMARS[grammar]}
+        spec = FeatureSpec(FAMILIES[families], balance=True)
+        features = extract_features(tracks, items, spec)
+        x, weight = features.values.astype(np.float64), features.weights(spec)
+        return [self.answer(x, weight, items, split, SEED + k) for k, split in enumerate(self.splits(task))]
+
+    def answer(
+        self, x: NDArray[np.float64], weight: Weight, items: LabelledIntervals, split: Split, seed: int
+    ) -> Answer:
+        train, test = split
+        y, groups = items.y, items.trial[train]
+        best = select({"": x[train]}, y[train], groups, RANKS, seed, {"": weight})
+        folds = grouped_folds(y[train], groups, min(RANKS.inner, fewest_groups(y[train], groups)), seed)
+        inner = [
+            metrics.accuracy(y[train[b]], predictions(x, y, train[a], train[b], best, [best.cost], weight)[0])
+            for a, b in folds
+        ]
+        return float(np.mean(inner)), predictions(x, y, train, test, best, [best.cost], weight)[0]
+
+    def score(self, task: str, grammars: tuple[str, ...], families: tuple[str, ...]) -> float:
+        """Accuracy of an option: in every split the candidate that the inner folds prefer, ties to the earlier."""
+        per_candidate = [self.answers(task, g, f) for g, f in product(grammars, families)]
+        right = []
+        for split, answers in zip(self.splits(task), zip(*per_candidate, strict=True), strict=True):
+            best = int(np.argmax([round(inner, 9) for inner, _ in answers]))
+            right.append(metrics.accuracy(self.items(task).y[split[1]], answers[best][1]))
+        return float(np.mean(right))
+
+    def row(self, grammars: tuple[str, ...], families: tuple[str, ...]) -> Callable[[], Any]:
+        def make() -> Any:
+            scores = {task: round(self.score(task, grammars, families), 4) for task in TASKS}
+            return {"mean": round(float(np.mean(list(scores.values()))), 4), "scores": scores}
+
+        return make
+
+
+def option_name(grammars: tuple[str, ...], families: tuple[str, ...]) -> str:
+    return f"{' or '.join(grammars)} | {' or '.join(families)}"
+
+
+def main(only: Only = ALL_ROWS) -> None:
+    experiment = Experiment()
+    about = {
+        "what": "options of one method, scored on the authors' simulated trials and session A alone",
+        "rule": f"best mean; within {CLOSE:g} of it the option that leaves least to be chosen",
+        "families": FAMILIES,
+        "grammars": GRAMMARS,
+        "trials": {task: len(np.unique(experiment.items(task).trial)) for task in TASKS},
+    }
+    rows = Rows("frozen_choice", "python -m experiments.classification.frozen_choice", about, SEED)
+    rows.fill({option_name(*option): experiment.row(*option) for option in OPTIONS}, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,171 @@
+"""The headline: one frozen method on every benchmark, beside what a simpler thing reaches.
+
+The method is read from ``experiments/frozen_method.json``; its digest stands in the result. Each benchmark has four
+rows on the same folds: the method, the same without what an offset or a duration changes, the duration alone, and a
+random forest on statistics of the raw wrench. Intervals are corrected for the overlap of folds or, from one session to
+another and where no mistake was made, Wilson's by trial; then the result also says how large a share of trials with a
+mistake none in so many allows (rule of three). Success and failure are scored by mean recall.
+
+Run: python -m experiments.classification.headline --repeats 3 --seed 0
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments._lib import frozen
+from experiments._lib import raw_learners as raw
+from experiments._lib.benchmarks import BENCHMARKS, CONFOUNDS, FAILURES, FOLDS, Benchmark, recorded, rounded, segments
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import by_trial, rule_of_three, with_width
+from experiments._lib.tasks import failure_types
+from experiments.classification.grammar import BATCHES, by_batch, of_both
+from experiments.classification.probes import held_out
+from rcbht_jax.learning import validation
+from rcbht_jax.learning.svm import Split
+from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
+
+OUTCOME, HELD_OUT = "REAL success or failure", "REAL success or failure, session held out"
+FOLDED = ("REAL states", "SIM1 states", OUTCOME, HELD_OUT, "failure types")
+ACROSS = tuple(f"REAL {kind}states, {way}" for kind in ("merged ", "") for way in ("A to B", "B to A"))
+NAMES = (*FOLDED[:4], *ACROSS, FOLDED[4], *BATCHES)
+METHOD, RELATIVE, DURATION, PEER = "frozen", "frozen, relative", "duration alone", "statistics + random forest"
+ROWS = (METHOD, RELATIVE, DURATION, PEER)
+SESSIONS = ("A", "B")  # of the real successes
+
+Ints = NDArray[np.int64]
+
+
+class Experiment:
+    """The data, read, labelled and described once."""
+
+    def __init__(self, repeats: int, seed: int) -> None:
+        self.repeats, self.seed = repeats, seed
+        self.method = frozen.load()
+        self.recordings = by_batch(recorded())
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def grammars(self) -> frozen.Grammars:
+        return self.method.grammars(self.recordings)
+
+    @cache  # noqa: B019
+    def items(self, name: str) -> LabelledIntervals:
+        if name in (OUTCOME, HELD_OUT):
+            return labelled_intervals(self.recordings, TaskSpec("outcome", sessions=("A", "B", "C"), outcomes=()))
+        if name in BATCHES:
+            every = labelled_intervals(self.recordings, failure_types(sources=(FAILURES,)))
+            return of_both(every, BATCHES[name])
+        return labelled_intervals(self.recordings, BENCHMARKS[name].task)
+
+    def splits(self, name: str) -> list[list[Split]]:
+        """``[repeat][fold]``; one split from one session or batch to another."""
+        items = self.items(name)
+        if name == HELD_OUT:
+            return [held_out(items, SESSIONS, self.seed + repeat) for repeat in range(self.repeats)]
+        if name in BATCHES:
+            (train,), (test,) = BATCHES[name][:1], BATCHES[name][1:]
+            return Benchmark(failure_types(), (train,), (test,)).splits(items, 1, self.seed)
+        if name in ACROSS:
+            return BENCHMARKS[name].splits(items, 1, self.seed)
+        return validation.repeated_folds(items.y, items.trial, FOLDS, self.repeats_of(name), self.seed)
+
+    def repeats_of(self, name: str) -> int:
+        """Fewer where there are many items."""
+        return max(2, self.repeats // 2) if name == "failure types" else self.repeats
+
+    def learner(self, name: str, row: str) -> validation.Estimator:
+        items = self.items(name)
+        if row == DURATION:
+            return validation.forest(items.seconds, items.y)
+        if row == PEER:
+            return raw.forest(raw.statistics(segments(self.recordings, items)), items.y)
+        return self.method.learner(self.grammars(), items, relative=row == RELATIVE)
+
+    def row(self, name: str, row: str) -> Callable[[], Any]:
+        def make() -> Any:
+            items, splits = self.items(name), self.splits(name)
+            wrong: set[str] = set()
+            learner = noting(self.learner(name, row), items, wrong)
+            score = scored(learner, items, splits, name, self.seed)
+            tested = len(np.unique(items.trial[np.concatenate([test for _, test in splits[0]])]))
+            made = {"trials tested": tested, "trials with a mistake": len(wrong)}
+            allows = {} if wrong else {"trials with a mistake, at most": round(rule_of_three(tested), 4)}
+            return rounded(score) | made | allows | {"method": self.method.sha256 if row in ROWS[:2] else ""}
+
+        return make
+
+    def about(self) -> dict[str, Any]:
+        facts = {
+            name: {
+                "classes": list(self.items(name).classes),
+                "items": len(self.items(name).y),
+                "trials": len(np.unique(self.items(name).trial)),
+                "score": measure_of(name),
+                "confounds": CONFOUNDS["outcome" if name in (OUTCOME, HELD_OUT) else _task(name)],
+                "repeats": len(self.splits(name)),
+            }
+            for name in NAMES
+        }
+        return {
+            "what": "the frozen method on every benchmark, and what a simpler thing reaches on the same folds",
+            "sha256 of the method": self.method.sha256,
+            "repeats": self.repeats,
+            "benchmarks": facts,
+        }
+
+
+def _task(name: str) -> str:
+    return "failure-type" if name.startswith("failure types") else "states"
+
+
+def measure_of(name: str) -> str:
+    """Success and failure are of different number: mean recall."""
+    return "balanced_accuracy" if name in (OUTCOME, HELD_OUT) else "accuracy"
+
+
+def noting(learner: validation.Estimator, items: LabelledIntervals, wrong: set[str]) -> validation.Estimator:
+    """The same learner, which also notes the trials of which it got an item wrong."""
+
+    def learn(train: Ints, test: Ints, seed: int) -> validation.Prediction:
+        predicted, choice = learner(train, test, seed)
+        wrong.update(items.trial[test][predicted != items.y[test]].tolist())
+        return predicted, choice
+
+    return learn
+
+
+def scored(
+    learner: validation.Estimator, items: LabelledIntervals, splits: list[list[Split]], name: str, seed: int
+) -> dict[str, Any]:
+    """The score with an interval that has a width."""
+    measure = measure_of(name)
+    if len(splits[0]) == 1:
+        result = validation.holdout_score(learner, items.y, items.trial, splits[0][0], seed)
+        tested = len(np.unique(items.trial[splits[0][0][1]]))
+        return {"score": by_trial(getattr(result, measure), tested), "chosen": [_chosen(result.chosen)]}
+    run = validation.cross_validate(learner, items.y, splits, seed)
+    chosen = [_chosen(choice) for repeat in run.chosen for choice in repeat]
+    counts = {text: chosen.count(text) for text in sorted(set(chosen))}
+    return {"score": with_width(run.summary()[measure], len(np.unique(items.trial))), "chosen": counts}
+
+
+def _chosen(choice: dict[str, Any]) -> str:
+    return f"{choice['features']}: {choice['kernel']} C={choice['cost']:g}" if choice else ""
+
+
+def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    experiment = Experiment(repeats, seed)
+    command = f"python -m experiments.classification.headline --repeats {repeats} --seed {seed}"
+    wanted = {f"{name} | {row}": experiment.row(name, row) for name in NAMES for row in ROWS}
+    Rows("headline", command, experiment.about(), seed).fill(wanted, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,267 @@
+"""Sub-tasks of a stream by the frozen method, with and without their beginnings told, beside what little knows as much.
+
+Where the beginnings are told (the protocol of the paper's Table II) counting them is enough. Where nobody tells them, a
+classifier of the whole trial so far and a filter over time notice them; only this is what a robot can have. Half of the
+trials train and the others are streamed, or one session trains and the other is streamed. Baselines see the time since
+the beginning (told) or since the start of the record (noticed), alone or with the wrench of the last tenth of a second,
+in a random forest.
+
+The last rows say what features without duration and offset know of the time since a sub-task began: a ridge regression
+of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
+
+Run: python -m experiments.online.causal --repeats 3 --seed 0
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import RidgeCV
+from sklearn.metrics import r2_score
+
+from experiments._lib import frozen
+from experiments._lib.benchmarks import recorded
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import by_trial, with_width
+from experiments._lib.tasks import states
+from experiments.online.detected_starts import noticed, with_beginnings
+from experiments.online.table2 import SETS, halves
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection.alarms import PhaseFilter
+from rcbht_jax.introspection.chain import FeatureView
+from rcbht_jax.introspection.training import (
+    Snapshots,
+    learn,
+    regular_snapshots,
+    since_trial_start,
+    snapshot_features,
+    training_snapshots,
+)
+from rcbht_jax.learning import metrics
+from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.scaling import fit_scale
+from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
+from rcbht_jax.types import Recordings
+
+LAST = 0.1  # s of wrench that the baseline sees
+TREES = 200
+SPLITS = {"REAL": ("REAL", ()), "A to B": ("REAL", ("A", "B")), "B to A": ("REAL", ("B", "A")), "SIM1": ("SIM1", ())}
+MEASURES = ("macro step accuracy", "full-sequence accuracy", "OverallPr")
+KINDS = {"frozen": False, "frozen, relative": True}
+ALPHAS = tuple(10.0**power for power in range(-2, 5))  # of the ridge
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Stream:
+    """One data set: its snapshots, described once for all splits."""
+
+    def __init__(self, method: frozen.FrozenMethod, data: Recordings, **filters: Any) -> None:
+        self.method, self.data = method, data
+        self.items: LabelledIntervals = labelled_intervals(data, states(arms="R", **filters))
+        every = round(1 / (method.streamed["rate"] * self.data.dt))
+        self.training, self.told = training_snapshots(self.items, every), regular_snapshots(self.items, every)
+        self.order = np.lexsort((self.told.now, self.told.recording))
+        self.trial = since_trial_start(self.told)
+
+    @cache  # noqa: B019 (one object lives as long as the program)
+    def x(self, which: str) -> NDArray[np.float32]:
+        """Features of the training, told or trial snapshots, all families."""
+        chosen = {
+            "training": self.training,
+            "told": self.told,
+            "trial": self.trial,
+            "trial training": since_trial_start(self.training),
+        }[which]
+        return self.described(chosen, "phase" if which.startswith("trial") else "state")
+
+    def described(self, snapshots: Snapshots, head: str) -> NDArray[np.float32]:
+        config, limits = self.method.stream_encoder(self.data.dt)
+        return snapshot_features(
+            self.data, snapshots, FeatureView(self.method.stream_spec(head, False)), config, limits
+        )
+
+    def columns(self, head: str, relative: bool) -> Flags:
+        """Which columns of :meth:`x` a head sees."""
+        family = [name.split(".")[0] for name in names(self.method.stream_spec(head, False))]
+        return np.isin(family, self.method.stream_spec(head, relative).families)
+
+    def wrench(self, snapshots: Snapshots) -> Floats:
+        """Mean, deviation and last value of the last tenth of a second, and seconds since the beginning."""
+        count = round(LAST / self.data.dt)
+        rows = []
+        for recording, begin, now in zip(snapshots.recording, snapshots.begin, snapshots.now, strict=True):
+            part = self.data.wrench[recording, max(0, now - count) : now].astype(np.float64)
+            rows.append(np.concatenate([part.mean(0), part.std(0), part[-1], [(now - begin) * self.data.dt]]))
+        return np.array(rows)
+
+    def trained(self, head: str, relative: bool, inside: Flags, seed: int) -> ProbabilisticSvm:
+        """A classifier of the present state, of the snapshots of the training trials."""
+        which = "trial training" if head == "phase" else "training"
+        snapshots = since_trial_start(self.training) if head == "phase" else self.training
+        rows = np.flatnonzero(inside[snapshots.interval])
+        x = self.x(which)[rows][:, self.columns(head, relative)].astype(np.float64)
+        spec, grid, ends = self.method.stream_spec(head, relative), *self.method.stream_learning(head)
+        return learn(x, snapshots.take(rows), self.items, spec, grid, ends, seed)
+
+
+def measures(p: Floats, y: Ints, whole: Flags) -> dict[str, float]:
+    """Scores of beliefs ``[snapshot, class]``; ``whole`` marks the last snapshot of each sub-task."""
+    scores = (
+        metrics.macro_step_accuracy(p, y), metrics.accuracy(y[whole], p[whole].argmax(1)),
+        metrics.overall_pr(p[whole], y[whole]),
+    )  # fmt: skip
+    return dict(zip(MEASURES, scores, strict=True))
+
+
+def inside_of(stream: Stream, sessions: tuple[str, ...], seed: int) -> Flags:
+    """Which intervals train: half of the trials, or those of one session."""
+    return stream.items.session == sessions[0] if sessions else halves(stream.items, seed)
+
+
+def told(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:
+    """The method where each beginning is told."""
+    rows = np.flatnonzero(~inside[stream.told.interval])
+    machine = stream.trained("state", relative, inside, seed)
+    x = stream.x("told")[rows][:, stream.columns("state", relative)].astype(np.float64)
+    return measures(machine.probability(x), stream.items.y[stream.told.interval[rows]], stream.told.complete[rows])
+
+
+def unaided(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, dict[str, float]]:
+    """The method where nobody tells a beginning: three beliefs.
+
+    Those of the head "phase" itself, of the filter over them, whose states only follow each other, and of the head
+    "state", to which that filter tells the beginnings that it notices.
+    """
+    dt, items = stream.data.dt, stream.items
+    rows = np.flatnonzero(~inside[stream.trial.interval])
+    snapshots = stream.trial.take(rows)
+    phase = stream.trained("phase", relative, inside, seed)
+    p = phase.probability(stream.x("trial")[rows][:, stream.columns("phase", relative)].astype(np.float64))
+    filtered, starts = np.empty_like(p), {}
+    for recording in np.unique(snapshots.recording).tolist():
+        mine = snapshots.recording == recording
+        starts[recording] = noticed(p[mine], snapshots.now[mine] * dt, items.classes)
+        filtered[mine] = followed(p[mine], snapshots.now[mine] * dt, items.classes)
+    own = with_beginnings(snapshots, starts, dt)
+    order = np.lexsort((own.now, own.recording))
+    x = stream.described(own.take(order), "state")[:, stream.columns("state", relative)].astype(np.float64)
+    state = np.empty_like(p)
+    state[order] = stream.trained("state", relative, inside, seed).probability(x)
+    y, whole = items.y[snapshots.interval], snapshots.complete
+    return {name: measures(q, y, whole) for name, q in (("phase", p), ("filter", filtered), ("state", state))}
+
+
+def followed(p: Floats, time: Floats, classes: tuple[str, ...]) -> Floats:
+    """Beliefs of the filter over time ``[snapshot, class]``: an HMM whose states only follow each other."""
+    phases, out = PhaseFilter(classes), []
+    for row, t in zip(p, time.tolist(), strict=True):
+        phases.update(row, t)
+        out.append(phases.filtered)
+    return np.array(out)
+
+
+def counted(stream: Stream, inside: Flags) -> dict[str, float]:
+    """The class is the number of beginnings told so far."""
+    rows = np.flatnonzero(~inside[stream.told.interval])
+    place = np.zeros(len(stream.items.y), np.int64)
+    for trial in np.unique(stream.items.trial):
+        mine = np.flatnonzero(stream.items.trial == trial)
+        place[mine[np.argsort(stream.items.intervals[0].start[mine])]] = np.arange(len(mine))
+    p = np.eye(len(stream.items.classes))[place[stream.told.interval[rows]]]
+    return measures(p, stream.items.y[stream.told.interval[rows]], stream.told.complete[rows])
+
+
+def little(stream: Stream, inside: Flags, seed: int, from_trial: bool, wrench: bool) -> dict[str, float]:
+    """A forest on the time that has passed, with or without the wrench of the last tenth of a second."""
+    train, test = stream.training, stream.told
+    if from_trial:
+        train, test = since_trial_start(train), stream.trial
+    a, b = np.flatnonzero(inside[train.interval]), np.flatnonzero(~inside[test.interval])
+    first, second = stream.wrench(train.take(a)), stream.wrench(test.take(b))
+    columns = slice(None) if wrench else slice(-1, None)
+    forest = RandomForestClassifier(TREES, random_state=seed, class_weight="balanced")
+    forest.fit(first[:, columns], stream.items.y[train.interval[a]])
+    return measures(forest.predict_proba(second[:, columns]), stream.items.y[test.interval[b]], test.complete[b])
+
+
+def split(stream: Stream, sessions: tuple[str, ...], seed: int) -> dict[str, dict[str, float]]:
+    """All rows of one split."""
+    inside = inside_of(stream, sessions, seed)
+    out = {"told | counting beginnings": counted(stream, inside)}
+    for wrench, name in ((False, "elapsed time"), (True, "last 0.1 s and elapsed time, forest")):
+        out[f"told | {name}"] = little(stream, inside, seed, from_trial=False, wrench=wrench)
+        out[f"noticed | {name}"] = little(stream, inside, seed, from_trial=True, wrench=wrench)
+    for name, relative in KINDS.items():
+        out[f"told | {name}"] = told(stream, relative, inside, seed)
+        for belief, scores in unaided(stream, relative, inside, seed).items():
+            out[f"noticed | {name}, {belief}"] = scores
+    return out
+
+
+def row(stream: Callable[[], Stream], sessions: tuple[str, ...], seeds: range) -> dict[str, Any]:
+    """Every row of a data set with its intervals."""
+    stream_ = stream()
+    runs = [split(stream_, sessions, seed) for seed in (seeds[:1] if sessions else seeds)]
+    tested = len(np.unique(stream_.items.trial[~inside_of(stream_, sessions, seeds[0])]))
+    out: dict[str, Any] = {"trials tested": tested, "splits": len(runs), "method": stream_.method.sha256}
+    for name in runs[0]:
+        out[name] = {measure: with_ends([run[name][measure] for run in runs], tested) for measure in MEASURES}
+    return out
+
+
+def with_ends(scores: list[float], tested: int) -> dict[str, Any]:
+    """Mean of half-splits with its corrected interval; of one split, or without a mistake, Wilson's by trial."""
+    mean, low, high = metrics.corrected_interval(np.array(scores), 1.0) if len(scores) > 1 else (scores[0],) * 3
+    made = with_width({"mean": mean, "low": low, "high": high}, tested) if high > low else by_trial(mean, tested)
+    return {key: round(value, 4) if isinstance(value, float) else value for key, value in made.items()}
+
+
+def time_known(stream: Callable[[], Stream], seeds: range) -> dict[str, Any]:
+    """R^2 of the logarithm of elapsed time within each class, from features without duration and offset."""
+    made = stream()
+    snapshots, columns = made.told, made.columns("state", True)
+    elapsed = np.log((snapshots.now - snapshots.begin) * made.data.dt)
+    x, y = made.x("told")[:, columns].astype(np.float64), made.items.y[snapshots.interval]
+    found: dict[str, list[float]] = {name: [] for name in made.items.classes}
+    for seed in seeds:
+        inside = halves(made.items, seed)[snapshots.interval]
+        for number, name in enumerate(made.items.classes):
+            a, b = np.flatnonzero(inside & (y == number)), np.flatnonzero(~inside & (y == number))
+            scale = fit_scale(x[a], True, 0.0, True)
+            machine = RidgeCV(ALPHAS).fit(scale(x[a]), elapsed[a])
+            found[name].append(float(r2_score(elapsed[b], machine.predict(scale(x[b])))))
+    return {name: round(float(np.median(values)), 4) for name, values in found.items()}
+
+
+def main(repeats: int = 3, seed: int = 0, only: Only = ALL_ROWS) -> None:
+    method = frozen.load()
+    data = recorded()
+    streams = {name: cache(partial(Stream, method, data, sources=(SETS[name],))) for name in ("REAL", "SIM1")}
+    about = {
+        "what": "states of a stream by the frozen method, with beginnings told and noticed, beside simple baselines",
+        "confound": "where beginnings are told, counting them is enough",
+        "sha256 of the method": method.sha256,
+        "belief of the method": method.streamed["belief"],
+        "repeats": repeats,
+    }
+    seeds = range(seed, seed + repeats)
+    wanted: dict[str, Callable[[], Any]] = {
+        name: partial(row, streams[source], sessions, seeds) for name, (source, sessions) in SPLITS.items()
+    }
+    wanted |= {f"time known, {name}": partial(time_known, stream, seeds) for name, stream in streams.items()}
+    command = f"python -m experiments.online.causal --repeats {repeats} --seed {seed}"
+    Rows("causal", command, about, seed).fill(wanted, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,98 @@
+"""The choice of what the frozen method streams, made on the authors' simulated trials and session A alone.
+
+Nobody tells the beginnings (``experiments.online.causal``). Options are the families of the two heads, the recipes of
+``rcbht train-online`` or richer words and levels, and which belief counts: that of the head "phase", of the filter over
+it, or of the head "state" with the beginnings that the filter notices. The best mean of the two step accuracies is
+frozen.
+
+Run: python -m experiments.online.frozen_stream_choice
+Finished rows are stored; the same command resumes an interrupted run. Reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import tyro
+
+from experiments._lib import frozen
+from experiments._lib.benchmarks import REAL, SIM1, recorded
+from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments.online import causal
+from experiments.online.table2 import halves
+from rcbht_jax.features.recipes import LEVELS, SUBTASK, TRIAL
+from rcbht_jax.introspection.training import ENDS, GRID, TRIAL_GRID
+from rcbht_jax.types import Recordings
+
+SEED, REPEATS = 100, 2  # of the halves: not those of the headline
+RATE = 10.0  # snapshots per second
+
+
+def head(families: tuple[str, ...], balance: bool, ranks: bool) -> dict[str, Any]:
+    """A head as the frozen file has it."""
+    grid = GRID if ranks else TRIAL_GRID
+    return {"families": list(families), "balance": balance, "grid": asdict(grid), "ends": ENDS if ranks else 1}
+
+
+OPTIONS = {
+    "recipes": (head(SUBTASK, True, True), head(TRIAL, False, False)),
+    "levels": (head(LEVELS, True, True), head(LEVELS, True, True)),
+}
+
+
+def heads(option: str) -> dict[str, Any]:
+    """What an option streams, whichever belief counts."""
+    state, phase = OPTIONS[option]
+    return {"encoder": "W5", "rate": RATE, "state": state, "phase": phase}
+
+
+def streamed(option: str, belief: str) -> dict[str, Any]:
+    """The section "streamed" of the frozen file."""
+    return {**heads(option), "belief": belief}
+
+
+def permitted(known: Recordings) -> Recordings:
+    """The trials that may choose."""
+    return known.take((known.session == "A") | (known.source == SIM1))
+
+
+def row(data: Recordings, option: str) -> Callable[[], Any]:
+    def make() -> Any:
+        method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
+        found: dict[str, list[dict[str, float]]] = {}
+        for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
+            stream = causal.Stream(method, data, **filters)
+            for seed in range(SEED, SEED + REPEATS):
+                beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
+                for belief, scores in beliefs.items():
+                    found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
+        return {belief: _means(scores) for belief, scores in found.items()}
+
+    return make
+
+
+ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
+
+
+def _means(scores: list[dict[str, float]]) -> dict[str, float]:
+    sets = {name: float(np.mean([one[name] for one in scores if name in one])) for name in ("SIM1", "A")}
+    return {name: round(value, 4) for name, value in {**sets, "mean": float(np.mean(list(sets.values())))}.items()}
+
+
+def main(only: Only = ALL_ROWS) -> None:
+    data = permitted(recorded())
+    about = {
+        "what": "options of the streamed part of the frozen method, scored on simulated trials and session A alone",
+        "measure": "macro step accuracy where nobody tells the beginnings",
+        "repeats": REPEATS,
+        "options": {name: heads(name) for name in OPTIONS},
+    }
+    rows = Rows("frozen_stream_choice", "python -m experiments.online.frozen_stream_choice", about, SEED)
+    rows.fill({name: row(data, name) for name in OPTIONS}, only)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,76 @@
+"""The README's table, the choice of the frozen method, and streamed states with and without told beginnings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments._lib.headline_rows import MEASURE, headline_rows
+from experiments.tables.cells import NONE, markdown, score, table
+
+Result = dict[str, Any]
+SHORT = 12  # digits of a digest that are shown
+
+
+@table("results", "headline", "zero_shot", "causal", "peers", links=True)
+def results(headline: Result, zero_shot: Result, causal: Result, peers: Result, way: str) -> str:
+    """The frozen method on every benchmark; each row carries the digest of the method that made it."""
+    lines = []
+    for row in headline_rows(headline, zero_shot, causal, peers):
+        seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
+        name, peer = row.peer
+        lines.append(
+            (
+                row.title, row.paper or NONE, f"**{score(row.score)}**{seen}", score(row.relative, False),
+                score(row.duration, False), f"{score(peer, False)} {name}",
+                f"[{row.method[:SHORT]}]({way}{row.source}.json)",
+            )
+        )  # fmt: skip
+    head = ("accuracy", "paper", "frozen method, 95 % interval", "without offset and duration", "duration alone")
+    return markdown((*head, "best other method", "made by"), lines)
+
+
+@table("frozen-choice", "frozen_choice")
+def choice(result: Result) -> str:
+    """Options of the frozen method, best first."""
+    rows = sorted(result["rows"].items(), key=lambda item: -item[1]["mean"])
+    tasks = list(rows[0][1]["scores"])
+    lines = []
+    for name, row in rows:
+        grammars, families = name.split(" | ")
+        lines.append((grammars, families, f"{row['mean']:.3f}", *(f"{row['scores'][task]:.3f}" for task in tasks)))
+    return markdown(("encoders", "families", "mean", *tasks), lines)
+
+
+@table("causal", "causal")
+def causal(result: Result) -> str:
+    """Step accuracy with and without told beginnings, beside what knows next to nothing."""
+    sets = {name: row for name, row in result["rows"].items() if "trials tested" in row}
+    names = [name for name in next(iter(sets.values())) if " | " in name]
+    lines = [
+        (*name.split(" | "), *(score(row[name][MEASURE]) for row in sets.values()))
+        for told in ("told", "noticed")
+        for name in names
+        if name.startswith(told)
+    ]
+    return markdown(("beginnings", "step accuracy (mean of classes)", *sets), lines)
+
+
+@table("time-known", "causal")
+def time_known(result: Result) -> str:
+    """What relative features know of the time since a sub-task began."""
+    rows = {name.split(", ")[1]: row for name, row in result["rows"].items() if name.startswith("time known")}
+    states = list(next(iter(rows.values())))
+    lines = [(name, *(f"{row[state]:.3f}" for state in states)) for name, row in rows.items()]
+    return markdown(("within-class R² of log elapsed time", *states), lines)
+
+
+@table("failure-calibration", "failure_calibration")
+def failure_calibration(result: Result) -> str:
+    """Calibration error of streamed types of failure by quarter of the record: the likeliest, the worst type."""
+    quarters = [f"quarter {number}" for number in range(1, 5)]
+    lines = []
+    for name, kinds in result["rows"].items():
+        for kind, row in kinds.items():
+            cells = [f"{row[part]['likeliest']:.3f} / {row[part]['worst class']:.3f}" for part in quarters]
+            lines.append((name, kind, f"{row['pooled']:.3f}", *cells))
+    return markdown(("", "beliefs", "pooled", *quarters), lines)

@@ -1,0 +1,186 @@
+"""The frozen method: its file names its digest, every headline carries it, and sessions B and C did not choose it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments._lib import frozen, intervals
+from experiments._lib.results_io import COMMITTED, committed
+from experiments.classification import frozen_choice, headline
+from experiments.classification.frozen_choice import CLOSE, OPTIONS, option_name
+from experiments.online import causal, frozen_stream_choice
+from experiments.tables.headline import SHORT
+from rcbht_jax import StateClassifier
+from rcbht_jax.errors import InputError
+from rcbht_jax.features import ABSOLUTE
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection.training import Snapshots
+from rcbht_jax.learning.svm import Grid
+from rcbht_jax.robots.snap_assembly import snap_recordings
+from rcbht_jax.types import Recordings
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+TRIALS, STATE, DT, SEED = 16, 60, 0.005, 3  # STATE: samples in each of the four states
+FAST = {"kernels": ["linear"], "costs": [1.0], "scalings": [True], "inner": 2}
+
+
+def without_digest(text: str, digest: str) -> list[str]:
+    """Rows of the README's table of results that do not carry a digest."""
+    table = text.split("<!-- table results:")[1].split("<!-- end of table -->")[0]
+    rows = [line for line in table.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) > 10
+    return [row for row in rows if f"[{digest[:SHORT]}](" not in row]
+
+
+def test_every_headline_carries_the_frozen_digest() -> None:
+    text, digest = README.read_text(encoding="utf-8"), frozen.load().sha256
+    assert not without_digest(text, digest)
+    assert len(without_digest(text.replace(f"[{digest[:SHORT]}](", "[0123456789ab](", 1), digest)) == 1
+    made = [row["method"] for name, row in committed("headline")["rows"].items() if " | frozen" in name]
+    made += [row["method"] for row in committed("causal")["rows"].values() if "method" in row]
+    made += [row["method"] for row in committed("zero_shot")["rows"].values()]
+    assert set(made) == {digest}
+
+
+def test_results_of_the_headline_are_strict_json_and_whole() -> None:
+    for name in ("headline", "causal", "zero_shot", "frozen_choice", "frozen_stream_choice"):
+        text = (COMMITTED / f"{name}.json").read_text(encoding="utf-8")
+        assert json.loads(text, parse_constant=pytest.fail)["result"]["complete"]
+
+
+def test_a_changed_method_is_refused(tmp_path: Path) -> None:
+    record = json.loads(frozen.FILE.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    path = tmp_path / "method.json"
+    path.write_text(json.dumps(record, indent=3))  # layout does not matter
+    assert frozen.load(path).sha256 == frozen.load().sha256
+    record["method"]["grid"]["costs"][0] *= 2
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match="was changed"):
+        frozen.load(path)
+    for text in ("{", "[1]", '{"method": {}}', '{"method": NaN, "sha256": ""}'):
+        path.write_text(text)
+        with pytest.raises(InputError, match="no frozen method"):
+            frozen.load(path)
+    with pytest.raises(InputError, match="no frozen method"):
+        frozen.load(tmp_path / "none.json")
+
+
+def test_the_frozen_method_is_the_one_that_its_rule_chooses() -> None:
+    rows, method = committed("frozen_choice")["rows"], frozen.load().content
+    best = max(row["mean"] for row in rows.values())
+    close = [option for option in OPTIONS if rows[option_name(*option)]["mean"] >= best - CLOSE]
+    grammars, families = min(close, key=lambda option: len(option[0]) * len(option[1]))
+    assert [one["name"] for one in method["grammars"]] == list(grammars)
+    assert [one["encoders"] for one in method["grammars"]] == [list(frozen_choice.GRAMMARS[name]) for name in grammars]
+    assert [one["families"] for one in method["features"]] == [list(frozen_choice.FAMILIES[name]) for name in families]
+    streams = committed("frozen_stream_choice")["rows"]
+    beliefs = {(option, belief): score["mean"] for option, row in streams.items() for belief, score in row.items()}
+    option, belief = max(beliefs, key=lambda key: beliefs[key])
+    assert method["streamed"] == json.loads(json.dumps(frozen_stream_choice.streamed(option, belief)))
+
+
+def test_no_session_but_a_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = np.array([frozen_choice.SIM1, frozen_choice.FAILURES, *["other"] * (TRIALS - 2)])
+    session = np.array(["SIM1", "SIM1F", *"ABC", *["B"] * (TRIALS - 5)])
+    known = replace(recordings(), source=source, session=session)
+    monkeypatch.setattr(frozen_choice, "recorded", lambda: known)
+    assert set(frozen_choice.Experiment().recordings.session) == {"SIM1", "SIM1F", "A"}
+    assert set(frozen_stream_choice.permitted(known).session) == {"SIM1", "A"}
+
+
+def test_relative_features_know_neither_offset_nor_duration() -> None:
+    method = frozen.load()
+    specs = [*method.relative.values(), *(method.stream_spec(head, True) for head in ("state", "phase"))]
+    assert all(not {*ABSOLUTE, "duration", "elapsed"} & set(spec.families) for spec in specs)
+    assert len({spec.families for spec in method.relative.values()}) == len(method.relative)
+    assert all("duration" not in spec.families for spec in method.specs.values())
+
+
+def test_the_method_describes_classifies_and_names_its_choice() -> None:
+    rng = np.random.default_rng(0)
+    wrench = rng.normal(0, 0.01, (12, 200, 6)).astype(np.float32)
+    wrench[6:, :, 2] += np.linspace(0, 20, 200)
+    data = Recordings.from_arrays(wrench, outcome=["success"] * 6 + ["failure"] * 6)
+    content = frozen.load().content  # with one of its encoders: each takes seconds to compile
+    one = {"encoders": {"W5": content["encoders"]["W5"]}, "grammars": [{"name": "preset", "encoders": ["W5"]}]}
+    method = frozen.FrozenMethod({**content, **one})
+    items = headline.labelled_intervals(data, headline.TaskSpec("outcome"))
+    learner = method.learner(method.grammars(data), items)
+    train, test = np.arange(0, 12, 2), np.arange(1, 12, 2)
+    predicted, choice = learner(train, test, 0)
+    assert predicted.tolist() == items.y[test].tolist()
+    assert choice["cost"] == min(method.grid.costs)  # a tie goes to the first kernel and the smallest cost
+    assert choice["kernel"] == method.grid.kernels[0]
+    classifier = StateClassifier(rate=1 / data.dt, **method.description()).fit(wrench[train], items.y[train])
+    assert classifier.score(wrench[test], items.y[test]) == 1
+
+
+def test_intervals_have_a_width() -> None:
+    assert intervals.wilson(8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
+    sure = intervals.with_width({"mean": 1.0, "low": 1.0, "high": 1.0}, 35)
+    assert (sure["low"], sure["high"]) == (pytest.approx(35 / (35 + 1.96**2)), 1.0)
+    assert intervals.with_width({"mean": 0.5, "low": 0.4, "high": 0.6}, 35)["low"] == 0.4
+    assert intervals.rule_of_three(2) == 1
+    for name, row in committed("headline")["rows"].items():
+        assert row["score"]["low"] < row["score"]["high"], name
+        assert ("trials with a mistake, at most" in row) == (row["trials with a mistake"] == 0)
+
+
+def recordings() -> Recordings:
+    onset = np.tile(np.arange(4) * STATE * DT, (TRIALS, 1))
+    text = np.full(TRIALS, "")
+    return snap_recordings(
+        wrench=np.zeros((TRIALS, 4 * STATE, 6), np.float32), length=np.full(TRIALS, 4 * STATE, np.int32), dt=DT,
+        onset=onset, onset_harmonised=onset, trial=np.array([f"t{k:02d}" for k in range(TRIALS)]),
+        arm=np.full(TRIALS, "R"), source=text, session=text, outcome=np.full(TRIALS, "success"), failure_type=text,
+        deviation=np.zeros((TRIALS, 3)), note=text,
+    )  # fmt: skip
+
+
+class Spoilt(causal.Stream):
+    """A stream whose features are noise and the present state, but not numbers where nobody may read them."""
+
+    inside: np.ndarray
+
+    def described(self, snapshots: Snapshots, head: str) -> np.ndarray:
+        columns = len(names(self.method.stream_spec(head)))
+        x = np.random.default_rng(0).normal(size=(len(snapshots), columns)).astype(np.float32)
+        state = np.minimum((snapshots.now - 1) // STATE, 3)
+        return x + 3 * (np.arange(columns) % 4 == state[:, None])
+
+    def x(self, which: str) -> np.ndarray:
+        snapshots = {"told": self.told, "trial": self.trial, "training": self.training}.get(which)
+        snapshots = causal.since_trial_start(self.training) if snapshots is None else snapshots
+        hidden = self.inside[snapshots.interval] == (which in ("told", "trial"))
+        values = self.described(snapshots, "phase" if which.startswith("trial") else "state")
+        return np.where(hidden[:, None], np.nan, values)
+
+
+@pytest.fixture
+def stream() -> Spoilt:
+    part = {"families": ["levels", "spread"], "balance": True, "grid": FAST, "ends": 1}
+    streamed = {"encoder": "W5", "rate": 10.0, "belief": "phase", "state": part, "phase": part}
+    made = Spoilt(frozen.FrozenMethod({**frozen_stream_choice.ENCODER, "streamed": streamed}), recordings())
+    made.inside = causal.inside_of(made, (), SEED)
+    return made
+
+
+def test_a_stream_trains_on_one_side_and_is_scored_on_the_other(stream: Spoilt) -> None:
+    assert isinstance(stream.method.stream_learning("state")[0], Grid)
+    assert causal.told(stream, False, stream.inside, SEED)["macro step accuracy"] > 0.8
+    beliefs = causal.unaided(stream, False, stream.inside, SEED)
+    assert set(beliefs) == {"phase", "filter", "state"}
+    assert beliefs["phase"]["macro step accuracy"] > 0.6
+
+
+def test_counting_told_beginnings_is_enough_and_time_alone_is_not(stream: Spoilt) -> None:
+    assert causal.counted(stream, stream.inside) == dict.fromkeys(causal.MEASURES, 1.0)
+    alone = causal.little(stream, stream.inside, SEED, from_trial=False, wrench=False)
+    assert alone["macro step accuracy"] < 0.5  # all states last equally long
+    since_start = causal.little(stream, stream.inside, SEED, from_trial=True, wrench=False)
+    assert since_start["macro step accuracy"] == 1
