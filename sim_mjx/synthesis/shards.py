@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from rcbht_jax._util.atomic import atomic_new, atomic_write
+from rcbht_jax._util.atomic import atomic_new
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json, read_arrays
 from rcbht_jax.errors import InputError
 from sim_mjx.synthesis import claims
 
@@ -94,7 +94,7 @@ def task(shard: int) -> str:
 def save(folder: Path, shard: int, arrays: Arrays) -> None:
     """Write a finished shard."""
     digest = np.array(content_hash(arrays[name] for name in sorted(arrays)))
-    with atomic_write(_file(folder, shard)) as draft:
+    with suppress(FileExistsError), atomic_new(_file(folder, shard)) as draft:  # another worker's is as good
         # not compressed: noisy wrenches hardly shrink, and it would take longer than simulating them on a GPU
         np.savez(draft, allow_pickle=False, sha256=digest, **arrays)
 
@@ -102,9 +102,7 @@ def save(folder: Path, shard: int, arrays: Arrays) -> None:
 def load(folder: Path, shard: int) -> Arrays | None:
     """A finished shard; None if it is missing or damaged and must be simulated again."""
     try:
-        # opened here, because NumPy leaves a damaged file open
-        with _file(folder, shard).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_arrays(_file(folder, shard))
     except Exception:  # a damaged archive can fail in any way inside zipfile and NumPy
         return None
     digest = arrays.pop("sha256", None)
