@@ -231,8 +231,15 @@ def _flush(path: Path) -> None:
 
 
 def _followed(path: Path) -> Path:
-    """The file that is written: behind a link the one that it points to."""
-    return path.resolve() if path.is_symlink() else path.absolute()
+    """The file that is written: behind a link the one that it points to.
+
+    Raises:
+        InputError: the link leads to itself.
+    """
+    try:
+        return path.resolve() if path.is_symlink() else path.absolute()
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{path} is a link that leads to itself; choose another name.") from error
 
 
 def _identity(path: Path) -> Identity:

@@ -50,7 +50,11 @@ def test_pipes_and_devices_are_written_to_and_links_stay(tmp_path: Path) -> None
     assert Path("/dev/null").is_char_device()
     with pytest.raises(InputError, match="not a regular file"), atomic_write(tmp_path):
         pass
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "pipe", "target"]
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(InputError, match="leads to itself"), atomic_write(loop):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "loop", "pipe", "target"]
 
 
 @pytest.mark.parametrize("before", [None, "old"])
