@@ -113,11 +113,14 @@ def equal(good: Any, found: Any) -> str:
 
 def _told(good: list[Any], found: list[Any]) -> str:
     """Readings of a bag are those that were written, and what is missing is told."""
-    told = any(isinstance(one, Malformed) for one in found)
+    told = [one.text for one in found if isinstance(one, Malformed)]
     readings = [(one.time, one.wrench) for one in found if isinstance(one, Sample)]
     written = [(one.time, one.wrench) for one in good if isinstance(one, Sample)]
-    if not set(readings) <= set(written):
+    # The checksum of a chunk that was cut off is missing: of two damages at once, one may be read.
+    if not set(readings) <= set(written) and not any("cut off" in text for text in told):
         return "a reading was never written"
+    if len(readings) > len(written):
+        return "readings came twice"
     return "" if told or readings == written else "readings are missing without a word"
 
 
