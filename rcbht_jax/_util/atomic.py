@@ -8,6 +8,7 @@ written to and never replaced; links stay links.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import signal
@@ -27,6 +28,7 @@ from rcbht_jax.errors import InputError
 Identity = tuple[int, int, int, int] | None  # of what is at a path; None = nothing
 
 _BEFORE: ContextVar[dict[Path, Identity]] = ContextVar("what was at the targets of a command when it began")
+_HERE, _EXCHANGE = -100, 2  # AT_FDCWD, RENAME_EXCHANGE of Linux
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a process that may still tidy up
 
 
@@ -312,7 +314,10 @@ def _swap(draft: Path, path: Path) -> None:
     if not path.exists():
         draft.rename(path)
         return
-    old = draft.with_name(f"{draft.name}-old")
+    if _exchanged(draft, path):
+        shutil.rmtree(draft, ignore_errors=True)
+        return
+    old = draft.with_name(f"{draft.name}-old")  # for a moment there is nothing at the target
     path.rename(old)
     try:
         draft.rename(path)
@@ -320,3 +325,12 @@ def _swap(draft: Path, path: Path) -> None:
         old.rename(path)
         raise
     shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two folders change places at once, where the system can do that (Linux)."""
+    try:
+        exchange = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return False
+    return exchange(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0

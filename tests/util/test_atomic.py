@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
+from rcbht_jax._util import atomic
 from rcbht_jax._util.atomic import (
+    _exchanged,
     atomic_folder,
     atomic_lines,
     atomic_new,
@@ -99,11 +102,30 @@ def test_a_folder_that_comes_meanwhile_is_kept(overwrite: bool, tmp_path: Path) 
         overtaken(path, overwrite)
     assert [entry.name for entry in path.iterdir()] == ["theirs"]
     assert list((tmp_path / "store-2").iterdir()) == []
-    with atomic_folder(path, replace=True) as draft:
-        draft.mkdir()
-    assert list(path.iterdir()) == []
     with pytest.raises(InputError, match="exists already"), atomic_folder(path):
         pass
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_folder_is_replaced_by_the_complete_new_one(
+    at_once: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On systems that exchange two folders at once, and on others."""
+    path, exchanged = tmp_path / "store", []
+    path.mkdir()
+    (path / "old").touch()
+
+    def exchange(one: Path, other: Path) -> bool:
+        exchanged.append(at_once and _exchanged(one, other))
+        return exchanged[-1]
+
+    monkeypatch.setattr(atomic, "_exchanged", exchange)
+    with atomic_folder(path, replace=True) as draft:
+        draft.mkdir()
+        (draft / "new").touch()
+    assert [entry.name for entry in path.iterdir()] == ["new"]
+    assert list(tmp_path.iterdir()) == [path]
+    assert exchanged == [at_once] or sys.platform != "linux"
 
 
 def overtaken(path: Path, overwrite: bool) -> None:
