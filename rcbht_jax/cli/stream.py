@@ -154,9 +154,12 @@ class Stream(Source):
 
         session, messages = self.opened(self.words or self.provisional)
         window, revisions = session.introspector.config.window, Revisions()
-        session.introspector.warm_up()
         counts: Counter[str] = Counter()
-        first = list(itertools.islice(messages, 1))  # a wrong source is refused before a file is touched
+        # A wrong source is refused before a file is touched, and before programs are compiled where nobody waits.
+        timed = self.source == "-" or self.speed > 0
+        first = [] if timed else list(itertools.islice(messages, 1))
+        session.introspector.warm_up()
+        first = first or list(itertools.islice(messages, 1))
         with ExitStack() as stack:
             out = stack.enter_context(atomic_lines(self.out)) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
