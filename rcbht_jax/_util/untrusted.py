@@ -39,6 +39,7 @@ MAX_FILES = 200_000  # in a folder
 MAX_MEMBERS = 10_000  # arrays of a file
 MAX_COLUMNS = 4096  # of a table
 MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
+MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
 
 _HEADERS: Mapping[tuple[int, int], Any] = {
@@ -111,7 +112,11 @@ def parse_json(text: str | bytes, finite: bool = True) -> Any:
         ValueError: it is not JSON, is nested too deeply, or, where numbers must be ``finite``, one is not.
     """
     try:
-        return json.loads(text, parse_constant=_refused, parse_float=_finite) if finite else json.loads(text)
+        return (
+            json.loads(text, parse_constant=_refused, parse_float=_finite, parse_int=_whole)
+            if finite
+            else json.loads(text)
+        )
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
 
@@ -228,6 +233,10 @@ def _fits(value: Any, hint: Any) -> bool:
 
 def _refused(constant: str) -> float:
     raise ValueError(f"it holds {constant}, which is no number")
+
+
+def _whole(text: str) -> int:
+    return int(text) if len(text) <= MAX_DIGITS else int(_refused(text[:20] + "..."))
 
 
 def _finite(text: str) -> float:

@@ -89,12 +89,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except InputError as error:
         return _fail(str(error), 2)
-    except Ended as ending:
-        return _fail(
-            "Ended by a signal; no incomplete file was left, and what a stream had recorded is kept.", ending.status
-        )
-    except KeyboardInterrupt:
-        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", 130)
+    except KeyboardInterrupt as ending:
+        status = ending.status if isinstance(ending, Ended) else 130
+        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", status)
     except BrokenPipeError:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -12,7 +12,7 @@ from rcbht_jax._util.untrusted import load_json
 
 def test_json_of_unknown_origin(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    for text in ("", "[", "[" * 100_000, '{"a":' * 100_000, "nonsense"):
+    for text in ("", "[", "[" * 100_000, '{"a":' * 100_000, "nonsense", "NaN", "[Infinity]", "1e999", "9" * 400):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"."):
             load_json(path)
