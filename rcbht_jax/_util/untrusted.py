@@ -48,11 +48,16 @@ _HEADERS: Mapping[tuple[int, int], Any] = {
 }
 
 
-def check_file(path: Path, most: int = MAX_BYTES) -> int:
+def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int:
     """Size of a regular file in bytes, before anything is read.
 
+    Args:
+        path: the file.
+        most: bytes that it may have.
+        empty: whether it may have none.
+
     Raises:
-        InputError: it is missing, a folder, a pipe or a device, empty, or larger than ``most`` bytes.
+        InputError: it is missing, a folder, a pipe or a device, or of another size.
 
     Example:
         >>> check_file(Path("/dev/zero"))
@@ -65,7 +70,7 @@ def check_file(path: Path, most: int = MAX_BYTES) -> int:
         raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{path} is not a regular file; expected one, not a folder, a pipe or a device.")
-    if not status.st_size:
+    if not (status.st_size or empty):
         raise InputError(f"{path} is empty.")
     if status.st_size > most:
         raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
@@ -89,13 +94,13 @@ def check_declared(path: Path, declared: int, size: int) -> None:
         raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
 
 
-def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
+def read_bytes(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> bytes:
     """The content of a file.
 
     Raises:
         InputError: see :func:`check_file`, or it cannot be read.
     """
-    check_file(path, most)
+    check_file(path, most, empty=empty)
     try:
         return path.read_bytes()
     except OSError as error:

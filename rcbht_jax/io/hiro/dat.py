@@ -47,7 +47,7 @@ def read_table(path: Path, columns: int, max_bytes: int = MAX_TEXT_BYTES) -> Flo
         InputError: the file is missing, larger than ``max_bytes``, empty, or has a line that is not exactly
             ``columns`` finite numbers.
     """
-    raw = read_bytes(path, max_bytes)
+    raw = read_bytes(path, max_bytes, empty=True)
     if not raw.strip():
         raise InputError(f"{path} is empty; expected lines of {columns} numbers.")
     table = _read_fast(raw)
@@ -88,7 +88,7 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
     Raises:
         InputError: a line is not one finite number, or the times do not increase.
     """
-    raw = read_bytes(path, MAX_TEXT_BYTES)
+    raw = read_bytes(path, MAX_TEXT_BYTES, empty=True)
     if not raw.strip():
         return np.zeros(0)
     times = read_table(path, 1)[:, 0]
