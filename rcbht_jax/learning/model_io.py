@@ -113,8 +113,10 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
 
 
 @contextmanager
-def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
-    """Open an archive of format ``kind``: its JSON text and its arrays, which are read when asked for.
+def reading(
+    path: Path, kind: str, gaps: tuple[str, ...] = ()
+) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
+    """Open an archive of format ``kind``: its JSON text and its arrays, finite but for those named in ``gaps``.
 
     Raises:
         InputError: missing, damaged, of another format, or whatever goes wrong with its content in the block.
@@ -123,7 +125,7 @@ def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str
         archive = read_arrays(path)
         meta = parse_json(str(archive.pop("meta")))
         for name, values in archive.items():
-            check_finite(path, name, values)
+            check_finite(path, name, values[:0] if name in gaps else values)
         if meta["format"] != kind:
             raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
         yield meta, archive
