@@ -6,6 +6,8 @@ OUT ?= demo-out
 PEERS ?= .venv-peers
 AEON ?= .venv-aeon
 WORK ?= reproduce-work
+SEED ?= 1
+ATTEMPTS ?= 20000
 
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
@@ -14,7 +16,7 @@ PIP := --quiet --disable-pip-version-check --no-compile # a module is compiled w
 unexport PYTHONDONTWRITEBYTECODE # dozens of processes would each compile all that they import again
 
 .DEFAULT_GOAL := help
-.PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints clean
+.PHONY: help venv test aeon lint format demo docs packages bench figures peers reproduce constraints attack sbom clean
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/:[^#]*## /\t/' | expand -t 13
@@ -82,6 +84,13 @@ constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
 	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
 	@touch $(INSTALLED)
 
+attack: $(INSTALLED) ## attack every reader and writer with generated files, or go on: SEED=number ATTEMPTS=number
+	$(BIN)/python -m tests.attacks --seed $(SEED) --attempts $(ATTEMPTS) --out attack.json
+
+sbom: $(INSTALLED) ## write the software bill of materials of what is installed to sbom.json, and the page of licences
+	$(BIN)/python -m tools.sbom sbom.json
+	$(BIN)/python -m tools.sbom --table docs/licences.md
+
 clean: ## remove what make and the tests leave behind
-	rm -rf $(VENV) $(PEERS) $(AEON) $(WORK) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf attack.json sbom.json $(VENV) $(PEERS) $(AEON) $(WORK) $(OUT) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 
 
@@ -30,7 +30,7 @@ def load(path: Path, made_by: Any) -> Any:
         InputError: the file is damaged, not a checkpoint, or belongs to a run with another ``made_by``.
     """
     try:
-        stored = load_json(path)
+        stored = load_json(path, finite=False)
         known, content = stored["made_by"], stored["content"]
     except FileNotFoundError:
         return None

@@ -77,6 +77,8 @@ def files_hash(root: Path, paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         try:
+            if not path.is_file():  # a pipe or a device might never end
+                continue
             with path.open("rb") as file:
                 content = hashlib.file_digest(file, "sha256").digest()
         except OSError:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 
 FALL = 0.2  # of a ratio, that is no noise

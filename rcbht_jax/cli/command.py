@@ -16,12 +16,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import tyro
 
+from rcbht_jax._util.atomic import is_stream
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
     from rcbht_jax.types import Recordings
+
+
+OUTPUTS = ("out", "mcap", "plot", "checkpoint", "write_map")  # options that name what is written
 
 
 class MadeBy(NamedTuple):
@@ -133,21 +137,47 @@ class Command(ABC):
         Raises:
             InputError: names the command that makes it, or the output.
         """
-        paths = {name: Path(value) for name, value in vars(self).items() if _is_path(name, value)}
-        for output in (name for name in ("out", "mcap") if name in paths):
-            for name, path in paths.items():
-                if name != output and path.exists() and paths[output].exists() and path.samefile(paths[output]):
-                    raise InputError(f"{paths[output]} is to be written and is used as {name}; choose another name.")
+        paths = self._paths()
+        for written, output in paths:
+            for name, path in paths:
+                if written in OUTPUTS and name != written and _harms(output, path):
+                    raise InputError(f"{output} is to be written and is used as {name}; choose another name.")
         for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
             for mark in getattr(hint, "__metadata__", ()):
                 path = getattr(self, name)
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
+    def outputs(self) -> list[Path]:
+        """The files and folders that this command writes."""
+        return [path for name, path in self._paths() if name in OUTPUTS]
 
-def _is_path(name: str, value: Any) -> bool:
-    """Whether an option names a file: a path, or the source of a stream."""
-    return isinstance(value, Path) or (name == "source" and isinstance(value, str))
+    def _paths(self) -> list[tuple[str, Path]]:
+        """Options that name a file, the source of a stream among them; "-" is the file behind standard input."""
+        paths = [(name, value) for name, value in vars(self).items() if isinstance(value, Path)]
+        source = vars(self).get("source")
+        if source and isinstance(source, str):
+            paths.append(("source", Path("/dev/stdin" if source == "-" else source)))
+        return paths
+
+
+def _harms(output: Path, other: Path) -> bool:
+    """Whether writing an output changes what is read, or another output: the same file, or a part of a data set."""
+    try:
+        if is_stream(other) or is_stream(output):
+            return False
+        if output.exists() and other.exists() and output.samefile(other):
+            return True
+        here, there = output.resolve(), other.resolve()
+    except (OSError, ValueError, RuntimeError):  # no name of a file: what opens it says so
+        return False
+    inside = (here == there, _is_whole(there) and there in here.parents, _is_whole(here) and here in there.parents)
+    return any(inside)
+
+
+def _is_whole(folder: Path) -> bool:
+    """Whether a folder is one data set, whose files are not for others: a store, or a bag of ROS 2."""
+    return (folder / "zarr.json").is_file() or (folder / "metadata.yaml").is_file()
 
 
 @dataclass(frozen=True, kw_only=True)

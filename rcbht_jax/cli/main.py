@@ -1,6 +1,6 @@
 """The ``rcbht`` command: finds a command in the tables, parses its options, prints its result.
 
-Exit status: 0 done; 1 the machine failed (disk full, output closed); 2 wrong input; 130 interrupted.
+Exit status: 0 done; 1 the machine failed (disk full, output closed); 2 wrong input; 130 interrupted, 143 terminated.
 """
 
 from __future__ import annotations
@@ -12,13 +12,18 @@ import inspect
 import io
 import json
 import os
+import signal
 import sys
+import threading
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import rcbht_jax
+from rcbht_jax._util.atomic import targets
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.cli import commands
 from rcbht_jax.errors import InputError
@@ -28,6 +33,34 @@ if TYPE_CHECKING:
 
 GROUP = "rcbht.commands"  # entry points of other packages, each a table such as commands.COMMANDS
 USAGE = "usage: rcbht COMMAND [options]; every command has --help, and --json for a machine-readable result"
+
+
+class Ended(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: as Ctrl-C, with a status of its own."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.status = 128 + number
+
+
+@contextmanager
+def endings() -> Iterator[None]:
+    """End by SIGTERM and SIGHUP as by Ctrl-C, so that recordings are finished; where nobody set another way to end."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, _: FrameType | None) -> None:
+        raise Ended(number)
+
+    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
 
 
 @cache
@@ -52,11 +85,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     _allow_any_name()
     try:
-        return _dispatch(list(sys.argv[1:] if argv is None else argv))
+        with endings():
+            return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except InputError as error:
         return _fail(str(error), 2)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", 130)
+    except KeyboardInterrupt as ending:
+        status = ending.status if isinstance(ending, Ended) else 130
+        return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", status)
     except BrokenPipeError:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -119,7 +154,7 @@ def _run(name: str, words: list[str]) -> int:
     if command is None:
         return 0
     command.check_inputs()
-    with needs_extra("all"):  # for what a module does not name itself
+    with needs_extra("all"), targets(command.outputs()):  # for what a module does not name itself
         result = command.run()
     output = json.dumps(result, allow_nan=False) if as_json else command.text(result)
     if output:  # a command whose standard output is a stream of its own returns no text

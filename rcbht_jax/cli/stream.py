@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
-import signal
 import sys
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -144,7 +141,7 @@ class Stream(Source):
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
-    """File for the events; default standard output."""
+    """File for the events, which appears when the stream ends; a pipe gets each at once. Default standard output."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False
@@ -153,17 +150,20 @@ class Stream(Source):
     """Report words that still run as well, from their second window on and whenever their label changes."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.atomic import atomic_lines
         from rcbht_jax.introspection.words import Revisions
         from rcbht_jax.io.rosbags import McapWriter
 
         session, messages = self.opened(self.words or self.provisional)
         window, revisions = session.introspector.config.window, Revisions()
-        session.introspector.warm_up()
         counts: Counter[str] = Counter()
-        first = list(itertools.islice(messages, 1))  # a wrong source is refused before a file is touched
+        # A wrong source is refused before a file is touched, and before programs are compiled where nobody waits.
+        timed = self.source == "-" or self.speed > 0
+        first = [] if timed else list(itertools.islice(messages, 1))
+        session.introspector.warm_up()
+        first = first or list(itertools.islice(messages, 1))
         with ExitStack() as stack:
-            stack.enter_context(_terminated_as_interrupted())
-            out = stack.enter_context(self.out.open("w")) if self.out else sys.stdout
+            out = stack.enter_context(atomic_lines(self.out)) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
 
             def report(events: list[Event], message: Message | None = None) -> None:
@@ -175,12 +175,16 @@ class Stream(Source):
                 if mcap is not None:
                     _record(mcap, session, message, events)
 
-            for message in itertools.chain(first, messages):
-                complete, left_out = session.introspector.received // window, _left_out(session)
-                events = session.feed(message)
-                report(events, message if _left_out(session) == left_out else None)
-                if self.provisional and session.introspector.received // window != complete:
-                    report([*revisions.after_window(session.introspector.provisional())])
+            try:
+                for message in itertools.chain(first, messages):
+                    complete, left_out = session.introspector.received // window, _left_out(session)
+                    events = session.feed(message)
+                    report(events, message if _left_out(session) == left_out else None)
+                    if self.provisional and session.introspector.received // window != complete:
+                        report([*revisions.after_window(session.introspector.provisional())])
+            except KeyboardInterrupt:  # also SIGTERM: the recording is finished first
+                report(session.finish())
+                raise
             report(session.finish())
         return {"source": self.source, "messages": dict(session.counts), "events": dict(counts)}
 
@@ -264,19 +268,6 @@ class ExportModel(Command):
         heads = ", ".join(head["name"] for head in result["heads"])
         platforms = " and ".join(result["platforms"])
         return f"{result['chain']}: {heads} for {platforms}, {result['bytes'] / 1e6:.1f} MB"
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM as Ctrl-C, so that what was recorded is finished; outside the main thread, do nothing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 def _left_out(session: Session) -> int:

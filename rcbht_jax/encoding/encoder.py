@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe, segments
+from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.pipe import PipeRules
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
@@ -64,14 +65,9 @@ class EncoderConfig:
     noise_below: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.window < 2:
-            raise InputError(f"The window is {self.window} samples; a line needs at least 2.")
-        if not 0 < self.dt < float("inf"):
-            raise InputError(f"The sampling period is {self.dt} s; expected a positive, finite number.")
+        check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
         if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
             raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")
-        if self.latency_cap is not None and not self.latency_cap > 0:
-            raise InputError(f"The latency cap is {self.latency_cap} s; expected a positive number or none.")
 
     @property
     def short(self) -> int:

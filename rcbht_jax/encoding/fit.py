@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe
+from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.encoder import (
     EncoderState,
     PackedLabels,
@@ -76,12 +77,8 @@ class FitConfig:
     lookback: float = 0.05
 
     def __post_init__(self) -> None:
-        if self.window < 2:
-            raise InputError(f"The window is {self.window} samples; a line needs at least 2.")
-        if not 0 < self.dt < float("inf"):
-            raise InputError(f"The sampling period is {self.dt} s; expected a positive, finite number.")
-        if self.latency_cap is not None and not 0 < self.latency_cap < float("inf"):
-            raise InputError(f"The latency cap is {self.latency_cap} s; expected a positive number or none.")
+        seconds = {"latency_cap": self.latency_cap, "noise_below": self.noise_below, "lookback": self.lookback}
+        check_choices(self.window, self.dt, **seconds, evidence=self.evidence, impulse_below=self.impulse_below)
         if not (0 < self.impulse_below < float("inf") and 0 <= self.noise_below < float("inf")):
             raise InputError("The longest impulse and the shortest composition must be finite, positive times.")
         if not (0 < self.evidence < float("inf") and 0 < self.lookback < float("inf")):

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.encoding import encoder, fit
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
@@ -188,12 +189,11 @@ def config_from(values: Mapping[str, Any]) -> AnyConfig:
     """Undo :func:`config_fields`; files older than the fit rule hold the paper's.
 
     Raises:
-        InputError: a value is out of range.
-        TypeError: there is no field of that name.
+        InputError: a value is of another type or out of range, or there is no field of that name.
     """
     if values.get("rule") == "fit":
-        return FitConfig(**{name: value for name, value in values.items() if name != "rule"})
-    return EncoderConfig(**values)
+        return FitConfig(**checked_fields(FitConfig, {name: value for name, value in values.items() if name != "rule"}))
+    return EncoderConfig(**checked_fields(EncoderConfig, values))
 
 
 def limit_arrays(limits: AnyLimits) -> dict[str, NDArray[np.float64]]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
+from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
 from rcbht_jax.features import word_families as families
@@ -23,6 +24,7 @@ WHOLE = ("sentence",)  # families that need the whole interval at once
 ABSOLUTE = ("offset", "edges", "levels")  # families that a constant added to the wrench changes
 _BALANCED = (ABSOLUTE, ("elapsed",))  # sets of families with few columns that count as much as all others
 
+MAX_SLOTS = 4096  # resampled labels of a layer
 _CHUNK = 64  # intervals handled at once, which bounds memory
 
 
@@ -59,8 +61,8 @@ class FeatureSpec:
             raise InputError(
                 f"the families {', '.join(signal_families.FAMILIES)} describe primitives; add primitive to the layers."
             )
-        if min(self.slots) < 1 or not 1 <= self.ngram <= 3:
-            raise InputError(f"slots {self.slots} must be positive and ngram {self.ngram} must be 1, 2 or 3.")
+        if not (min(self.slots) >= 1 and max(self.slots) <= MAX_SLOTS) or not 1 <= self.ngram <= 3:
+            raise InputError(f"slots {self.slots} must be 1 to {MAX_SLOTS} and ngram {self.ngram} must be 1, 2 or 3.")
         if not set(self.weighing) <= set(families.WEIGHINGS) or len(set(self.weighing)) < len(self.weighing):
             raise InputError(
                 f"labels cannot be weighed by {', '.join(self.weighing)}; choose from {', '.join(families.WEIGHINGS)}, "
@@ -82,8 +84,7 @@ class FeatureSpec:
     @staticmethod
     def from_dict(fields: dict[str, Any]) -> FeatureSpec:
         """Undo ``dataclasses.asdict`` after a trip through JSON, where tuples become lists."""
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
-        return FeatureSpec(**plain)
+        return FeatureSpec(**checked_fields(FeatureSpec, fields))
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def load(path: Path) -> MonitorFile:
     Raises:
         InputError: missing, damaged, or not a monitor.
     """
-    with reading(path, FORMAT) as (meta, archive):
+    with reading(path, FORMAT, gaps=("described",)) as (meta, archive):
         arrays: dict[str, Any] = {name: archive[name] for name in _ARRAYS}
         numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
         bank = Bank(**arrays, **numbers)

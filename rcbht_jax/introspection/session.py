@@ -45,6 +45,9 @@ class Session:
 
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
+        if isinstance(message, Sample) and len(message.wrench) != self._axes:
+            text = f"a reading has {len(message.wrench)} values; there are {self._axes} axes"
+            message = Malformed(text)
         if not isinstance(message, Malformed):  # its notice counts it
             self.counts[type(message).__name__.lower()] += 1
         if isinstance(message, Sample):
@@ -61,9 +64,6 @@ class Session:
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
-        if len(sample.wrench) != self._axes:
-            text = f"a reading has {len(sample.wrench)} values; there are {self._axes} axes"
-            return [self._notice("malformed", text)]
         resampled = self._resampler.feed(sample)
         self.time = resampled.time
         events: list[Event] = []

@@ -16,9 +16,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from rcbht_jax._util.untrusted import MAX_LINE
 from rcbht_jax.errors import InputError
 
-MAX_LINE = 65_536  # bytes; a longer line is malformed
 _AXES = ("x", "y", "z")
 
 

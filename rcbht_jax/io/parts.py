@@ -78,8 +78,17 @@ class Layout:
 
 
 def layout_of(group: zarr.Group) -> Layout:
-    """The layout that the attributes of a table state."""
-    return Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
+    """The layout that the attributes of a table state.
+
+    Raises:
+        InputError: it cannot be, or is not that of its parts.
+    """
+    layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
+    if layout.rows < 0 or layout.part < 1 or _member(group, DIGESTS).shape != (len(layout), _DIGEST):
+        raise InputError(
+            f"{group.store_path} says that it has {layout.rows} rows in parts of {layout.part}; it has not."
+        )
+    return layout
 
 
 @uninterrupted()
@@ -184,6 +193,9 @@ def read(
     if (axis := made.grows) is not None and width is not None:
         within[axis - 1] = slice(0, width)
     values = np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
+    wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
+    if len(values) != wanted:
+        raise InputError(f"{group.store_path}: {name} has {len(values)} of {wanted} rows; import or copy it again.")
     return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
 
 

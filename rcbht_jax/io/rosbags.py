@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,10 +15,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from rcbht_jax._util.atomic import draft_of
+from rcbht_jax._util.atomic import atomic_write, draft_of
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event, Word
+from rcbht_jax.io.bag_chunks import bound_chunks
+from rcbht_jax.io.mcap_file import seal, sound
 from rcbht_jax.io.messages import Malformed, Message, sample_of
 from rcbht_jax.labels import AXES, LAYERS, name
 
@@ -76,7 +80,8 @@ def is_bag(path: Path) -> bool:
 def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
     """Wrenches of one topic in N and Nm, timed by the stamp in their header (by receipt where it is zero).
 
-    A message that cannot be read becomes :class:`Malformed`, and so does the end of a truncated file.
+    A message that cannot be read becomes :class:`Malformed`, and so does what is wrong with the file: of an MCAP file
+    that is cut off or damaged, what is whole is read.
 
     >>> for message in read_bag(Path("assembly.mcap"), "/wrench"):  # doctest: +SKIP
     ...     print(message)
@@ -91,6 +96,8 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
     with open_bag(path) as reader:
         connections = [c for c in reader.connections if c.msgtype in WRENCH]
         topics = sorted({c.topic for c in connections})
+        if not topics and reader.problems:
+            raise InputError(f"{path} is damaged ({reader.problems[0]}), and nothing is left of its wrenches.")
         if topic and topic not in topics:
             raise InputError(f"{path} has no wrenches on {topic}; it has them on {', '.join(topics) or 'no topic'}.")
         if not topic and len(topics) != 1:
@@ -102,33 +109,64 @@ def read_bag(path: Path, topic: str = "") -> Iterator[Message]:
 
 
 @contextmanager
-def open_bag(path: Path) -> Iterator[AnyReader]:
+def open_bag(path: Path) -> Iterator[Bag]:
     """A reader of a bag.
 
     >>> with open_bag(Path("assembly.mcap")) as reader:  # doctest: +SKIP
     ...     print([connection.topic for connection in reader.connections])
 
     Raises:
-        InputError: the file is missing or not a bag.
+        InputError: the file is missing, too large or not a bag.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; expected a bag or an MCAP file.")
-    try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except Exception as error:  # a damaged file fails in any way inside the reader
-        raise InputError(f"{path} is not a readable bag: {error or type(error).__name__}.") from error
-    try:
+    with ExitStack() as stack:
+        sources, problems = path, list[str]()
+        for part in _files(path):
+            if part.suffix == ".mcap":
+                found, wrong = stack.enter_context(sound(part))
+                sources = found if part == path else sources
+                problems += wrong
+        try:
+            reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
+            stack.callback(reader.close)
+            bound_chunks(reader)
+        except Exception as error:  # a damaged file fails in any way inside the reader
+            text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
+            raise InputError(f"{path} is not a readable bag: {text}.") from error
+        reader.problems = tuple(problems)
         yield reader
-    finally:
-        reader.close()
+
+
+class Bag(AnyReader):
+    """A reader that knows what is wrong with its file."""
+
+    problems: tuple[str, ...] = ()
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of a bag, each of which is checked.
+
+    Raises:
+        InputError: one is not a regular file, or too large.
+    """
+    if not path.is_dir():
+        check_file(path, MAX_BAG_BYTES)
+        return [path]
+    parts = [part for part in sorted(path.iterdir()) if part.suffix in SUFFIXES or part.name == "metadata.yaml"]
+    for part in parts:
+        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES)
+    return parts
 
 
 def messages(reader: AnyReader, connections: Sequence[Any]) -> Iterator[tuple[Any, int, Any] | Malformed]:
     """Connection, time of receipt (ns) and content of every message of some connections, in order of receipt.
 
-    A message that cannot be read becomes :class:`Malformed`, and so does the end of a truncated file.
+    A message that cannot be read becomes :class:`Malformed`, and so does what is wrong with the file.
     """
+    for problem in getattr(reader, "problems", ()):
+        yield Malformed(f"the bag is damaged ({problem}); what is whole of it is read")
     raw_messages = reader.messages(connections=connections)
     while True:
         try:
@@ -161,7 +199,6 @@ class McapWriter:
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder; create it first.")
         self._path, self._axes = path, list(axes)
-        self._folder = draft_of(path)  # the writer makes a folder with the file in it
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for kind, text in (
             ("Labels", _LABELS),
@@ -175,6 +212,10 @@ class McapWriter:
         self._origin: float | None = None  # s, what is written as time zero
 
     def __enter__(self) -> McapWriter:
+        self._exit = ExitStack()
+        self._draft = self._exit.enter_context(atomic_write(self._path, keep=True))
+        self._folder = draft_of(self._draft)  # the writer makes a folder with the file in it
+        self._exit.callback(shutil.rmtree, self._folder, ignore_errors=True)
         self._writer = Writer(self._folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         return self
@@ -186,9 +227,12 @@ class McapWriter:
             self._writer.close()
             if kind is None or self._connections:  # an hour of recording is worth more than its missing end
                 [file] = self._folder.glob("*.mcap")
-                os.replace(file, self._path)
-        finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+                seal(file)
+                os.replace(file, self._draft)
+        except BaseException:
+            self._exit.__exit__(*sys.exc_info())
+            raise
+        self._exit.__exit__(kind, error, trace)
 
     def _write(self, topic: str, kind: str, time: float, **fields: Any) -> None:
         types = self._store.types

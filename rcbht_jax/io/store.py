@@ -101,7 +101,7 @@ def write_recordings(
             )
     schema = schema_of(recordings, simulation, part=part)
     date = datetime.now(UTC).isoformat(timespec="seconds") if created is None else created
-    with atomic_folder(path) as draft:
+    with atomic_folder(path, replace=overwrite) as draft:
         store_writer.create(draft, schema, attrs, date)
         for number in range(len(schema.layout)):
             rows = schema.layout.span(number)

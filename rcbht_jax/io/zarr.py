@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -15,13 +16,17 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
+from rcbht_jax._util.untrusted import MAX_BYTES
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
 with needs_extra("store"):
     import zarr
     import zarr.storage
+    from zarr.abc.store import ByteRequest
     from zarr.codecs import Crc32cCodec, ZstdCodec
+    from zarr.core.buffer import Buffer, BufferPrototype
+    from zarr.storage import LocalStore
 
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
@@ -88,7 +93,8 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
     try:
         if not path.is_dir():
             raise InputError(f'{path} does not exist or is no folder; expected a store made by "rcbht import".')
-        return zarr.open_group(path, mode=mode, zarr_format=3, use_consolidated=None if collected else False)
+        files = _Files(path, read_only=mode == "r")
+        return zarr.open_group(files, mode=mode, zarr_format=3, use_consolidated=None if collected else False)
     except InputError:
         raise
     except Exception as error:  # a foreign folder can fail in any way inside zarr
@@ -130,6 +136,37 @@ def _fsspec(path: Path) -> Any:
         return require("fsspec.core", "cloud")
     except MissingPackage as error:
         raise InputError(f"{path} is a URL, and {error}") from error
+
+
+class _Files(LocalStore):
+    """The files of a store, of which a stranger may have made pipes, devices or links to them."""
+
+    async def get(
+        self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        self._check(key)
+        return await super().get(key, prototype, byte_range)
+
+    async def get_partial_values(
+        self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
+    ) -> list[Buffer | None]:
+        wanted = list(key_ranges)
+        for key, _ in wanted:
+            self._check(key)
+        return await super().get_partial_values(prototype, wanted)
+
+    def _check(self, key: str) -> None:
+        """Refuse what is no regular file, or too large, before it is read.
+
+        Raises:
+            ValueError: it is; whoever reads the store says that it is damaged.
+        """
+        try:
+            status = (self.root / key).stat()
+        except OSError:  # it does not exist: the reader knows what that means
+            return
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or status.st_size > MAX_BYTES:
+            raise ValueError(f"{key} is not a regular file of at most {MAX_BYTES} bytes")
 
 
 @contextmanager

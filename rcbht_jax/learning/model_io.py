@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.untrusted import checked_fields, parse_json, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.scaling import KNOTS
@@ -88,7 +89,7 @@ def read_svm(
     arrays = {name: archive[prefix + name] for name in _ARRAYS if prefix + name in archive}
     arrays.setdefault("knots", np.zeros((0, features)))  # files written before there were ranks
     svm = SvmModel(
-        spec=SvmSpec(**meta["spec"]),
+        spec=SvmSpec(**checked_fields(SvmSpec, meta["spec"])),
         gamma=float(meta["gamma"]),
         classes=tuple(meta["classes"]),
         **arrays,
@@ -112,22 +113,26 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
 
 
 @contextmanager
-def reading(path: Path, kind: str) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
-    """Open an archive of format ``kind``: its JSON text and its arrays, which are read when asked for.
+def reading(
+    path: Path, kind: str, gaps: tuple[str, ...] = ()
+) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
+    """Open an archive of format ``kind``: its JSON text and its arrays, finite but for those named in ``gaps``.
 
     Raises:
         InputError: missing, damaged, of another format, or whatever goes wrong with its content in the block.
     """
-    if path.exists() and not path.is_file():  # a pipe or a device might never end
-        raise InputError(f"{path} is not a regular file; expected a model file.")
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            meta = json.loads(str(archive["meta"]))
-            if meta["format"] != kind:
-                raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
-            yield meta, archive
-    except InputError:
-        raise
+        archive = read_arrays(path)
+        meta = parse_json(str(archive.pop("meta")))
+        for name, values in archive.items():
+            check_finite(path, name, values[:0] if name in gaps else values)
+        if meta["format"] != kind:
+            raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
+        yield meta, archive
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path} is damaged: {str(error).rstrip('.')}.") from error
     except Exception as error:  # a damaged archive can fail in any way inside zipfile, NumPy and json
         detail = (str(error).splitlines() or [""])[0] or type(error).__name__
         raise InputError(f"{path} is not a readable model file: {detail}.") from error
@@ -148,7 +153,8 @@ def _check(svm: SvmModel, features: int, path: Path) -> None:
     for name, shape in expected.items():
         if getattr(svm, name).shape != shape:
             raise InputError(f"{path} is damaged: {name} has the shape {getattr(svm, name).shape}, not {shape}.")
-        check_finite(path, name, getattr(svm, name))
+    if svm.support_count.dtype.kind not in "iu" or (vectors and svm.support_count.min() < 0):
+        raise InputError(f"{path} is damaged: support_count is {svm.support_count.dtype}; expected counts.")
     if not 0 < svm.gamma < np.inf:
         raise InputError(f"{path} is damaged: gamma is {svm.gamma}; expected a positive number.")
 

@@ -52,7 +52,7 @@ class SvmSpec:
     ranks: bool = False  # scale by ranks among the training side instead of mean and deviation
 
     def __post_init__(self) -> None:
-        if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not self.cost > 0:
+        if self.kernel not in KERNELS or self.gamma not in ("auto", "scale") or not 0 < self.cost < float("inf"):
             raise InputError(
                 f"an SVM with kernel {self.kernel!r}, gamma {self.gamma!r} and cost {self.cost} does not exist; "
                 f"choose a kernel of {', '.join(KERNELS)}, gamma auto or scale, and a positive cost."

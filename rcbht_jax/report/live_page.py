@@ -12,6 +12,7 @@ import json
 import queue
 import re
 import secrets
+import socket
 import threading
 from collections import deque
 from collections.abc import Iterable
@@ -28,6 +29,8 @@ from rcbht_jax.labels import ALPHABETS, COLORS, LAYERS, MEANING, name
 HISTORY = 600  # frames that a new viewer gets at once
 FRAME = 0.05  # s of stream per frame
 VIEWERS = 16
+CONNECTIONS = 64  # at once; further ones are closed unanswered
+BUFFER = 2**16  # bytes that the system keeps for a viewer: one that does not read is noticed, and left after IDLE
 IDLE = 10.0  # s until a connection that sends no request is closed
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -255,6 +258,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(503, "Too many viewers, or closed")
             return
         try:
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
             self._head("text/event-stream")
             self.end_headers()
             while True:
@@ -309,6 +313,7 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()
+        self._free = threading.BoundedSemaphore(CONNECTIONS)
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()
@@ -339,6 +344,24 @@ class PageServer(ThreadingHTTPServer):
         self.broadcast.close()
         self.shutdown()
         self.server_close()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, if there are not too many."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread can be started
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, then let another one in."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore viewers that disconnect or send malformed requests."""

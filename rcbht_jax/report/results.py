@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 
 SCHEMA = "rcbht-results-rows-1"
@@ -80,11 +80,14 @@ def read_results(folder: Path) -> Results:
 
 
 def _record(path: Path) -> dict[str, Any]:
+    """The object in a file; of one with another schema, whose numbers do not matter, an empty one."""
     try:
-        record = load_json(path)
+        record = load_json(path, finite=False)
+        if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+            return {}
+        return load_json(path)
     except ValueError as error:
         raise InputError(f"{path} is not JSON ({error}).") from error
-    return record if isinstance(record, dict) else {}
 
 
 def _row(entry: dict[str, Any], notes: dict[str, str]) -> Row:

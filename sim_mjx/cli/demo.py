@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
+from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.cli.command import Command, announce
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
@@ -84,7 +85,8 @@ class Demo(Command):
             "seconds": time.perf_counter() - start,
         }
         summary = self.out / "summary.txt"
-        summary.write_text(_summary(result))
+        with atomic_write(summary) as draft:
+            draft.write_text(_summary(result))
         return {**result, "summary": str(summary)}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -191,7 +193,8 @@ def _run_recorded(data: Path, out: Path) -> dict[str, Any]:
         "pictures:",
         *(f"  {path}" for path in result["pictures"]),
     ]
-    summary.write_text("\n".join(lines) + "\n")
+    with atomic_write(summary) as draft:
+        draft.write_text("\n".join(lines) + "\n")
     return result
 
 

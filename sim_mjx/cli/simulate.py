@@ -24,8 +24,8 @@ class Simulate(Command):
     """Simulate randomised trials of an assembly, nominal and faulty, into a store.
 
     After an interruption the same command resumes: finished trials are in the folder STORE.zarr.work beside the store.
-    With the engine native the same options give the same bytes. The same command, called again while it runs, shares
-    the work, on any machine that sees the same folder.
+    With the engine native, and processors with the same instructions, the same options give the same bytes. The same
+    command, called again while it runs, shares the work, on any machine that sees the same folder.
 
     Example: rcbht simulate trials.zarr --preset A --trials 200 --seed 1
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_reader
 from rcbht_jax.io.store_reader import Stored

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from sim_mjx.synthesis import claims, shards

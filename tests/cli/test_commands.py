@@ -160,7 +160,7 @@ def test_wrong_input_ends_with_one_sentence(
     assert len([line for line in err.splitlines() if line.strip()]) == 1 or "invalid" in err.lower(), err
 
 
-NEED_NO_STORE = ("bench", "completion", "demo", "simulate", "fidelity")
+NEED_NO_STORE = ("bench", "completion", "demo", "doctor", "simulate", "fidelity")
 option = st.sampled_from(
     [
         "--window",

@@ -126,7 +126,7 @@ def test_a_terminated_stream_keeps_its_recording(model_path, tmp_path, capsys, m
 
     monkeypatch.setattr(McapWriter, "wrench", terminates)
     monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(1, 30, 100))))
-    assert main(["stream", "-", "-m", str(model_path), "--mcap", str(out)]) == 130
+    assert main(["stream", "-", "-m", str(model_path), "--mcap", str(out)]) == 143
     assert "what a stream had recorded is kept" in capsys.readouterr().err
     assert [sample.time for sample in read_bag(out, "/wrench")] == pytest.approx([0.005 * k for k in range(50)])
 

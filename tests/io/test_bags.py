@@ -70,9 +70,9 @@ def test_bags_that_are_none(tmp_path):
         list(read_bag(two, "/up"))
     [file] = two.glob("*.mcap")
     whole = file.read_bytes()
-    for cut in (0, 5, len(whole) // 2, len(whole) - 9):
+    for cut, sentence in ((0, "is empty"), (5, "is not a readable bag"), (60, "is damaged .*cut off")):
         (tmp_path / "cut.mcap").write_bytes(whole[:cut])
-        with pytest.raises(InputError, match=r"cut.mcap is not a readable bag"):
+        with pytest.raises(InputError, match=rf"cut.mcap {sentence}"):
             list(read_bag(tmp_path / "cut.mcap", "/left"))
     with pytest.raises(InputError, match="does not exist"):
         list(read_bag(tmp_path / "none.bag"))

@@ -216,6 +216,8 @@ def test_nothing_is_dropped_in_silence():
     assert session.introspector.received == 100  # everything after the long gap
     assert all(np.isfinite(e.probabilities).all() for e in events if isinstance(e, Belief))
     assert session.counts["malformed"] == 2
+    known = ("sample", "malformed", "silence")
+    assert sum(session.counts[kind] for kind in known) == len(messages)  # each message is counted once
 
 
 def test_more_samples_than_the_encoder_counts_start_anew(monkeypatch):

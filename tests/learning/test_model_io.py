@@ -79,7 +79,7 @@ def test_a_width_of_the_kernel_that_is_none_is_refused(model, tmp_path, gamma):
     with np.load(path) as archive:
         meta = json.loads(str(archive["meta"]))
     rewritten(path, meta=np.array(json.dumps(meta | {"gamma": gamma})))
-    with pytest.raises(InputError, match="gamma is"):
+    with pytest.raises(InputError, match=r"gamma is|is no number"):
         load(path)
 
 
@@ -87,7 +87,7 @@ def test_code_in_a_file_is_refused(model, tmp_path):
     path = tmp_path / "m"
     save(path, model)
     rewritten(path, dual=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(InputError, match="not a readable model"):
+    with pytest.raises(InputError, match="Python objects"):
         load(path)
 
 
@@ -97,13 +97,13 @@ def test_other_formats_and_damage_are_refused(model, tmp_path):
     whole = path.read_bytes()
     for content in (b"", b"hello", whole[: len(whole) // 2], whole[:200] + b"\0" * 60 + whole[260:]):
         path.write_bytes(content)
-        with pytest.raises(InputError, match="not a readable model"):
+        with pytest.raises(InputError, match="is empty" if not content else "not a readable model"):
             load(path)
     with path.open("wb") as out:
         np.save(out, np.zeros(3))
     with pytest.raises(InputError, match="not a readable model"):
         load(path)
-    with pytest.raises(InputError, match="not a readable model"):
+    with pytest.raises(InputError, match="missing cannot be read"):
         load(tmp_path / "missing")
     save(path, model)
     for flag in (6, 8, 10):  # version, encryption, method of the first entry of the zip archive's directory

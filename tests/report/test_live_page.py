@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import math
 import socket
 import threading
+import time
 from html.parser import HTMLParser
 from typing import Any
 
@@ -280,3 +282,23 @@ def test_idle_connections_end(monkeypatch):
             assert client.recv(10) == b""
             client.close()
     assert threading.active_count() <= before + 2
+
+
+def test_connections_are_bounded(monkeypatch):
+    """Beyond the bound a connection is closed unanswered; when others end, there is room again."""
+    monkeypatch.setattr(live_page, "CONNECTIONS", 3)
+    with PageServer(Session(Introspector(model())), port=0) as server:
+        address = server.server_address[:2]
+        clients = [socket.create_connection(address) for _ in range(6)]
+        for client in clients[3:]:
+            client.settimeout(5)
+            assert client.recv(1) == b""
+        assert threading.active_count() < 20
+        for client in clients:
+            client.close()
+        for _ in range(200):
+            with contextlib.suppress(ConnectionError):
+                if ask(server, "GET", "/")[0] == 200:
+                    return
+            time.sleep(0.02)
+        pytest.fail("the server is still full")

@@ -1,13 +1,25 @@
-"""A file is there whole or not at all."""
+"""A file is there whole or not at all, and nothing is replaced that was not there before."""
 
 from __future__ import annotations
 
 import os
+import signal
+import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from rcbht_jax._util.atomic import atomic_new, atomic_write
+from rcbht_jax._util import atomic
+from rcbht_jax._util.atomic import (
+    _exchanged,
+    atomic_folder,
+    atomic_lines,
+    atomic_new,
+    atomic_write,
+    targets,
+    uninterrupted,
+)
 from rcbht_jax.errors import InputError
 
 
@@ -22,20 +34,147 @@ def test_the_old_file_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
-    """A pipe stays a pipe and a link a link; a device is as a pipe."""
+def test_pipes_and_devices_are_written_to_and_links_stay(tmp_path: Path) -> None:
     pipe, link, target = tmp_path / "pipe", tmp_path / "link", tmp_path / "target"
     os.mkfifo(pipe)
     target.write_text("old")
     link.symlink_to(target)
-    for path in (pipe, tmp_path):
-        with pytest.raises(InputError, match="not a regular file"), atomic_write(path):
-            pass
+    heard: list[str] = []
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_text()))
+    reader.start()
+    for path in (pipe, link, Path("/dev/null")):
+        with atomic_write(path) as draft:
+            draft.write_text("new")
+    reader.join(20)
+    assert heard == ["new"]
     assert pipe.is_fifo()
-    with atomic_write(link) as draft:
-        draft.write_text("new")
     assert link.is_symlink()
     assert target.read_text() == "new"
+    assert Path("/dev/null").is_char_device()
+    with pytest.raises(InputError, match="not a regular file"), atomic_write(tmp_path):
+        pass
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(InputError, match="leads to itself"), atomic_write(loop):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "loop", "pipe", "target"]
+
+
+@pytest.mark.parametrize("before", [None, "old"])
+def test_what_comes_meanwhile_is_kept_and_so_is_the_new_work(before: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    if before is not None:
+        path.write_text(before)
+    with targets([path]):
+        path.unlink(missing_ok=True)
+        path.write_text("of another process")  # while this one computes
+        with pytest.raises(InputError, match=r"kept.* is .*a-2\.csv"):
+            replace(path, "ours")
+    assert path.read_text() == "of another process"
+    assert (tmp_path / "a-2.csv").read_text() == "ours"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def replace(path: Path, text: str) -> None:
+    with atomic_write(path) as draft:
+        draft.write_text(text)
+
+
+def test_one_command_may_write_its_target_again(tmp_path: Path) -> None:
+    """Also behind a link."""
+    path, link = tmp_path / "checkpoint.json", tmp_path / "link"
+    link.symlink_to(path)
+    path.write_text("old")
+    with targets([link]):
+        for text in ("first", "second"):
+            replace(link, text)
+    assert path.read_text() == "second"
+    assert link.is_symlink()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_that_comes_meanwhile_is_kept(overwrite: bool, tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    if overwrite:
+        path.mkdir()
+        (path / "old").touch()
+    with pytest.raises(InputError, match=r"kept"):
+        overtaken(path, overwrite)
+    assert [entry.name for entry in path.iterdir()] == ["theirs"]
+    assert list((tmp_path / "store-2").iterdir()) == []
+    with pytest.raises(InputError, match="exists already"), atomic_folder(path):
+        pass
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_folder_is_replaced_by_the_complete_new_one(
+    at_once: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On systems that exchange two folders at once, and on others."""
+    path, exchanged = tmp_path / "store", []
+    path.mkdir()
+    (path / "old").touch()
+
+    def exchange(one: Path, other: Path) -> bool:
+        exchanged.append(at_once and _exchanged(one, other))
+        return exchanged[-1]
+
+    monkeypatch.setattr(atomic, "_exchanged", exchange)
+    with atomic_folder(path, replace=True) as draft:
+        draft.mkdir()
+        (draft / "new").touch()
+    assert [entry.name for entry in path.iterdir()] == ["new"]
+    assert list(tmp_path.iterdir()) == [path]
+    assert exchanged == [at_once] or sys.platform != "linux"
+
+
+def overtaken(path: Path, overwrite: bool) -> None:
+    """Make a folder while another process puts its own there."""
+    with atomic_folder(path, replace=overwrite) as draft:
+        draft.mkdir()
+        if overwrite:
+            path.rename(path.with_name("away"))
+        path.mkdir()
+        (path / "theirs").touch()
+
+
+def cut_recording(path: Path, text: str, error: type[BaseException]) -> None:
+    with atomic_lines(path) as out:
+        out.write(text)
+        raise error
+
+
+def interrupted_block(number: signal.Signals, done: list[bool]) -> None:
+    with uninterrupted():
+        os.kill(os.getpid(), number)
+        done.append(True)
+
+
+def test_recordings_are_kept_as_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text("of yesterday\n")
+    for error, text in ((KeyboardInterrupt, "first\nsecond\nthi"), (OSError, "no line")):
+        with pytest.raises(error):
+            cut_recording(path, text, error)
+        assert path.read_text() == ("first\nsecond\n")  # the second left no line
+    with atomic_lines(path) as out:
+        out.write("done\n")
+    assert path.read_text() == "done\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_block_that_must_not_be_interrupted_ends_first(number: signal.Signals) -> None:
+    done: list[bool] = []
+    kept = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted_block(number, done)
+    finally:
+        signal.signal(signal.SIGTERM, kept[signal.SIGTERM])
+    assert done
+    assert signal.getsignal(signal.SIGINT) is kept[signal.SIGINT]
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -56,8 +56,6 @@ def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: N
     with atomic_folder(out) as draft:
         draft.mkdir()
         FORMATS[kind](data, draft, progress)
-        if os.path.lexists(out):
-            raise InputError(f"{out} was created by another process meanwhile; choose another name.")
 
 
 def check_target(out: Path) -> None:

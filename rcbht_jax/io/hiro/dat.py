@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, read_bytes
 from rcbht_jax.errors import InputError
 
-MAX_BYTES = 512 * 2**20
 MIN_DT, MAX_DT = 1e-4, 1.0
 PLAIN = b"0123456789+-.eE \t\r\n"
 DT_TOLERANCE = 0.05  # of the time step: far above print rounding, far below a lost sample
@@ -37,7 +37,7 @@ class TimedTable:
     dt: float  # s between rows
 
 
-def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Float64[np.ndarray, "row {columns}"]:
+def read_table(path: Path, columns: int, max_bytes: int = MAX_TEXT_BYTES) -> Float64[np.ndarray, "row {columns}"]:
     """Read a table of finite numbers.
 
     >>> read_table(Path("trial/R_Torques.dat"), 7).shape  # doctest: +SKIP
@@ -47,7 +47,7 @@ def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Float64[
         InputError: the file is missing, larger than ``max_bytes``, empty, or has a line that is not exactly
             ``columns`` finite numbers.
     """
-    raw = _read_bytes(path, max_bytes)
+    raw = read_bytes(path, max_bytes, empty=True)
     if not raw.strip():
         raise InputError(f"{path} is empty; expected lines of {columns} numbers.")
     table = _read_fast(raw)
@@ -61,7 +61,7 @@ def read_table(path: Path, columns: int, max_bytes: int = MAX_BYTES) -> Float64[
     return table
 
 
-def read_timed(path: Path, quantity: str, max_bytes: int = MAX_BYTES) -> TimedTable:
+def read_timed(path: Path, quantity: str, max_bytes: int = MAX_TEXT_BYTES) -> TimedTable:
     """Read a signal file: time (s) and six columns of ``quantity`` (a key of ``LIMITS``).
 
     Raises:
@@ -76,7 +76,7 @@ def read_timed(path: Path, quantity: str, max_bytes: int = MAX_BYTES) -> TimedTa
     large = np.argwhere(np.abs(table[:, 1:]) > limit)
     if len(large):
         row, column = large[0]
-        where = f"{path}, line {_line_of_row(_read_bytes(path, max_bytes), int(row))}, column {column + 2}"
+        where = f"{path}, line {_line_of_row(read_bytes(path, max_bytes), int(row))}, column {column + 2}"
         value = table[row, column + 1]
         raise InputError(f"{where}: {value:g} is too large for {quantity} (limit {limit:g}); {hint}?")
     return TimedTable(table[:, 0], table[:, 1:], dt)
@@ -88,7 +88,7 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
     Raises:
         InputError: a line is not one finite number, or the times do not increase.
     """
-    raw = _read_bytes(path, MAX_BYTES)
+    raw = read_bytes(path, MAX_TEXT_BYTES, empty=True)
     if not raw.strip():
         return np.zeros(0)
     times = read_table(path, 1)[:, 0]
@@ -102,18 +102,6 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
     return times
 
 
-def _read_bytes(path: Path, max_bytes: int) -> bytes:
-    try:
-        if not path.is_file() and path.exists():  # a pipe or a device might never end
-            raise InputError(f"{path} is not a regular file; expected a table.")
-        size = path.stat().st_size
-        if size > max_bytes:
-            raise InputError(f"{path} has {size} bytes; expected at most {max_bytes}. Is it a trial's table?")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-
-
 def _time_step(path: Path, time: Float64[np.ndarray, " row"], max_bytes: int) -> float:
     """The constant time step of a file, s; an InputError names the line where it is not constant."""
     step = np.diff(time)
@@ -121,7 +109,7 @@ def _time_step(path: Path, time: Float64[np.ndarray, " row"], max_bytes: int) ->
     uneven = np.flatnonzero((step <= 0) | (np.abs(step - dt) > DT_TOLERANCE * abs(dt)))
     if len(uneven):
         row = int(uneven[0]) + 1
-        where = f"{path}, line {_line_of_row(_read_bytes(path, max_bytes), row)}"
+        where = f"{path}, line {_line_of_row(read_bytes(path, max_bytes), row)}"
         if step[row - 1] <= 0:
             raise InputError(
                 f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; expected time to increase."

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.untrusted import MAX_TEXT_BYTES
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.hiro.dat import MAX_BYTES
 from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
 from rcbht_jax.robots.snap_assembly import FRAMES, snap_recordings
 from rcbht_jax.types import Recordings
@@ -140,7 +140,7 @@ def _folders(directory: Path) -> list[Path]:
 
 def _is_table(path: Path) -> bool:
     """Whether a file may be one: pipes and devices never end, and a film takes long to read."""
-    return path.is_file() and path.stat().st_size <= MAX_BYTES
+    return path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES
 
 
 def _is_trial(folder: Path) -> bool:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import struct
-import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.untrusted import (
+    MAX_BYTES,
+    MAX_MEMBERS,
+    check_declared,
+    check_file,
+    declared_bytes,
+    read_arrays,
+)
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.table import MAX_BYTES, Table, check_declared, check_file, tables_of
-
-MAX_MEMBERS = 10_000
-_HEADERS: dict[tuple[int, int], Callable[..., tuple[tuple[int, ...], bool, np.dtype[Any]]]] = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
+from rcbht_jax.io.importing.table import Table, tables_of
 
 
 @contextmanager
@@ -60,34 +61,11 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
     with reading(path, "NPZ"):
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
-                check_declared(path, _declared(file), size)
+                check_declared(path, declared_bytes(file), size)
             arrays = {"values": np.load(path, allow_pickle=False)}
         else:
-            with zipfile.ZipFile(path) as archive:
-                members = archive.infolist()
-                if len(members) > MAX_MEMBERS:
-                    raise InputError(f"{path} holds {len(members)} arrays; expected at most {MAX_MEMBERS}.")
-                total = 0
-                for member in members:
-                    with archive.open(member) as file:
-                        total += _declared(file)
-                    # What is unpacked is the member's size; an array is read up to the size of its header.
-                    check_declared(path, max(total, sum(entry.file_size for entry in members)), size)
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {key: archive[key] for key in archive.files}
+            arrays = read_arrays(path)
     yield from tables_of(path, name, arrays)
-
-
-def _declared(file: Any) -> int:
-    """Bytes of the array that the header of an NPY stream declares."""
-    version = np.lib.format.read_magic(file)
-    shape, _, dtype = _HEADERS[(1, 0) if version == (1, 0) else (2, 0)](file)
-    if dtype.hasobject:
-        raise InputError("it holds Python objects, which are never loaded; save plain arrays")
-    count = 1
-    for length in shape:
-        count *= int(length)
-    return count * max(dtype.itemsize, 1) if min(shape, default=0) >= 0 else -1
 
 
 def read_hdf5(path: Path, name: str, turned: bool = False) -> Iterator[Table]:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.untrusted import MAX_COLUMNS, check_declared, check_file, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_declared, check_file, read_object
+from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
 _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")

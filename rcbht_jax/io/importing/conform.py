@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.untrusted import MAX_VALUES
 from rcbht_jax.errors import InputError
 
 JITTER = 0.25  # of a period: largest distance of a sample from a steady grid that is left as it is
@@ -16,7 +17,6 @@ DRIFT = 0.02  # of a period, after a whole recording: what rounding its period m
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 HELD = 10  # samples in a row at the largest or smallest value
-MAX_SAMPLES = 2**27  # of one resampled recording, all axes
 EQUAL = 1e-3  # relative difference below which two rates are one
 NEAR = 0.05  # the same for recordings whose samples are not evenly spaced
 
@@ -182,7 +182,7 @@ def on_grid(
 def _rows(time: Float[np.ndarray, " sample"], period: float, axes: int) -> int:
     """Samples of a grid from the first to the last time."""
     rows = int((time[-1] - time[0]) / period + 1e-6) + 1
-    if rows * axes > MAX_SAMPLES:
+    if rows * axes > MAX_VALUES:
         raise InputError(
             f"{time[-1] - time[0]:.6g} s at {1 / period:g} samples per second are too many; is its unit s?"
         )

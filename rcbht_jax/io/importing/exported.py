@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, check_declared, check_file, read_object
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import columnar
 from rcbht_jax.io.importing.arrays import reading
-from rcbht_jax.io.importing.table import check_declared, check_file, read_object
-from rcbht_jax.io.importing.text import MAX_TEXT_BYTES, read_csv
+from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
 _OURS = ("recording", "samples", "seconds")

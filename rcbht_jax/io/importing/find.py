@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from rcbht_jax._util.untrusted import MAX_FILES
 from rcbht_jax.errors import InputError
 
 SUFFIXES = {
@@ -14,7 +15,6 @@ SUFFIXES = {
 }  # fmt: skip
 TEXTS = (".txt", ".dat", ".log", ".asc")  # tables where "csv" is asked for
 KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lerobot")
-MAX_FILES = 200_000
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,9 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.untrusted import MAX_MAP_BYTES, read_bytes
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.table import check_file
 
-MAX_MAP_BYTES = 2**20
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -121,9 +120,9 @@ def read_mapping(path: Path) -> Mapping:
     Raises:
         InputError: the file is missing, not TOML, or has an unknown key or a wrong value.
     """
-    check_file(path, MAX_MAP_BYTES)
+    text = read_bytes(path, MAX_MAP_BYTES)
     try:
-        content = tomllib.loads(path.read_bytes().decode())
+        content = tomllib.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not a mapping in TOML: {error}.") from None
     try:

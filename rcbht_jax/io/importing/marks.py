@@ -7,10 +7,11 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.mapping import Mapping, Track
 from rcbht_jax.io.importing.record import text
-from rcbht_jax.io.importing.table import Interval, Table, check_file, read_json
+from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 
 MAX_ROWS = 1_000_000
@@ -107,9 +108,9 @@ def track_intervals(source: Path, name: str, track: Track) -> list[Interval]:
 
 
 def _lines(path: Path) -> list[str]:
-    check_file(path, 2**24)
+    content = read_bytes(path, MAX_JSON_BYTES)
     try:
-        return path.read_text("utf-8").split()
+        return content.decode().split()
     except ValueError:
         raise InputError(f"{path} is not text.") from None
 
@@ -124,7 +125,7 @@ def rows_of(source: Path, mapping: Mapping) -> dict[str, dict[str, str]]:
         return {}
     path = beside(source, "", mapping.table)
     if path.suffix.lower() == ".json":
-        content = read_json(path, 2**26)
+        content = read_json(path)
         if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
             raise InputError(f"{path} is not a list of objects, one per recording.")
         rows = [{str(key): _word(value) for key, value in row.items()} for row in content]

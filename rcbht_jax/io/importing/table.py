@@ -1,9 +1,7 @@
-"""What every reader yields: tables of columns over time; and the limits that keep a hostile file out."""
+"""What every reader yields: tables of columns over time."""
 
 from __future__ import annotations
 
-import json
-import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 
-MAX_COLUMNS = 4096
-MAX_BYTES = 2**31  # of a file, and of the arrays that it declares
-SMALL = 2**26  # bytes; below this nobody asks how well a file is compressed
-MAX_RATIO = 200  # of declared bytes to bytes of the file: far above what measured signals reach
 RATE_NAMES = ("rate", "fs", "fps", "sampling_rate", "sample_rate", "frequency")
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
 
@@ -35,67 +30,6 @@ class Table:
     facts: Mapping[str, str | float] = field(default_factory=dict)  # what holds for the whole table
     intervals: tuple[Interval, ...] = ()
     notes: tuple[str, ...] = ()
-
-
-def check_file(path: Path, most: int = MAX_BYTES) -> int:
-    """Size of a regular file in bytes, before anything is read.
-
-    Raises:
-        InputError: it is missing, a folder, a pipe or a device, empty, or larger than ``most`` bytes.
-    """
-    try:
-        status = path.stat()
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{path} is not a file; expected one, not a folder, a pipe or a device.")
-    if not status.st_size:
-        raise InputError(f"{path} is empty.")
-    if status.st_size > most:
-        raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
-    return status.st_size
-
-
-def read_json(path: Path, most: int = 2**24) -> Any:
-    """A JSON value from a file of at most so many bytes.
-
-    Raises:
-        InputError: missing, too large, or not JSON.
-    """
-    check_file(path, most)
-    try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {error}.") from None
-
-
-def read_object(path: Path) -> dict[str, Any]:
-    """A JSON object from a file.
-
-    Raises:
-        InputError: missing, larger than 16 MiB, or not a JSON object.
-    """
-    value = read_json(path)
-    if not isinstance(value, dict):
-        raise InputError(f"{path} is not a JSON object.")
-    return value
-
-
-def check_declared(path: Path, declared: int, size: int) -> None:
-    """Check how many bytes a file says that it unpacks to, before it is unpacked.
-
-    Args:
-        path: the file.
-        declared: bytes of its arrays.
-        size: bytes of the file.
-
-    Raises:
-        InputError: too many altogether, or too many for a file of this size.
-    """
-    if declared < 0 or declared > MAX_BYTES:
-        raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
-    if declared > max(SMALL, MAX_RATIO * size):
-        raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
 
 
 def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iterator[Table]:

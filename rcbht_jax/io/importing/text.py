@@ -12,11 +12,10 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.table import MAX_COLUMNS, Table, check_file
+from rcbht_jax.io.importing.table import Table
 
-MAX_TEXT_BYTES = 2**29
-MAX_LINE = 2**20  # bytes
 CHUNK = 20_000  # rows that are Python objects at a time
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
@@ -57,9 +56,9 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
 def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
     """The first line with content, and whether it is a comment; of several comments the last."""
     comment = b""
-    while line := file.readline(MAX_LINE):
-        if len(line) == MAX_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{path} has a line of more than {MAX_LINE} bytes; that is not a table.")
+    while line := file.readline(MAX_TABLE_LINE):
+        if len(line) == MAX_TABLE_LINE and not line.endswith(b"\n"):
+            raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
         if line.startswith((b"#", b"%")) and not line.startswith(b"%time"):
             comment = line.lstrip(b"#% ")
         elif line.strip():
@@ -117,10 +116,10 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     file.seek(body)
     if width > MAX_COLUMNS:
         return None
-    while block := file.read(MAX_LINE):
+    while block := file.read(MAX_TABLE_LINE):
         if block.translate(None, _PLAIN):
             return None
-        if len(block) == MAX_LINE and not (b"\n" in block or b"\r" in block):
+        if len(block) == MAX_TABLE_LINE and not (b"\n" in block or b"\r" in block):
             return None  # a line that long would be read as a whole; row by row it is refused
     file.seek(body)
     try:
@@ -138,7 +137,7 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
 def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str]) -> list[NDArray[np.generic]]:
     """Row by row: text columns, empty cells, and a message that names the first bad line."""
     file.seek(0)
-    before = sum(1 for _ in iter(lambda: file.readline(MAX_LINE) if file.tell() < body else b"", b""))
+    before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < body else b"", b""))
     file.seek(body)
     columns = [_Column(path, name) for name in names]
     rows: list[list[str]] = []
@@ -161,9 +160,9 @@ def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str
 
 def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:
     def lines() -> Iterator[str]:
-        while raw := file.readline(MAX_LINE):
-            if len(raw) == MAX_LINE and not raw.endswith(b"\n"):
-                raise InputError(f"{path} has a line of more than {MAX_LINE} bytes; that is not a table.")
+        while raw := file.readline(MAX_TABLE_LINE):
+            if len(raw) == MAX_TABLE_LINE and not raw.endswith(b"\n"):
+                raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
             yield raw.decode("utf-8-sig")
 
     blanks = (line.split() for line in lines())

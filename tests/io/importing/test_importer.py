@@ -239,7 +239,7 @@ def test_the_command_refuses_before_it_reads(tmp_path: Path, capsys: pytest.Capt
     ur5(tmp_path / "ur5.csv")
     base = ["import", "csv", str(tmp_path / "ur5.csv"), str(tmp_path / "a.zarr")]
     for words, sentence in (
-        (["--write-map", str(tmp_path / "ur5.csv")], "exists already"),
+        (["--write-map", str(tmp_path / "ur5.csv")], "is used as source"),
         (["--map", str(tmp_path / "none.toml")], "none.toml cannot be read"),
         (["--topic", "/ft", "--rate", "-3"], "the rate is -3"),
         (["--tare", "-1"], "the tare lasts -1 s"),

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax._util.json_file import load_json
+from rcbht_jax._util.untrusted import load_json
 
 
 def test_json_of_unknown_origin(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    for text in ("", "[", "[" * 100_000, '{"a":' * 100_000, "nonsense"):
+    for text in ("", "[", "[" * 100_000, '{"a":' * 100_000, "nonsense", "NaN", "[Infinity]", "1e999", "9" * 400):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"."):
             load_json(path)
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match="decode"):
+    with pytest.raises(ValueError, match=r"."):
         load_json(path)
     path.write_text('{"a": [1]}')
     assert load_json(path) == {"a": [1]}

@@ -1,0 +1,249 @@
+"""Files of strangers: the one place that opens them, with all limits of size and shape.
+
+A file is looked at before it is read: it must be a regular one (a pipe or a device might never end), of a size that
+fits in memory, and must not unpack to more than measured signals do. Numbers must be finite. Whatever is wrong is an
+``InputError`` or another ValueError.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import stat
+import types
+import typing
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+
+# Bytes. Whoever has more splits the file.
+MAX_BYTES = 2**31  # of a file that is read whole, and of the arrays that it declares
+MAX_TEXT_BYTES = 2**29  # of a table as text
+MAX_JSON_BYTES = 2**26
+MAX_MAP_BYTES = 2**20  # of a mapping
+MAX_BAG_BYTES = 2**34  # of a bag, which is read message by message
+MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 to 4 MiB
+MAX_LINE = 2**16  # of a line of a stream
+MAX_TABLE_LINE = 2**20  # of a line of a table
+SMALL = 2**26  # below this nobody asks how well a file is compressed
+MAX_RATIO = 200  # of bytes that a file declares to its own: far above what measured signals reach
+# Counts.
+MAX_FILES = 200_000  # in a folder
+MAX_MEMBERS = 10_000  # arrays of a file
+MAX_COLUMNS = 4096  # of a table
+MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
+MAX_DIGITS = 300  # of a whole number, which a float must hold
+MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
+
+_HEADERS: Mapping[tuple[int, int], Any] = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int:
+    """Size of a regular file in bytes, before anything is read.
+
+    Args:
+        path: the file.
+        most: bytes that it may have.
+        empty: whether it may have none.
+
+    Raises:
+        InputError: it is missing, a folder, a pipe or a device, or of another size.
+
+    Example:
+        >>> check_file(Path("/dev/zero"))
+        Traceback (most recent call last):
+        rcbht_jax.errors.InputError: /dev/zero is not a regular file; expected one, not a folder, a pipe or a device.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path} is not a regular file; expected one, not a folder, a pipe or a device.")
+    if not (status.st_size or empty):
+        raise InputError(f"{path} is empty.")
+    if status.st_size > most:
+        raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
+    return status.st_size
+
+
+def check_declared(path: Path, declared: int, size: int) -> None:
+    """Check how many bytes a file says that it unpacks to, before it is unpacked.
+
+    Args:
+        path: the file.
+        declared: bytes of its arrays.
+        size: bytes of the file.
+
+    Raises:
+        InputError: too many altogether, or too many for a file of this size.
+    """
+    if declared < 0 or declared > MAX_BYTES:
+        raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
+    if declared > max(SMALL, MAX_RATIO * size):
+        raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
+
+
+def read_bytes(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> bytes:
+    """The content of a file.
+
+    Raises:
+        InputError: see :func:`check_file`, or it cannot be read.
+    """
+    check_file(path, most, empty=empty)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def parse_json(text: str | bytes, finite: bool = True) -> Any:
+    """The value of a JSON text.
+
+    >>> parse_json('[1, 2.5, "NaN"]')
+    [1, 2.5, 'NaN']
+
+    Raises:
+        ValueError: it is not JSON, is nested too deeply, or, where numbers must be ``finite``, one is not.
+    """
+    try:
+        return (
+            json.loads(text, parse_constant=_refused, parse_float=_finite, parse_int=_whole)
+            if finite
+            else json.loads(text)
+        )
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def load_json(path: Path, finite: bool = True) -> Any:
+    """The value in a JSON file.
+
+    >>> load_json(Path("limits.json"))  # doctest: +SKIP
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: see :func:`check_file` and :func:`parse_json`.
+    """
+    path.stat()
+    return parse_json(read_bytes(path, MAX_JSON_BYTES), finite)
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file of an import, where NaN stands for what is unknown.
+
+    Raises:
+        InputError: missing, too large, or not JSON.
+    """
+    content = read_bytes(path, MAX_JSON_BYTES)
+    try:
+        return parse_json(content, finite=False)
+    except ValueError as error:
+        raise InputError(f"{path} is not JSON: {error}.") from None
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """As :func:`read_json` for a JSON object.
+
+    Raises:
+        InputError: missing, too large, or not a JSON object.
+    """
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise InputError(f"{path} is not a JSON object.")
+    return value
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an NPZ file; nothing is unpacked before it is known how much that is.
+
+    Raises:
+        InputError: not a regular file, too many arrays, or arrays too large for it.
+        Exception: a damaged archive can fail in any way inside zipfile and NumPy.
+    """
+    size = check_file(path)
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if len(members) > MAX_MEMBERS:
+            raise InputError(f"{path} holds {len(members)} arrays; expected at most {MAX_MEMBERS}.")
+        declared = 0
+        for member in members:
+            with archive.open(member) as file:
+                declared += declared_bytes(file)
+            # What is unpacked is the member's size; an array is read up to the size of its header.
+            check_declared(path, max(declared, sum(entry.file_size for entry in members)), size)
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
+        return {key: arrays[key] for key in arrays.files}
+
+
+def declared_bytes(file: Any) -> int:
+    """Bytes of the array that the header of an NPY stream declares; -1 = an impossible shape.
+
+    Raises:
+        InputError: it holds Python objects.
+    """
+    version = np.lib.format.read_magic(file)
+    shape, _, dtype = _HEADERS[(1, 0) if version == (1, 0) else (2, 0)](file)
+    if dtype.hasobject:
+        raise InputError("it holds Python objects, which are never loaded; save plain arrays")
+    return math.prod(map(int, shape)) * max(dtype.itemsize, 1) if min(shape, default=0) >= 0 else -1
+
+
+def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON values as the fields of a dataclass: each of the type that the class states, numbers finite.
+
+    >>> from rcbht_jax.learning.svm import SvmSpec
+    >>> checked_fields(SvmSpec, {"kernel": "rbf", "cost": 10})
+    {'kernel': 'rbf', 'cost': 10}
+
+    Raises:
+        InputError: a field that the class does not have, or a value of another type.
+    """
+    hints = typing.get_type_hints(kind)
+    known = {one.name for one in dataclasses.fields(kind)}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"{name} is nothing that a {kind.__name__} has")
+        if not _fits(value, hints[name]):
+            raise InputError(f"{name} is {str(value)[:40]!r}, which it cannot be")
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    origin, within = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in within)
+    if origin is Literal:
+        return isinstance(value, str | int) and value in within
+    if origin is tuple:
+        if not isinstance(value, list | tuple) or (Ellipsis not in within and len(value) != len(within)):
+            return False
+        return all(_fits(one, within[0]) for one in value)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**31
+    return isinstance(value, hint) if isinstance(hint, type) else True
+
+
+def _refused(constant: str) -> float:
+    raise ValueError(f"it holds {constant}, which is no number")
+
+
+def _whole(text: str) -> int:
+    return int(text) if len(text) <= MAX_DIGITS else int(_refused(text[:20] + "..."))
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _refused(text[:20])

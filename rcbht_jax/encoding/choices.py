@@ -1,0 +1,40 @@
+"""Ranges of the choices that every encoder has: counts of samples must fit in 32 bits, also in sums."""
+
+from __future__ import annotations
+
+import math
+
+from rcbht_jax.errors import InputError
+
+MAX_WINDOW = 2**20  # samples
+MAX_SAMPLES = 2**28  # of any duration
+
+
+def check_choices(window: int, dt: float, **seconds: float | None) -> None:
+    """Refuse a window, a sampling period or a duration that no encoder can count.
+
+    Args:
+        window: samples per straight-line fit.
+        dt: seconds between samples.
+        seconds: durations by name; None = without limit.
+
+    Raises:
+        InputError: says which is out of range.
+
+    Example:
+        >>> check_choices(5, 0.005, latency_cap=-1.0)
+        Traceback (most recent call last):
+        rcbht_jax.errors.InputError: The latency cap is -1.0 s; expected a positive number or none.
+    """
+    if not 2 <= window <= MAX_WINDOW:
+        raise InputError(f"The window is {window} samples; a line needs at least 2, and at most {MAX_WINDOW}.")
+    if not 0 < dt < math.inf:
+        raise InputError(f"The sampling period is {dt} s; expected a positive, finite number.")
+    cap = seconds.get("latency_cap")
+    if cap is not None and not 0 < cap < math.inf:
+        raise InputError(f"The latency cap is {cap} s; expected a positive number or none.")
+    for name, value in seconds.items():
+        if value is not None and not 0 <= value <= MAX_SAMPLES * dt:
+            raise InputError(
+                f"{name} is {value} s; expected zero or more, and at most {MAX_SAMPLES} samples of {dt} s."
+            )
