@@ -122,7 +122,10 @@ EXPERIMENTS = (
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
     Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
-    Experiment("kill_resume", "simulation.kill_resume", 3, alone=True),
+    Experiment(
+        "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),
+        shorter_minutes=2,
+    ),
     Experiment("bench", "simulation.bench", 1, alone=True),
     Experiment(
         "stream_speed", "online.stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,
