@@ -173,6 +173,7 @@ EXPERIMENTS = (
     Experiment("repeatability", "simulation.repeatability", 2, elsewhere=GPU),
     Experiment(
         "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
-        results=("engines_gpu", "simulate_gpu"), elsewhere=GPU,
+        elsewhere=GPU,
     ),
+    Experiment("simulate_gpu", "simulation.simulate_gpu", 8, ("{work}",), elsewhere=GPU),
 )  # fmt: skip

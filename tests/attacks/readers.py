@@ -34,7 +34,6 @@ from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.report.results import SCHEMA, read_results
 from sim_mjx.randomization import overrides
-from sim_mjx.synthesis import shards
 from tests.attacks import mutations
 from tests.support.store_cases import simple
 
@@ -154,20 +153,10 @@ def _make_results(path: Path) -> None:
     (path / "a.json").write_text(json.dumps({"schema": SCHEMA, "rows": [row], "notes": {"f": "n"}, "sources": sources}))
 
 
-def _make_shard(path: Path) -> None:
-    path.mkdir()
-    shards.save(path, 0, {"wrench": np.random.default_rng(0).normal(size=(3, 20, 6)), "diverged": np.zeros(3, bool)})
-
-
 def _store(path: Path) -> list[Any]:
     recordings = read_recordings(path)
     verify(path)
     return [recordings.wrench.tolist(), recordings.trial.tolist(), recordings.length.tolist(), len(read_table(path))]
-
-
-def _shard(path: Path) -> list[Any] | None:
-    found = shards.load(path, 0)
-    return None if found is None else [[name, values.tolist()] for name, values in sorted(found.items())]
 
 
 def _table(kind: str) -> Callable[[Path], Any]:
@@ -231,7 +220,6 @@ READERS = (
     Reader("physical.json", lambda path: overrides.write(path, {"parts.tab_stiffness": 1.0}, {}), overrides.read,
            mutations.damaged_json_text, finite),
     Reader("results", _make_results, read_results, None, finite),
-    Reader("shard", _make_shard, _shard, None, lambda good, found: "" if found is None else equal(good, found)),
     Reader("store.zarr", lambda path: write_recordings(path, simple(3, 30), {}), _store, None, equal),
     Reader("bag.mcap", _make_mcap, lambda path: list(read_bag(path)), mutations.damaged, _told),
     Reader("R_Torques.dat", _make_dat, lambda path: read_timed(path, "wrench").values, mutations.damaged_text, finite),

@@ -134,7 +134,7 @@ with redirect_stderr(sys.stdout):
 def test_all_is_everything_but_hardware_peers_and_tools() -> None:
     assert set(extras("all")) == {
         *("mujoco", "mujoco-mjx", "optax", "scikit-learn", "scipy", "zarr", "rosbags", "matplotlib"),
-        *("flatbuffers", "h5py", "pandas", "pyarrow", "xarray", "tqdm", "tyro"),
+        *("flatbuffers", "google-crc32c", "h5py", "numcodecs", "pandas", "pyarrow", "xarray", "tqdm", "tyro"),
     }
 
 

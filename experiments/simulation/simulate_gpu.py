@@ -1,0 +1,66 @@
+"""``rcbht simulate`` on GPUs, from the command to the last byte: nothing compiled, programs in the cache, two devices.
+
+The first row is the second of two equal jobs in one process. Run where there is a GPU:
+python -m experiments.simulation.simulate_gpu FOLDER
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from experiments._lib.results_io import write_result
+from sim_mjx.synthesis import launch
+
+ENGINE, PRESET, LONGEST, TRIALS = "warp", "B", 25.0, 10_000
+COMMAND = ("simulate", "--preset", PRESET, "--max-seconds", str(LONGEST), "--engine", ENGINE, "--window", "5")
+
+
+def in_one_process(folder: Path) -> dict[str, Any]:
+    """The second of two equal jobs, by parts."""
+    out = folder / "in_one_process.json"
+    words = ["--engine", ENGINE, "--sections", "synthesis", "--trials", str(TRIALS), "--out", str(out)]
+    subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True)
+    found: dict[str, Any] = json.loads(out.read_text())["synthesis"]
+    return found | {"gpus": 1}
+
+
+def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
+    """Seconds of the command, its start included."""
+    target = folder / "trials.zarr"
+    words = [*COMMAND, str(target), "--trials", str(trials), "--compile-cache", str(folder / "cache"), "--json"]
+    words += ["--devices", "all"] if len(gpus) > 1 else ["--lanes", str(TRIALS)]
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-m", "rcbht_jax.cli", *words], check=True, stdout=subprocess.DEVNULL,
+        env={**os.environ, launch.DEVICES: ",".join(gpus)},
+    )  # fmt: skip
+    seconds = time.perf_counter() - start
+    shutil.rmtree(target)
+    return {"trials": trials, "gpus": len(gpus), "seconds": round(seconds, 1), "cores": os.cpu_count()}
+
+
+def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
+    """Measure and store."""
+    gpus = launch.visible_devices()
+    rows = {f"{TRIALS:,} trials, one GPU, in a process that has compiled": in_one_process(folder)}
+    for what in ("nothing compiled", "programs in the cache"):
+        rows[f"{TRIALS:,} trials, one GPU, command, {what}"] = command(folder, TRIALS, gpus[:1])
+    if len(gpus) > 1:
+        name = f"{2 * TRIALS:,} trials, {{}}, command, programs in the cache"
+        rows[name.format("one GPU")] = command(folder, 2 * TRIALS, gpus[:1])
+        rows[name.format("two GPUs")] = command(folder, 2 * TRIALS, gpus[:2])
+    about = {"longest_s": LONGEST, "engine": ENGINE, "preset": PRESET, "rows": rows}
+    write_result("simulate_gpu", "python -m experiments.simulation.simulate_gpu FOLDER", about, 0)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
