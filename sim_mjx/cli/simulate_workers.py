@@ -101,7 +101,7 @@ def be_worker(
 
 def worker_text(result: dict[str, Any]) -> str:
     """The result of :func:`be_worker` for people."""
-    rest = "the store is complete" if result["complete"] else "another process joins the shards"
+    rest = "the store is complete" if result["complete"] else "another process completes it"
     return f"{result['simulated']} trials of {result['store']} simulated here; {rest}"
 
 
@@ -126,7 +126,7 @@ def status_text(result: dict[str, Any]) -> str:
         lines.append(f"{result['per_minute']:.0f} trials/min, {left:.1f} min left at this rate")
     lines.append(f"workers: {len(result['workers']) or 'none; the same command without --status goes on'}")
     for one in result["workers"]:
-        what = "joins the shards, or begins" if one["shard"] is None else f"shard {one['shard']}"
+        what = "completes the store, or begins" if one["shard"] is None else f"shard {one['shard']}"
         host = f"{one['host']} process {one['pid']}" if one["pid"] else "not known yet"
         lines.append(f"  {host}: {what}, last seen {one['seconds']:.0f} s ago")
     for one in result["failures"]:

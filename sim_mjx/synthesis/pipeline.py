@@ -125,10 +125,10 @@ def work_on(
     notice: Callable[[str], None] | None = None,
     lanes: int | None = None,
 ) -> tuple[int, bool]:
-    """Be one worker of a job, which this begins where nobody has: until no shard is left, the last one joins them.
+    """Be one worker of a job, which this begins where nobody has; the worker that is last completes the store.
 
     Where the store is complete there is nothing to do. An existing one is never replaced: where a run with
-    ``overwrite`` replaces it, that run joins the shards.
+    ``overwrite`` replaces it, that run completes the new one.
 
     Args:
         target, job, simulate, progress, notice, lanes: as in :func:`synthesise`.

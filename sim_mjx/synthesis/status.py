@@ -23,7 +23,7 @@ class Worker:
 
     host: str
     pid: int
-    shard: int | None  # None = joins the shards, or begins
+    shard: int | None  # None = completes the store, or begins
     seconds: float  # since its last sign of life
 
 

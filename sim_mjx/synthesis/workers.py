@@ -173,7 +173,7 @@ def work_in_lanes(draft: Draft, stream: Callable[[Iterator[tuple[int, Any]]], It
 
 
 def is_open(folder: Path) -> bool:
-    """Whether there is something to work on: the plan is there, and nobody joins its shards."""
+    """Whether there is something to work on: the plan is there, and nobody completes the store."""
     return shards.has_plan(folder) and all(
         one.state in ("failed", "released") for one in claims.attempts(folder, "join")
     )

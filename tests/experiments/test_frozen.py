@@ -21,8 +21,8 @@ from rcbht_jax.features import ABSOLUTE
 from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning.svm import Grid
-from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
+from tests.support.blank_trials import blank_trials
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 TRIALS, STATE, DT, SEED = 16, 60, 0.005, 3  # STATE: samples in each of the four states
@@ -87,7 +87,7 @@ def test_the_frozen_method_is_the_one_that_its_rule_chooses() -> None:
 def test_no_session_but_a_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
     source = np.array([frozen_choice.SIM1, frozen_choice.FAILURES, *["other"] * (TRIALS - 2)])
     session = np.array(["SIM1", "SIM1F", *"ABC", *["B"] * (TRIALS - 5)])
-    known = replace(recordings(), source=source, session=session)
+    known = replace(blank_trials(TRIALS, STATE, DT), source=source, session=session)
     monkeypatch.setattr(frozen_choice, "recorded", lambda: known)
     assert set(frozen_choice.Experiment().recordings.session) == {"SIM1", "SIM1F", "A"}
     assert set(frozen_stream_choice.permitted(known).session) == {"SIM1", "A"}
@@ -131,17 +131,6 @@ def test_intervals_have_a_width() -> None:
         assert ("trials with a mistake, at most" in row) == (row["trials with a mistake"] == 0)
 
 
-def recordings() -> Recordings:
-    onset = np.tile(np.arange(4) * STATE * DT, (TRIALS, 1))
-    text = np.full(TRIALS, "")
-    return snap_recordings(
-        wrench=np.zeros((TRIALS, 4 * STATE, 6), np.float32), length=np.full(TRIALS, 4 * STATE, np.int32), dt=DT,
-        onset=onset, onset_harmonised=onset, trial=np.array([f"t{k:02d}" for k in range(TRIALS)]),
-        arm=np.full(TRIALS, "R"), source=text, session=text, outcome=np.full(TRIALS, "success"), failure_type=text,
-        deviation=np.zeros((TRIALS, 3)), note=text,
-    )  # fmt: skip
-
-
 class Spoilt(causal.Stream):
     """A stream whose features are noise and the present state, but not numbers where nobody may read them."""
 
@@ -165,7 +154,9 @@ class Spoilt(causal.Stream):
 def stream() -> Spoilt:
     part = {"families": ["levels", "spread"], "balance": True, "grid": FAST, "ends": 1}
     streamed = {"encoder": "W5", "rate": 10.0, "belief": "phase", "state": part, "phase": part}
-    made = Spoilt(frozen.FrozenMethod({**frozen_stream_choice.ENCODER, "streamed": streamed}), recordings())
+    made = Spoilt(
+        frozen.FrozenMethod({**frozen_stream_choice.ENCODER, "streamed": streamed}), blank_trials(TRIALS, STATE, DT)
+    )
     made.inside = causal.inside_of(made, (), SEED)
     return made
 

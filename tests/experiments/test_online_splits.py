@@ -14,22 +14,10 @@ from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots, regular_snapshots, since_trial_start, training_snapshots
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
-from rcbht_jax.robots.snap_assembly import snap_recordings
-from rcbht_jax.types import Recordings
+from tests.support.blank_trials import blank_trials
 
 TRIALS, STATE, DT, EVERY, SEED = 16, 60, 0.005, 20, 3  # STATE: samples in each of the four states
 FAST = Grid(kernels=("linear",), costs=(1.0,), scalings=(True,), inner=2)
-
-
-def data() -> Recordings:
-    onset = np.tile(np.arange(4) * STATE * DT, (TRIALS, 1))
-    text = np.full(TRIALS, "")
-    return snap_recordings(
-        wrench=np.zeros((TRIALS, 4 * STATE, 6), np.float32), length=np.full(TRIALS, 4 * STATE, np.int32), dt=DT,
-        onset=onset, onset_harmonised=onset, trial=np.array([f"t{k:02d}" for k in range(TRIALS)]),
-        arm=np.full(TRIALS, "R"), source=text, session=text, outcome=np.full(TRIALS, "success"), failure_type=text,
-        deviation=np.zeros((TRIALS, 3)), note=text,
-    )  # fmt: skip
 
 
 def features(snapshots: Snapshots, columns: int) -> np.ndarray:
@@ -58,7 +46,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 @pytest.fixture
 def items() -> LabelledIntervals:
-    return labelled_intervals(data(), TaskSpec())
+    return labelled_intervals(blank_trials(TRIALS, STATE, DT), TaskSpec())
 
 
 def test_halves_never_divide_a_trial(items: LabelledIntervals) -> None:
@@ -114,8 +102,8 @@ def test_detected_starts_trains_on_one_half_and_scores_the_other(
         trains = inside[view.snapshots.interval]
         hidden[name] = replace(view, x=spoilt(view.x, ~trains if "trains" in name else trains))
     encoder = WORDS[PAPER].encoder(np.ones(6), DT)
-    result = detected_starts.repeat(data(), items, views, encoder, SEED)
-    assert_same(detected_starts.repeat(data(), items, hidden, encoder, SEED), result)
+    result = detected_starts.repeat(blank_trials(TRIALS, STATE, DT), items, views, encoder, SEED)
+    assert_same(detected_starts.repeat(blank_trials(TRIALS, STATE, DT), items, hidden, encoder, SEED), result)
     assert len(result["errors"]) == TRIALS / 2
     assert result["macro step accuracy, given"] > 0.8
     assert result["macro step accuracy, phase alone"] > 0.6
