@@ -67,7 +67,11 @@ class Lanes:
         return self._busy / max(self._offered, 1)
 
     def run(
-        self, batches: Iterable[tuple[Hashable, Any]], *, progress: Callable[[int], None] | None = None
+        self,
+        batches: Iterable[tuple[Hashable, Any]],
+        *,
+        progress: Callable[[int], None] | None = None,
+        ready: Callable[[], bool] = lambda: True,
     ) -> Iterator[tuple[list[Trial], Outcome]]:
         """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
 
@@ -78,9 +82,10 @@ class Lanes:
             batches: (key, parameters of the scene's program), best none larger than the first; one is asked for when
                 lanes are free.
             progress: called with the number of control periods done since the last call, summed over trials.
+            ready: whether the next batch is there without waiting; lanes that are busy do not wait for it.
         """
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
-        queue = _Queue(self.scene, iter(batches))
+        queue = _Queue(self.scene, iter(batches), ready)
         if not queue.refilled():
             return
         lanes = -(-self.count // device.LANES) * device.LANES
@@ -93,7 +98,11 @@ class Lanes:
         logs: Logs | None = None
         fresh = True  # lanes begin with the first trials: nothing to copy
         while True:
-            while (idle := [lane for lane in range(lanes) if trial[lane] is None]) and free and queue.refilled():
+            while (
+                (idle := [lane for lane in range(lanes) if trial[lane] is None])
+                and free
+                and queue.refilled(wait=len(idle) == lanes)
+            ):
                 rows = queue.take(min(len(idle), len(free)))
                 chosen = idle[: len(rows)]
                 for lane, row in zip(chosen, rows, strict=True):
@@ -122,10 +131,10 @@ class Lanes:
             for lane in np.flatnonzero(working & (ended | (age >= queue.blocks))).tolist():
                 done.add(_Ended(trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
                 trial[lane], slot[lane] = None, slots
-            more = queue.refilled()
-            while ready := done.take(queue.sizes, short=more and len(free) < trial.count(None)):
-                yield self._taken_out(ready, logs)
-                free += [one.slot for one in ready]
+            more = queue.refilled(wait=False)
+            while whole := done.take(queue.sizes, short=more and len(free) < trial.count(None)):
+                yield self._taken_out(whole, logs)
+                free += [one.slot for one in whole]
 
     def _fixed(self, queue: _Queue, lanes: int) -> Fixed:
         """The lanes with the first trials of the queue; a spare lane repeats the last of them."""
@@ -177,8 +186,8 @@ class _Done:
 class _Queue:
     """The trials that have not begun, a batch at a time on the device."""
 
-    def __init__(self, scene: Scene, batches: Iterator[tuple[Hashable, Any]]) -> None:
-        self._scene, self._batches, self._size = scene, batches, 0
+    def __init__(self, scene: Scene, batches: Iterator[tuple[Hashable, Any]], ready: Callable[[], bool]) -> None:
+        self._scene, self._batches, self._ready, self._size = scene, batches, ready, 0
         self._next = self._stop = 0
         self.key: Hashable = None
         self.sizes = dict[Hashable, int]()  # trials of each batch that are not taken out
@@ -190,10 +199,12 @@ class _Queue:
         """Trials of the present batch that have not begun."""
         return self._stop - self._next
 
-    def refilled(self) -> bool:
-        """Whether a trial is left, if need be of the next batch."""
+    def refilled(self, wait: bool = True) -> bool:
+        """Whether a trial is left, if need be of the next batch, unless that is not there and nobody waits for it."""
         if self.left:
             return True
+        if not wait and not self._ready():
+            return False
         drawn = next(self._batches, None)
         if drawn is None:
             return False

@@ -22,7 +22,6 @@ from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
-from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import records, shards, tables
@@ -63,17 +62,16 @@ class Draft:
         """Parameters and faults of the trials of a shard."""
         return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), self.job.spec)
 
-    def write(self, shard: int, drawn: Drawn, out: Rollouts, tracks: LabelTracks | None) -> None:
+    def write(self, shard: int, drawn: Drawn, arrays: Arrays, tracks: LabelTracks | None) -> None:
         """Write a shard to its place; the first one creates the store. Any process may write any shard.
 
         Args:
             shard: its number.
             drawn: of :meth:`draw`.
-            out: its trials.
+            arrays: of its trials, as of :func:`sim_mjx.synthesis.records.of_trials`.
             tracks: their labels ``[trial * wrist, axis, slot]``, if the job has a window.
         """
         (params, faults), index = drawn, np.array(indices(self.job, shard))
-        arrays = records.of_trials(out, self.scenario.recorded)
         rows = _without(arrays, arrays["diverged"])
         recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))

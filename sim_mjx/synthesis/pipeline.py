@@ -212,10 +212,15 @@ def _work(
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
-        def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
-            return records.simulate_in_lanes(scene, batches, job.engine, count, min(job.shard, count), *labels)
+        def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
+            from sim_mjx.synthesis.in_lanes import simulate_in_lanes  # MJX takes seconds to import
 
-        made = workers.work_in_lanes(draft, stream, tally)
+            at_once = min(job.shard, count)
+            return simulate_in_lanes(
+                scene, batches, job.engine, count, at_once, *labels, recorded=scenario.recorded, ready=ready
+            )
+
+        made = workers.work_in_lanes(draft, stream, count, tally)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import fields
-from threading import Lock
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Float32, Float64, Int, Shaped
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_on_device
@@ -22,15 +20,15 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
 from sim_mjx import engines
-from sim_mjx.assembly.rollout import Rollouts, batch_size
+from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
-from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
 Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
+Span = tuple[int, slice]  # number of a trial, and samples of it
+Degrees = Float64[np.ndarray, " sample"]
 LABEL_FIELDS = tuple(field.name for field in fields(LabelTrack))
-COPIES = 2  # batches that are copied to the host at the same time
 TILTS = 2**16  # angles that are computed at once
 # No robot of this kind measures or moves so much: beyond, the physics has diverged, finite or not.
 MOST_WRENCH, MOST_STEP = 2000.0, 0.1  # N or Nm; rad per control period
@@ -44,11 +42,9 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
         recorded: whether it is the recorded assembly, whose ends of rotation are moved as in recorded trials.
     """
     diverged = _diverged(out)
-    # a trial that was stopped has "entered" all later states with its last sample
-    last = (out.length - 1)[:, None] * CONTROL_PERIOD
-    onset = np.where((out.onset < last - CONTROL_PERIOD / 2) | (np.arange(out.onset.shape[1]) == 0), out.onset, np.nan)
+    onset = reached(out.onset, out.length)
     if recorded:
-        better, notes = _harmonised(onset, out, diverged)
+        better, notes = harmonised(onset, out.length, diverged, partial(_tilts, out.joints))
     else:
         better, notes = onset, np.full(len(onset), "")
     wrench = out.wrench[:, : out.length.max()]
@@ -88,39 +84,58 @@ def _diverged(out: Rollouts) -> NDArray[np.bool_]:
     return diverged
 
 
-def _harmonised(
-    onset: NDArray[np.float64], out: Rollouts, diverged: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
-    """Onsets [trial, 4] with the end of a rotation that lasted one sample moved, as in recorded trials; and notes."""
+def reached(
+    onset: Float64[np.ndarray, "trial state"], length: Int[np.ndarray, " trial"]
+) -> Float64[np.ndarray, "trial state"]:
+    """Onsets without those of states that a stopped trial "entered" with its last sample; s, NaN = never reached."""
+    last = (length - 1)[:, None] * CONTROL_PERIOD
+    return np.where((onset < last - CONTROL_PERIOD / 2) | (np.arange(onset.shape[1]) == 0), onset, np.nan)
+
+
+def harmonised(
+    onset: Float64[np.ndarray, "trial 4"],
+    length: Int[np.ndarray, " trial"],
+    diverged: Bool[np.ndarray, " trial"],
+    tilts: Callable[[list[Span]], list[Degrees]],
+) -> tuple[Float64[np.ndarray, "trial 4"], Shaped[np.ndarray, " trial"]]:
+    """Onsets with the end of a rotation that lasted one sample moved, as in recorded trials; and notes.
+
+    Args:
+        onset: of :func:`reached`.
+        length: samples of each trial.
+        diverged: trials that are left as they are.
+        tilts: angles between hand and vertical in spans of trials.
+    """
     better, notes = onset.copy(), [""] * len(onset)
     rows = [
         row for row in np.flatnonzero(~diverged).tolist()
         if onsets.needs_harmonising(onset[row], CONTROL_PERIOD)
     ]  # fmt: skip
-    ends = np.where(np.isfinite(onset[:, 3]), np.round(onset[:, 3] / CONTROL_PERIOD), out.length).astype(np.int64)
-    spans = [slice(int(np.round(onset[row, 1] / CONTROL_PERIOD)), int(ends[row])) for row in rows]
-    tilts = _tilts([out.joints[row, span, :6] for row, span in zip(rows, spans, strict=True)])
-    for row, span, tilt in zip(rows, spans, tilts, strict=True):
+    ends = np.where(np.isfinite(onset[:, 3]), np.round(onset[:, 3] / CONTROL_PERIOD), length).astype(np.int64)
+    spans = [(row, slice(int(np.round(onset[row, 1] / CONTROL_PERIOD)), int(ends[row]))) for row in rows]
+    for (row, span), tilt in zip(spans, tilts(spans), strict=True):
         times = np.arange(span.start, span.stop, dtype=np.float64) * CONTROL_PERIOD
         better[row], notes[row] = onsets.harmonised(onset[row], times, tilt)
     return better, np.array(notes, np.str_)
 
 
-def _tilts(joints: list[NDArray[np.float32]]) -> list[NDArray[np.float64]]:
-    """Angles [n] in degrees between hand and vertical, for each array of joint angles [n, 6]."""
-    if not joints:
+def _tilts(joints: Float32[np.ndarray, "trial time joint"], spans: list[Span]) -> list[Degrees]:
+    """Angles between hand and vertical in each span."""
+    if not spans:
         return []
-    flat = np.concatenate(joints)
+    each = [joints[row, span, :6] for row, span in spans]
+    flat = np.concatenate(each)
     angles = np.empty(-(-len(flat) // TILTS) * TILTS)
     for start in range(0, len(flat), TILTS):
         block = np.zeros((TILTS, 6), np.float32)  # always full: a compiler may round the last lanes differently
         block[: len(flat) - start] = flat[start : start + TILTS]
-        angles[start : start + TILTS] = _tilt(block)
-    return np.split(np.degrees(angles[: len(flat)]), np.cumsum([len(part) for part in joints])[:-1])
+        angles[start : start + TILTS] = tilt(block)
+    return np.split(np.degrees(angles[: len(flat)]), np.cumsum([len(part) for part in each])[:-1])
 
 
 @jax.jit
-def _tilt(joints: jax.Array) -> jax.Array:
+def tilt(joints: Float[Array, "*batch 6"]) -> Float[Array, "*batch"]:
+    """Angle between hand and vertical, rad."""
     return kinematics.tilt(kinematics.fk(joints)[1])
 
 
@@ -157,73 +172,16 @@ def simulate_labelled(
     from sim_mjx.engines import device  # MJX takes seconds to import
 
     there = device.run(scene, params, engines.IMPLEMENTATIONS[engine], progress=progress)
-    tracks = encode_on_device(config, limits, *_by_wrist(there.wrench, there.length))
+    tracks = encode_on_device(config, limits, *by_wrist(there.wrench, there.length))
     return device.to_host(there), jax.device_get(tracks)
-
-
-def simulate_in_lanes(
-    scene: Scene,
-    batches: Iterable[tuple[Hashable, Any]],
-    engine: str,
-    lanes: int,
-    at_once: int,
-    config: EncoderConfig | None = None,
-    limits: Float[Array, "6 4"] | None = None,
-) -> Iterator[Shard]:
-    """Simulate and label batches that share the lanes of a device; each comes when its last trial has ended.
-
-    Copies to the host and what is done there overlap with the physics.
-
-    Args:
-        scene: what is simulated.
-        batches: (key, batch of trials of the scene's program).
-        engine: "mjx" or "warp".
-        lanes: trials that are stepped together.
-        at_once: trials that leave the device together, best those of a batch.
-        config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
-
-    Raises:
-        InputError: unknown engine, or what it needs is not installed.
-    """
-    engines.check(engine)
-    from sim_mjx.engines import device  # MJX takes seconds to import
-    from sim_mjx.engines.lanes import Lanes
-
-    group, one_at_a_time = Regroup(), Lock()
-
-    def expected() -> Iterator[tuple[Hashable, Any]]:
-        for key, params in batches:
-            with one_at_a_time:
-                group.expect(key, batch_size(params))
-            yield key, params
-
-    def onto_host(trials: list[Trial], out: device.Outcome, tracks: LabelTracks | None) -> list[Shard]:
-        rollouts, labels = device.to_host(out), jax.device_get(tracks)
-        with one_at_a_time:
-            return group.add(trials, rollouts, labels)
-
-    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
-    with ThreadPoolExecutor(COPIES) as host:
-        waiting: deque[Future[list[Shard]]] = deque()
-        for trials, out in machine.run(expected()):
-            tracks = None
-            if config is not None and limits is not None:
-                tracks = encode_on_device(config, limits, *_by_wrist(out.wrench, out.length))
-            waiting.append(host.submit(onto_host, trials, out, tracks))
-            while waiting and (waiting[0].done() or len(waiting) > COPIES):  # more would fill the memory
-                yield from waiting.popleft().result()
-        while waiting:
-            yield from waiting.popleft().result()
 
 
 def label(out: Rollouts, config: EncoderConfig, limits: Float[Array, "6 4"]) -> LabelTracks:
     """Labels of trials on the host; see :func:`simulate_labelled`."""
-    return jax.device_get(
-        encode_on_device(config, limits, *_by_wrist(jnp.asarray(out.wrench), jnp.asarray(out.length)))
-    )
+    return jax.device_get(encode_on_device(config, limits, *by_wrist(jnp.asarray(out.wrench), jnp.asarray(out.length))))
 
 
-def _by_wrist(wrench: Array, length: Array) -> tuple[Array, Array]:
+def by_wrist(wrench: Array, length: Array) -> tuple[Array, Array]:
     """One recording per wrist: wrench [trial, time, 6K] -> [trial * K, time, 6]."""
     trials, samples, columns = wrench.shape
     wrists = columns // 6

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import jax
@@ -12,24 +11,23 @@ from jaxtyping import Int
 from numpy.typing import NDArray
 
 from rcbht_jax.types import LabelTracks
-from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.synthesis.records import Arrays
 
-Arrays = NDArray[Any]
 Trial = tuple[Hashable, int]  # key of its shard, and number in it
-PADDED = ("wrench", "joints")  # fields of rollouts that are as long as the longest trial
+PADDED = "wrench"  # the array that is as long as the longest trial
 
 
 class Shard(NamedTuple):
     """A shard whose trials have all ended."""
 
     key: Hashable
-    trials: Rollouts
+    rows: Arrays  # of its trials, as of ``records.of_trials``
     tracks: LabelTracks | None  # [trial * wrist, axis, slot]
 
 
 class _Piece(NamedTuple):
-    rows: Int[np.ndarray, " trial"]  # in the shard
-    trials: Rollouts
+    at: Int[np.ndarray, " trial"]  # in the shard
+    rows: Arrays
     tracks: LabelTracks | None
 
 
@@ -44,12 +42,12 @@ class Regroup:
         """A shard of so many trials will come."""
         self._missing[key], self._pieces[key] = count, []
 
-    def add(self, trials: Sequence[Trial], out: Rollouts, tracks: LabelTracks | None) -> list[Shard]:
+    def add(self, trials: Sequence[Trial], rows: Arrays, tracks: LabelTracks | None) -> list[Shard]:
         """Trials that have ended.
 
         Args:
             trials: shard and number in it of each.
-            out: the trials; rows behind the last of them are ignored.
+            rows: arrays of the trials; those behind the last of them are ignored.
             tracks: their labels ``[trial * wrist, axis, slot]``, or none.
 
         Returns:
@@ -58,49 +56,48 @@ class Regroup:
         complete = []
         keys = [key for key, _ in trials]
         for key in dict.fromkeys(keys):
-            at = np.array([place for place, other in enumerate(keys) if other == key])
-            rows = np.array([trials[place][1] for place in at])
-            which = slice(0, len(at)) if at[-1] == len(at) - 1 else at  # a view where it can be
-            self._pieces[key].append(_Piece(rows, _taken(out, which), _labels_taken(tracks, which, len(out.length))))
-            self._missing[key] -= len(rows)
+            places = np.array([place for place, other in enumerate(keys) if other == key])
+            at = np.array([trials[place][1] for place in places])
+            which = slice(0, len(at)) if places[-1] == len(at) - 1 else places  # a view where it can be
+            labels = _labels_taken(tracks, which, len(rows["length"]))
+            self._pieces[key].append(_Piece(at, _taken(rows, which), labels))
+            self._missing[key] -= len(at)
             if not self._missing[key]:
                 del self._missing[key]
                 complete.append(_joined(key, self._pieces.pop(key)))
         return complete
 
 
-def _taken(out: Rollouts, at: Arrays | slice) -> Rollouts:
+def _taken(rows: Arrays, which: NDArray[Any] | slice) -> Arrays:
     """Some trials, cut where the longest of them ends."""
-    longest = int(out.length[at].max())
-    values = {field.name: getattr(out, field.name)[at] for field in fields(Rollouts) if field.name not in PADDED}
-    return Rollouts(**values, **{name: getattr(out, name)[at, :longest] for name in PADDED})
+    taken = {name: values[which] for name, values in rows.items()}
+    return taken | {PADDED: taken[PADDED][:, : int(taken["length"].max())]}
 
 
-def _labels_taken(tracks: LabelTracks | None, at: Arrays | slice, trials: int) -> LabelTracks | None:
+def _labels_taken(tracks: LabelTracks | None, which: NDArray[Any] | slice, trials: int) -> LabelTracks | None:
     """Labels ``[trial, wrist * axis * slot ...]`` of some trials."""
     if tracks is None:
         return None
-    return jax.tree.map(lambda leaf: leaf.reshape(trials, -1, *leaf.shape[1:])[at], tracks)
+    return jax.tree.map(lambda leaf: leaf.reshape(trials, -1, *leaf.shape[1:])[which], tracks)
 
 
 def _joined(key: Hashable, pieces: list[_Piece]) -> Shard:
-    rows = [piece.rows for piece in pieces]
-    names = [field.name for field in fields(Rollouts)]
-    trials = Rollouts(**{name: _filled(rows, [getattr(piece.trials, name) for piece in pieces]) for name in names})
+    at = [piece.at for piece in pieces]
+    rows = {name: _filled(at, [piece.rows[name] for piece in pieces]) for name in pieces[0].rows}
     labels = [piece.tracks for piece in pieces if piece.tracks is not None]
     if not labels:
-        return Shard(key, trials, None)
-    tracks = jax.tree.map(lambda *leaves: _filled(rows, list(leaves)), *labels)
-    return Shard(key, trials, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tracks))
+        return Shard(key, rows, None)
+    tracks = jax.tree.map(lambda *leaves: _filled(at, list(leaves)), *labels)
+    return Shard(key, rows, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), tracks))
 
 
-def _filled(rows: list[Arrays], parts: list[Arrays]) -> Arrays:
+def _filled(at: list[NDArray[Any]], parts: list[NDArray[Any]]) -> NDArray[Any]:
     """Parts ``[trial, ...]`` in their rows, padded with zeros to the largest."""
-    if len(parts) == 1 and np.array_equal(rows[0], np.arange(len(parts[0]))):
+    if len(parts) == 1 and np.array_equal(at[0], np.arange(len(parts[0]))):
         return parts[0]  # the shard in one piece, in order: most are
     shape = np.max([part.shape[1:] for part in parts], axis=0).astype(int)
-    out = np.zeros((sum(map(len, rows)), *shape), parts[0].dtype)
-    for where, part in zip(rows, parts, strict=True):
+    out = np.zeros((sum(map(len, at)), *shape), np.result_type(*parts))
+    for where, part in zip(at, parts, strict=True):
         place: tuple[Any, ...] = (where, *(slice(size) for size in part.shape[1:]))
         out[place] = part
     return out

@@ -18,13 +18,15 @@ from typing import Any
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.synthesis import claims, shards
+from sim_mjx.synthesis import claims, records, shards
+from sim_mjx.synthesis.ahead import Ahead
 from sim_mjx.synthesis.draft import Draft, Drawn
 from sim_mjx.synthesis.plan import SynthesisConfig, indices
 from sim_mjx.synthesis.regroup import Shard
 
 TRIES = 3  # of a shard that fails
-WRITERS = 4  # shards that are written at the same time; each takes about a megabyte a trial
+WRITERS = 12  # shards that are written at the same time, a thread each; they take half a megabyte a trial
+AHEAD = 2  # shards that are drawn before lanes are free for them
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
 
 Labelled = tuple[Rollouts, LabelTracks | None]
@@ -112,7 +114,10 @@ def work(draft: Draft, simulate: Callable[[Any], Labelled], tally: Tally) -> int
     return made
 
 
-def work_in_lanes(draft: Draft, stream: Callable[[Iterator[tuple[int, Any]]], Iterator[Shard]], tally: Tally) -> int:
+Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool]], Iterator[Shard]]
+
+
+def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int:
     """Simulate and write the missing shards that nobody holds, as many at once as a device has lanes for.
 
     A shard is claimed when lanes become free for its trials, and written by threads while others are simulated. Shards
@@ -121,7 +126,8 @@ def work_in_lanes(draft: Draft, stream: Callable[[Iterator[tuple[int, Any]]], It
     Args:
         draft, tally: as in :func:`work`.
         stream: simulates shards (number, parameters), asking for the next one when it has room; returns them in any
-            order.
+            order. It is also given a function that says whether the next one is there without waiting.
+        lanes: trials that it simulates together.
 
     Returns:
         trials of the shards of this worker.
@@ -143,16 +149,16 @@ def work_in_lanes(draft: Draft, stream: Callable[[Iterator[tuple[int, Any]]], It
     def write(made: Shard) -> None:
         shard = int(str(made.key))
         claim, drawn = held[shard]
-        draft.write(shard, drawn, made.trials, made.tracks)
+        draft.write(shard, drawn, made.rows, made.tracks)
         claim.done()
         done.add(shard)
         del held[shard]
 
-    writers = min(WRITERS, os.cpu_count() or 1)
+    writers, fill = min(WRITERS, os.cpu_count() or 1), -(-lanes // draft.job.shard)
     try:
-        with ThreadPoolExecutor(writers) as pool:
+        with Ahead(batches(), fill, AHEAD) as coming, ThreadPoolExecutor(writers) as pool:
             writing: deque[Future[None]] = deque()
-            for shard in stream(batches()):
+            for shard in stream(coming, coming.ready):
                 writing.append(pool.submit(write, shard))
                 while writing and (writing[0].done() or len(writing) > writers):  # more would fill the memory
                     writing.popleft().result()
@@ -204,7 +210,8 @@ def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: 
             claim.done()
             return 0
         drawn = draft.draw(shard)
-        draft.write(shard, drawn, *simulate(drawn[0]))
+        out, tracks = simulate(drawn[0])
+        draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), tracks)
     except (InputError, OSError):  # of the input or the machine: the next shard would fare no better
         claim.release()
         raise

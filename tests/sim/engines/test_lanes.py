@@ -15,6 +15,7 @@ from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.engines import device
 from sim_mjx.engines.lanes import Lanes
 from sim_mjx.synthesis import records
+from sim_mjx.synthesis.in_lanes import simulate_in_lanes
 from tests.support.plunger import PlungerParams, plunger, plunger_trials
 
 SCENE = plunger()
@@ -100,12 +101,13 @@ def test_shards_that_share_lanes_are_those_that_have_them_alone() -> None:
     params, config, limits = plunger_trials(TIMEOUT[:20]), EncoderConfig(window=5), np.asarray(preset().limits)
     sizes = {"a": range(8), "b": range(8, 15), "c": range(15, 20)}
     batches = ((key, some(params, rows)) for key, rows in sizes.items())
-    found = {shard.key: shard for shard in records.simulate_in_lanes(SCENE, batches, "mjx", 8, 3, config, limits)}
+    made = simulate_in_lanes(SCENE, batches, "mjx", 8, 3, config, limits, recorded=False)
+    found = {shard.key: shard for shard in made}
     assert set(found) == set(sizes)
     for key, rows in sizes.items():
         out, tracks = records.simulate_labelled(SCENE, some(params, rows), "mjx", config, limits)
-        for name, expected in vars(out).items():
-            np.testing.assert_array_equal(getattr(found[key].trials, name), expected)
+        for name, expected in records.of_trials(out, recorded=False).items():
+            np.testing.assert_array_equal(found[key].rows[name], expected)
         again = records.of_labels(found[key].tracks, len(rows))
         for name, values in records.of_labels(tracks, len(rows)).items():
             np.testing.assert_array_equal(again[name], values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis import claims, shards, workers
+from sim_mjx.synthesis import claims, records, shards, workers
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig, manifest_of
@@ -21,21 +21,25 @@ from tests.support.fake_simulation import JOB, fake_engine, tree
 MADE = list[int]
 
 
+def fake_rows(params: Any) -> records.Arrays:
+    return records.of_trials(fake_engine(params))
+
+
 def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB) -> Path:
     """Work of one worker in lanes on a new plan."""
     target = tmp_path / "lanes.zarr"
     folder = shards.folder_of(target)
     shards.begin(folder, manifest_of(job))
     draft = Draft(folder, job, get_scenario(job.preset), manifest_of(job))
-    workers.work_in_lanes(draft, stream, Tally(job, set(), None))
+    workers.work_in_lanes(draft, stream, 4, Tally(job, set(), None))
     return target
 
 
-def backwards(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+def backwards(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
     """Takes three shards at a time and returns the last first."""
     taken = []
     for shard, params in batches:
-        taken.append(Shard(shard, fake_engine(params), None))
+        taken.append(Shard(shard, fake_rows(params), None))
         if len(taken) == 3:
             yield from reversed(taken)
             taken = []
@@ -55,10 +59,10 @@ def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path) -> None:
 def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
     seen: MADE = []
 
-    def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+    def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
         for shard, params in batches:
             seen.append(shard)
-            yield Shard(shard, fake_engine(params), None)
+            yield Shard(shard, fake_rows(params), None)
 
     folder = shards.folder_of(tmp_path / "lanes.zarr")
     shards.begin(folder, manifest_of(JOB))
@@ -73,9 +77,9 @@ def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
     ("error", "state"), [(RuntimeError("lost device"), "failed"), (InputError("No disk."), "released")]
 )
 def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: str) -> None:
-    def stream(batches: Iterator[tuple[int, Any]]) -> Iterator[Shard]:
+    def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
         first, second, third = (next(batches) for _ in range(3))
-        yield Shard(second[0], fake_engine(second[1]), None)
+        yield Shard(second[0], fake_rows(second[1]), None)
         assert first[0] != third[0]
         raise error
 

@@ -1,0 +1,144 @@
+"""Shards of trials on the lanes of a device: simulated, labelled and reduced there to what is stored."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from threading import Lock
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from rcbht_jax.encoding.batch import encode_on_device
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.types import Array, LabelTracks
+from sim_mjx import engines
+from sim_mjx.assembly.rollout import Program, batch_size
+from sim_mjx.assembly.scene import Scene
+from sim_mjx.engines.device import Outcome
+from sim_mjx.engines.lanes import Lanes
+from sim_mjx.synthesis import records
+from sim_mjx.synthesis.records import Arrays
+from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
+
+COPIES = 2  # batches that are copied to the host at the same time
+BLOCK = 4096  # angles: whole blocks, since a compiler may round the last lanes differently
+
+
+class Measured(NamedTuple):
+    """What the host needs of trials; zero after a trial's end, and where the physics diverged."""
+
+    wrench: Float[Array, "trial time reading"]
+    length: Int[Array, " trial"]
+    entered: Int[Array, "trial phase"]  # control period in which each began, -1 = never
+    seated: Bool[Array, "trial tab"]
+    diverged: Bool[Array, " trial"]
+    tilt: Float[Array, "trial time"] | None  # rad, of the hand from the vertical; None = not asked for
+
+
+def simulate_in_lanes(
+    scene: Scene,
+    batches: Iterable[tuple[Hashable, Any]],
+    engine: str,
+    lanes: int,
+    at_once: int,
+    config: EncoderConfig | None = None,
+    limits: Float[Array, "6 4"] | None = None,
+    *,
+    recorded: bool = True,
+    ready: Callable[[], bool] = lambda: True,
+) -> Iterator[Shard]:
+    """Simulate and label batches that share the lanes of a device; each comes when its last trial has ended.
+
+    Copies to the host and what is done there overlap with the physics.
+
+    Args:
+        scene: what is simulated.
+        batches: (key, batch of trials of the scene's program).
+        engine: "mjx" or "warp".
+        lanes: trials that are stepped together.
+        at_once: trials that leave the device together, best those of a batch.
+        config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
+        recorded: as for :func:`sim_mjx.synthesis.records.of_trials`.
+        ready: whether the next batch is there without waiting.
+
+    Raises:
+        InputError: unknown engine, or what it needs is not installed.
+    """
+    engines.check(engine)
+    group, one_at_a_time = Regroup(), Lock()
+
+    def expected() -> Iterator[tuple[Hashable, Any]]:
+        for key, params in batches:
+            with one_at_a_time:
+                group.expect(key, batch_size(params))
+            yield key, params
+
+    def onto_host(trials: list[Trial], there: Measured, tracks: LabelTracks | None) -> list[Shard]:
+        rows, labels = to_host(there, scene.program), jax.device_get(tracks)
+        with one_at_a_time:
+            return group.add(trials, rows, labels)
+
+    machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
+    with ThreadPoolExecutor(COPIES) as host:
+        waiting: deque[Future[list[Shard]]] = deque()
+        for trials, out in machine.run(expected(), ready=ready):
+            tracks = None
+            if config is not None and limits is not None:
+                tracks = encode_on_device(config, limits, *records.by_wrist(out.wrench, out.length))
+            waiting.append(host.submit(onto_host, trials, measure(out, recorded), tracks))
+            while waiting and (waiting[0].done() or len(waiting) > COPIES):  # more would fill the memory
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
+
+
+@partial(jax.jit, static_argnums=1)
+def measure(out: Outcome, recorded: bool) -> Measured:
+    """Reduce trials to what is stored of them: the logs of all joints would be three quarters of what is copied.
+
+    Args:
+        out: the trials.
+        recorded: whether the tilt of the hand is needed.
+    """
+    at = out.phase[:, :, None] == jnp.arange(out.program.ended)[None, None]
+    entered = jnp.where(at.any(1), jnp.maximum(jnp.argmax(at, 1) - 1, 0), -1)
+    length = out.length
+    inside = jnp.arange(out.phase.shape[1])[None] < length[:, None]
+    wild = ~(jnp.abs(out.wrench) <= records.MOST_WRENCH).all(2) | ~jnp.isfinite(out.joints).all(2)
+    step = jnp.abs(jnp.diff(out.joints, axis=1)).max(2)
+    jumped = ~(step <= records.MOST_STEP) & inside[:, 1:]
+    diverged = (wild & inside).any(1) | jumped.any(1)
+    wrench = jnp.where((inside & ~diverged[:, None])[..., None], out.wrench, 0.0)
+    return Measured(
+        wrench, length, entered, out.seated & ~diverged[:, None], diverged, _tilt(out.joints) if recorded else None
+    )
+
+
+def _tilt(joints: Float[Array, "trial time joint"]) -> Float[Array, "trial time"]:
+    flat = joints[..., :6].reshape(-1, 6)
+    whole = jnp.pad(flat, ((0, -len(flat) % BLOCK), (0, 0)))
+    return records.tilt(whole)[: len(flat)].reshape(joints.shape[:2])
+
+
+def to_host(there: Measured, program: Program) -> Arrays:
+    """Stored arrays of trials, as of :func:`sim_mjx.synthesis.records.of_trials`, copied from the device."""
+    here = jax.device_get(there)
+    onset = records.reached(program.onsets(here.entered), here.length)
+    better, notes = onset, np.full(len(onset), "")
+    if here.tilt is not None:
+        better, notes = records.harmonised(onset, here.length, here.diverged, partial(_degrees, here.tilt))
+    return {
+        "wrench": here.wrench[:, : here.length.max()], "length": here.length,
+        "onset": onset, "onset_harmonised": better, "note": notes, "seated": here.seated,
+        "diverged": here.diverged,
+    }  # fmt: skip
+
+
+def _degrees(tilt: Float32[np.ndarray, "trial time"], spans: list[records.Span]) -> list[records.Degrees]:
+    return [np.degrees(tilt[row, span].astype(np.float64)) for row, span in spans]

@@ -1,0 +1,68 @@
+"""Items made ahead in a thread come in their order, with their errors, and no thread is left behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from sim_mjx.synthesis.ahead import Ahead
+
+LIMIT = 30.0  # s
+
+
+def until(what: object) -> None:
+    """Wait until a function says so."""
+    end = time.monotonic() + LIMIT
+    while not what():  # type: ignore[operator]
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def test_items_come_in_order_and_are_made_no_further_ahead_than_asked() -> None:
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for number in range(20):
+            made.append(number)
+            yield number
+
+    with Ahead(items(), first=5, most=2) as coming:
+        until(lambda: len(made) == 5)
+        for number in range(20):
+            assert next(coming) == number
+            assert len(made) <= max(5, number + 3)
+        until(coming.ready)
+        assert list(coming) == []
+        assert list(coming) == []
+
+
+def test_it_is_ready_when_the_next_item_is_there() -> None:
+    go = threading.Event()
+
+    def items() -> Iterator[int]:
+        yield 1
+        assert go.wait(LIMIT)
+        yield 2
+
+    with Ahead(items(), first=1, most=1) as coming:
+        assert next(coming) == 1
+        assert not coming.ready()
+        go.set()
+        until(coming.ready)
+        assert next(coming) == 2
+
+
+def test_an_error_comes_in_the_place_of_its_item_and_leaving_ends_the_thread() -> None:
+    def items() -> Iterator[int]:
+        yield 1
+        raise ValueError("no second one")
+
+    before = threading.active_count()
+    with Ahead(items(), first=4, most=1) as coming:
+        assert next(coming) == 1
+        with pytest.raises(ValueError, match="no second one"):
+            next(coming)
+    assert threading.active_count() == before
