@@ -19,7 +19,7 @@ def outcome(seed: int) -> Outcome:
     """Random logs: trials of all lengths and phases, of which some diverge in each of the ways."""
     rng = np.random.default_rng(seed)
     ends = np.sort(rng.integers(1, SAMPLES + 10, (TRIALS, ONE_ARM.ended)), axis=1)
-    ends[0] = 1, 3, 4, SAMPLES - 20, SAMPLES  # a rotation of one sample
+    ends[0] = 2, 3, SAMPLES - 20, SAMPLES - 9, SAMPLES  # a rotation of one sample
     phase = (np.arange(SAMPLES)[None, :, None] >= ends[:, None]).sum(2)
     wrench = rng.normal(0, 20, (TRIALS, SAMPLES, 6))
     joints = 0.1 * np.arange(6) + np.cumsum(rng.normal(0, 0.01, (TRIALS, SAMPLES, 6)), 1)
