@@ -6,11 +6,10 @@ alone, so who made it does not matter; claims (:mod:`sim_mjx.synthesis.claims`) 
 
 from __future__ import annotations
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,9 @@ from sim_mjx.synthesis.ahead import Ahead
 from sim_mjx.synthesis.draft import Draft, Drawn
 from sim_mjx.synthesis.plan import SynthesisConfig, indices
 from sim_mjx.synthesis.regroup import Shard
+from sim_mjx.synthesis.writers import Writers
 
 TRIES = 3  # of a shard that fails
-WRITERS = 12  # shards that are written at the same time, a thread each; they take half a megabyte a trial
 AHEAD = 2  # shards that are drawn before lanes are free for them
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
 
@@ -120,7 +119,7 @@ Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool]], Iterator[Shar
 def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int:
     """Simulate and write the missing shards that nobody holds, as many at once as a device has lanes for.
 
-    A shard is claimed when lanes become free for its trials, and written by threads while others are simulated. Shards
+    A shard is claimed when lanes become free for its trials, and written beside the simulation of others. Shards
     that fail, or that others hold, are left to :func:`work`.
 
     Args:
@@ -146,25 +145,26 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int
             held[shard] = claim, draft.draw(shard)
             yield shard, held[shard][1][0]
 
-    def write(made: Shard) -> None:
-        shard = int(str(made.key))
-        claim, drawn = held[shard]
-        draft.write(shard, drawn, made.rows, made.tracks)
-        claim.done()
-        done.add(shard)
-        del held[shard]
+    writing: deque[tuple[int, Future[None]]] = deque()
 
-    writers, fill = min(WRITERS, os.cpu_count() or 1), -(-lanes // draft.job.shard)
+    def settle() -> None:
+        shard, written = writing.popleft()
+        written.result()
+        done.add(shard)
+        held.pop(shard)[0].done()
+
     try:
-        with Ahead(batches(), fill, AHEAD) as coming, ThreadPoolExecutor(writers) as pool:
-            writing: deque[Future[None]] = deque()
-            for shard in stream(coming, coming.ready):
-                writing.append(pool.submit(write, shard))
-                while writing and (writing[0].done() or len(writing) > writers):  # more would fill the memory
-                    writing.popleft().result()
+        with Ahead(batches(), -(-lanes // draft.job.shard), AHEAD) as coming, Writers(draft) as writers:
+            for made in stream(coming, coming.ready):
+                shard = int(str(made.key))
+                drawn = held[shard][1]
+                labels = None if made.tracks is None else records.of_labels(made.tracks, len(drawn[1]))
+                writing.append((shard, writers.submit(shard, drawn, made.rows, labels)))
+                while writing and (writing[0][1].done() or len(writing) > writers.count):  # more would fill the memory
+                    settle()
                 tally.show(shards.finished(folder))
             while writing:
-                writing.popleft().result()
+                settle()
     except Exception as error:
         ours = isinstance(error, InputError | OSError)  # of the input or the machine: it would fail again
         for claim, _ in held.values():
@@ -211,7 +211,8 @@ def _make(draft: Draft, simulate: Callable[[Any], Labelled], shard: int, claim: 
             return 0
         drawn = draft.draw(shard)
         out, tracks = simulate(drawn[0])
-        draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), tracks)
+        labels = None if tracks is None else records.of_labels(tracks, len(drawn[1]))
+        draft.write(shard, drawn, records.of_trials(out, draft.scenario.recorded), labels)
     except (InputError, OSError):  # of the input or the machine: the next shard would fare no better
         claim.release()
         raise
