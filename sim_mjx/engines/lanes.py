@@ -49,7 +49,7 @@ class Lanes:
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
         at_once: finished trials that are taken out together.
-        spare: slots for finished trials, beside one of each lane; default half as many as lanes, or ``at_once``. With 0
+        spare: slots for finished trials, beside one of each lane; default as many as lanes, or ``at_once``. With 0
             none is refilled early.
     """
 
@@ -72,6 +72,7 @@ class Lanes:
         *,
         progress: Callable[[int], None] | None = None,
         ready: Callable[[], bool] = lambda: True,
+        room: Callable[[], bool] = lambda: True,
     ) -> Iterator[tuple[list[Trial], Outcome]]:
         """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
 
@@ -83,13 +84,14 @@ class Lanes:
                 lanes are free.
             progress: called with the number of control periods done since the last call, summed over trials.
             ready: whether the next batch is there without waiting; lanes that are busy do not wait for it.
+            room: whether what is yielded is wanted now; else it waits on the device while there are slots for others.
         """
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
         queue = _Queue(self.scene, iter(batches), ready)
         if not queue.refilled():
             return
         lanes = -(-self.count // device.LANES) * device.LANES
-        slots = lanes + (max(self.at_once, lanes // 2) if self.spare is None else self.spare)
+        slots = lanes + (max(self.at_once, lanes) if self.spare is None else self.spare)
         fixed = self._fixed(queue, lanes)
         state = programs.start(layout, fixed)
         free, done = list(range(slots))[::-1], _Done(self.at_once)
@@ -132,7 +134,12 @@ class Lanes:
                 done.add(_Ended(trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
                 trial[lane], slot[lane] = None, slots
             more = queue.refilled(wait=False)
-            while whole := done.take(queue.sizes, short=more and len(free) < trial.count(None)):
+            while True:
+                short = more and len(free) < trial.count(None)
+                if not (short or room() or trial.count(None) == lanes):
+                    break
+                if not (whole := done.take(queue.sizes, short)):
+                    break
                 yield self._taken_out(whole, logs)
                 free += [one.slot for one in whole]
 

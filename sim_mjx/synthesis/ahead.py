@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Generic, TypeVar
@@ -23,18 +23,18 @@ class Ahead(Generic[Item]):
     Args:
         items: iterated in the thread only.
         first: items that are asked for at once at the beginning.
-        most: items that are asked for ahead from then on.
+        most: how many items are asked for ahead from then on, 1 or more; called when one is taken.
 
-    >>> with Ahead(iter("abc"), first=2, most=1) as letters:
+    >>> with Ahead(iter("abc"), first=2, most=lambda: 1) as letters:
     ...     list(letters), letters.ready()
     (['a', 'b', 'c'], True)
     """
 
-    def __init__(self, items: Iterable[Item], first: int, most: int) -> None:
+    def __init__(self, items: Iterable[Item], first: int, most: Callable[[], int]) -> None:
         self._items, self._most = iter(items), most
         self._thread = ThreadPoolExecutor(1)
         self._coming = deque[Future[Item | _End]]()
-        for _ in range(max(first, most, 1)):
+        for _ in range(max(first, 1)):
             self._ask()
 
     def ready(self) -> bool:
@@ -46,7 +46,7 @@ class Ahead(Generic[Item]):
 
     def __next__(self) -> Item:
         item = self._coming.popleft().result()
-        while len(self._coming) < max(self._most, 1):
+        for _ in range(len(self._coming), max(self._most(), 1)):
             self._ask()
         if isinstance(item, _End):
             raise StopIteration

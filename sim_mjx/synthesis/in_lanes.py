@@ -52,6 +52,7 @@ def simulate_in_lanes(
     *,
     recorded: bool = True,
     ready: Callable[[], bool] = lambda: True,
+    room: Callable[[], bool] = lambda: True,
 ) -> Iterator[Shard]:
     """Simulate and label batches that share the lanes of a device; each comes when its last trial has ended.
 
@@ -66,6 +67,7 @@ def simulate_in_lanes(
         config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
         recorded: as for :func:`sim_mjx.synthesis.records.of_trials`.
         ready: whether the next batch is there without waiting.
+        room: whether shards are wanted now; else they wait on the device.
 
     Raises:
         InputError: unknown engine, or what it needs is not installed.
@@ -87,7 +89,11 @@ def simulate_in_lanes(
     machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
     with ThreadPoolExecutor(COPIES) as host:
         waiting: deque[Future[list[Shard]]] = deque()
-        for trials, out in machine.run(expected(), ready=ready):
+
+        def more() -> bool:
+            return room() and sum(not one.done() for one in waiting) < COPIES
+
+        for trials, out in machine.run(expected(), ready=ready, room=more):
             tracks = None
             if config is not None and limits is not None:
                 tracks = encode_on_device(config, limits, *records.by_wrist(out.wrench, out.length))

@@ -212,12 +212,22 @@ def _work(
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
-        def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
+        def stream(
+            batches: Iterator[tuple[int, Any]], ready: Callable[[], bool], room: Callable[[], bool]
+        ) -> Iterator[Shard]:
             from sim_mjx.synthesis.in_lanes import simulate_in_lanes  # MJX takes seconds to import
 
             at_once = min(job.shard, count)
             return simulate_in_lanes(
-                scene, batches, job.engine, count, at_once, *labels, recorded=scenario.recorded, ready=ready
+                scene,
+                batches,
+                job.engine,
+                count,
+                at_once,
+                *labels,
+                recorded=scenario.recorded,
+                ready=ready,
+                room=room,
             )
 
         made = workers.work_in_lanes(draft, stream, count, tally)

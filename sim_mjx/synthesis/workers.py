@@ -25,7 +25,8 @@ from sim_mjx.synthesis.regroup import Shard
 from sim_mjx.synthesis.writers import Writers
 
 TRIES = 3  # of a shard that fails
-AHEAD = 2  # shards that are drawn before lanes are free for them
+AHEAD = 2  # shards that are drawn before lanes are free for them, if no more than SHARE asks for more
+SHARE = 8  # one of so many missing shards, so that at the end no worker holds what another could begin
 _LONGEST_WAIT = 2.0  # s between two looks at what others hold
 
 Labelled = tuple[Rollouts, LabelTracks | None]
@@ -113,7 +114,7 @@ def work(draft: Draft, simulate: Callable[[Any], Labelled], tally: Tally) -> int
     return made
 
 
-Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool]], Iterator[Shard]]
+Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool], Callable[[], bool]], Iterator[Shard]]
 
 
 def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int:
@@ -125,7 +126,8 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int
     Args:
         draft, tally: as in :func:`work`.
         stream: simulates shards (number, parameters), asking for the next one when it has room; returns them in any
-            order. It is also given a function that says whether the next one is there without waiting.
+            order. It is also given functions that say whether the next one is there without waiting, and whether
+            another one can be written at once.
         lanes: trials that it simulates together.
 
     Returns:
@@ -153,9 +155,17 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally) -> int
         done.add(shard)
         held.pop(shard)[0].done()
 
+    def ahead() -> int:
+        missing = draft.shards - len(shards.finished(folder)) - len(held)
+        return max(AHEAD, min(fill, missing // SHARE))
+
+    def room() -> bool:
+        return sum(not written.done() for _, written in writing) < writers.count
+
+    fill = -(-lanes // draft.job.shard)
     try:
-        with Ahead(batches(), -(-lanes // draft.job.shard), AHEAD) as coming, Writers(draft) as writers:
-            for made in stream(coming, coming.ready):
+        with Ahead(batches(), fill, ahead) as coming, Writers(draft) as writers:
+            for made in stream(coming, coming.ready, room):
                 shard = int(str(made.key))
                 drawn = held[shard][1]
                 labels = None if made.tracks is None else records.of_labels(made.tracks, len(drawn[1]))

@@ -67,8 +67,10 @@ class Writers:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._threads.shutdown(cancel_futures=error is not None)
+        for process in self._processes:  # all at once: each takes a quarter of a second to end
+            process.close()
         for process in self._processes:
-            process.end()
+            process.wait()
 
     def _write(self, shard: int, drawn: Any, rows: Arrays, labels: Arrays | None) -> None:
         if not self._processes:
@@ -85,7 +87,7 @@ class _Process:
     """A process that writes one shard after the other."""
 
     def __init__(self, folder: Path) -> None:
-        self._report = tempfile.TemporaryFile()  # noqa: SIM115  # closed in "end"
+        self._report = tempfile.TemporaryFile()  # noqa: SIM115  # closed in "wait"
         self._process = subprocess.Popen(
             [sys.executable, "-m", "sim_mjx.synthesis.writers", str(folder)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._report, text=True,
@@ -110,12 +112,15 @@ class _Process:
         if error is not None:
             raise _KINDS.get(error["kind"], RuntimeError)(error["reason"])
 
-    def end(self) -> None:
-        """Have it end, and wait until it has."""
+    def close(self) -> None:
+        """Have it end."""
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 with suppress(OSError):  # it has ended
                     stream.close()
+
+    def wait(self) -> None:
+        """Wait until it has ended."""
         self._process.wait()
         self._report.close()
 

@@ -112,3 +112,23 @@ def test_shards_that_share_lanes_are_those_that_have_them_alone() -> None:
         for name, values in records.of_labels(tracks, len(rows)).items():
             np.testing.assert_array_equal(again[name], values)
         assert again["llb.label"].any()
+
+
+def test_lanes_do_not_wait_for_those_who_take_what_has_ended() -> None:
+    """Nobody has room until the last trial has begun: until then trials stay on the device, none is lost."""
+    params, sizes = plunger_trials(TIMEOUT[:24]), [8, 8, 8]
+    lanes, seen, begun = Lanes(SCENE, "jax", 8, 8, spare=16), list[int](), list[int]()
+
+    def batches() -> Iterator[tuple[int, PlungerParams]]:
+        for start in range(0, sum(sizes), 8):
+            begun.append(start)
+            yield start, some(params, range(start, start + 8))
+
+    for trials, _ in lanes.run(batches(), room=lambda: False):
+        assert begun == [0, 8, 16]
+        seen += [key + row for key, row in trials]
+    assert sorted(seen) == list(range(24))
+    expected = waiting(params)
+    found = queued(params, sizes, Lanes(SCENE, "jax", 8, 8, spare=16))
+    for one, other in zip(found, expected, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, one, other)

@@ -29,7 +29,7 @@ def test_items_come_in_order_and_are_made_no_further_ahead_than_asked() -> None:
             made.append(number)
             yield number
 
-    with Ahead(items(), first=5, most=2) as coming:
+    with Ahead(items(), first=5, most=lambda: 2) as coming:
         until(lambda: len(made) == 5)
         for number in range(20):
             assert next(coming) == number
@@ -47,7 +47,7 @@ def test_it_is_ready_when_the_next_item_is_there() -> None:
         assert go.wait(LIMIT)
         yield 2
 
-    with Ahead(items(), first=1, most=1) as coming:
+    with Ahead(items(), first=1, most=lambda: 1) as coming:
         assert next(coming) == 1
         assert not coming.ready()
         go.set()
@@ -61,7 +61,7 @@ def test_an_error_comes_in_the_place_of_its_item_and_leaving_ends_the_thread() -
         raise ValueError("no second one")
 
     before = threading.active_count()
-    with Ahead(items(), first=4, most=1) as coming:
+    with Ahead(items(), first=4, most=lambda: 1) as coming:
         assert next(coming) == 1
         with pytest.raises(ValueError, match="no second one"):
             next(coming)

@@ -35,7 +35,7 @@ def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB) -> Path:
     return target
 
 
-def backwards(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
+def backwards(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
     """Takes three shards at a time and returns the last first."""
     taken = []
     for shard, params in batches:
@@ -59,7 +59,7 @@ def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path) -> None:
 def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
     seen: MADE = []
 
-    def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
+    def stream(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
         for shard, params in batches:
             seen.append(shard)
             yield Shard(shard, fake_rows(params), None)
@@ -77,7 +77,7 @@ def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
     ("error", "state"), [(RuntimeError("lost device"), "failed"), (InputError("No disk."), "released")]
 )
 def test_an_error_frees_what_was_held(tmp_path: Path, error: Exception, state: str) -> None:
-    def stream(batches: Iterator[tuple[int, Any]], ready: Callable[[], bool]) -> Iterator[Shard]:
+    def stream(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
         first, second, third = (next(batches) for _ in range(3))
         yield Shard(second[0], fake_rows(second[1]), None)
         assert first[0] != third[0]
