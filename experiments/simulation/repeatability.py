@@ -1,10 +1,14 @@
 """Whether a device gives a trial twice: the same trials again, and in other lanes of the batch.
 
 Run: python -m experiments.simulation.repeatability --engine warp mjx
+and XLA_FLAGS=--xla_gpu_deterministic_ops=true python -m experiments.simulation.repeatability --engine mjx, which adds
+its rows to the former ones.
 """
 
 from __future__ import annotations
 
+import os
+import time
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
@@ -12,13 +16,14 @@ import jax
 import numpy as np
 import tyro
 
-from experiments._lib.results_io import write_result
+from experiments._lib.results_io import committed, write_result
 from experiments.simulation.engines import SEED, trials_of
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import one_arm
 
 LONGEST = 8.0  # s
+DETERMINISTIC = "--xla_gpu_deterministic_ops=true"
 
 
 def compared(first: Rollouts, second: Rollouts) -> dict[str, Any]:
@@ -51,12 +56,18 @@ def main(
     trials: int = 512,
 ) -> None:
     """Measure and store."""
-    params, rows = trials_of(trials, LONGEST), {}
+    params, rows = trials_of(trials, LONGEST), dict[str, Any]()
+    ordered = DETERMINISTIC in os.environ.get("XLA_FLAGS", "")
+    if ordered:
+        rows = committed("repeatability")["engines"]
     for name in engine:
         first = engines.simulate(one_arm(), params, name)
         turned = engines.simulate(one_arm(), jax.tree.map(lambda leaf: leaf[::-1].copy(), params), name)
-        rows[name] = {
-            "again": compared(first, engines.simulate(one_arm(), params, name)),
+        start = time.perf_counter()
+        again = engines.simulate(one_arm(), params, name)
+        seconds = time.perf_counter() - start
+        rows[f"{name}, XLA in fixed order" if ordered else name] = {
+            "again": compared(first, again) | {"seconds": round(seconds, 1)},
             "in other lanes": compared(first, backwards(turned)),
         }
     command = f"python -m experiments.simulation.repeatability --engine {' '.join(engine)} --trials {trials}"

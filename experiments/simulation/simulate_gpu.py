@@ -58,6 +58,8 @@ def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
         name = f"{2 * TRIALS:,} trials, {{}}, command, programs in the cache"
         rows[name.format("one GPU")] = command(folder, 2 * TRIALS, gpus[:1])
         rows[name.format("two GPUs")] = command(folder, 2 * TRIALS, gpus[:2])
+        name = f"{10 * TRIALS:,} trials, two GPUs, command, programs in the cache"
+        rows[name] = command(folder, 10 * TRIALS, gpus[:2])
     about = {"longest_s": LONGEST, "engine": ENGINE, "preset": PRESET, "rows": rows}
     write_result("simulate_gpu", "python -m experiments.simulation.simulate_gpu FOLDER", about, 0)
 

@@ -121,10 +121,12 @@ def synthesis(result: Result) -> str:
 def repeatability(result: Result) -> str:
     """The same trials simulated twice on a GPU."""
     lines = []
-    for engine, rows in result["engines"].items():
+    for name, rows in result["engines"].items():
+        engine, _, options = name.partition(", ")
         for how, row in rows.items():
             counts = (str(row[key]) for key in ("trials", "equal", "same_outcome", "same_length"))
-            lines.append((f"`{engine}`, {how}", *counts, f"{row['largest_difference']:.1f} N"))
+            title = ", ".join(filter(None, (f"`{engine}`", options, how)))
+            lines.append((title, *counts, f"{row['largest_difference']:.1f} N"))
     return markdown(("", "trials", "same bytes", "same outcome", "same length", "largest difference"), lines)
 
 
