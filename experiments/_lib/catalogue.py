@@ -126,6 +126,10 @@ EXPERIMENTS = (
         "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),
         shorter_minutes=2,
     ),
+    Experiment(
+        "large_store", "simulation.large_store", 12, ("{work}",), alone=True, shorter_minutes=2,
+        shorter=("--sizes", "10000", "--worked", "4000"),
+    ),
     Experiment("bench", "simulation.bench", 1, alone=True),
     Experiment(
         "stream_speed", "online.stream_speed", 30, (MODEL,), ("data",), alone=True, shorter_minutes=3,

@@ -140,3 +140,22 @@ def encoder_speed(result: Result) -> str:
             lines.append((f"{int(count):,}", window.removeprefix("W"), *cells, f"{row['time first']['compile_s']:.0f}"))
     head = ("recordings", "window", "billion samples a second", "with a transposition", "former scan", "compilation, s")
     return markdown(head, lines)
+
+
+@table("large-store-read", "large_store")
+def large_store_read(result: Result) -> str:
+    """Describing a store and reading one of its recordings, by the number of recordings."""
+    keys = (("store_GB", 1), ("info_s", 2), ("one_trial_ms", 0), ("one_trial_p95_ms", 0))
+    lines = [
+        (f"{int(count):,}", *(f"{row[key]:.{digits}f}" for key, digits in keys))
+        for count, row in result["read"].items()
+    ]
+    return markdown(("recordings", "store, GB", "`rcbht info`, s", "one recording, ms", "95th percentile, ms"), lines)
+
+
+@table("large-store-worked", "large_store")
+def large_store_worked(result: Result) -> str:
+    """Encoding and classifying a whole store, by the number of recordings."""
+    keys = ("encode_s", "encode_GB", "classify_s", "classify_GB")
+    lines = [(f"{int(count):,}", *(f"{row[key]:.2f}" for key in keys)) for count, row in result["worked"].items()]
+    return markdown(("recordings", "encode, s", "encode, GB", "classify, s", "classify, GB"), lines)
