@@ -1,11 +1,12 @@
 """Snaps on words, against the moments at which tabs pass their lips in simulation, and on the recorded session B.
 
-Words are those of the fit rule on the axis of insertion (Fz). A pass counts as found if a snap is seen from 50 ms before
-to 100 ms after it, and as found in time if that is at most 50 ms after it; what is seen and matches no pass is a false
-event. Passes of worn hooks, which release next to no force, are told apart. Shares are by trial: of trials with a pass,
-those in which every pass is found in time; of trials in which something is seen, those in which nothing false is; with
-Wilson's intervals. Sizes were chosen on clip@panda, seed 1, alone; all else is another seed or
-another assembly, of which the pegs have nothing that could snap. The baseline is a fall of the largest force |F| within 50 ms, its level chosen on the same trials.
+Words are those of the fit rule on the axis of insertion (Fz). A pass counts as found if a snap is seen from 50 ms
+before to 100 ms after it, and as found in time if that is at most 50 ms after it; what is seen and matches no pass is a
+false event. Passes of worn hooks, which release next to no force, are told apart. Shares are by trial: of trials with a
+pass, those in which every pass is found in time; of trials in which something is seen, those in which nothing false is;
+with Wilson's intervals. Sizes were chosen on clip@panda, seed 1, alone; all else is another seed or another assembly,
+of which the pegs have nothing that could snap. The baseline is a fall of |F| within 50 ms, its level chosen on the same
+trials.
 
 Run: python -m experiments.words.snaps
 Simulates with the native engine; reads the recorded trials (RCBHT_DATA).

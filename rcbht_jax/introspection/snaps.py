@@ -143,7 +143,8 @@ def step(
         the new state, and what is seen or published now.
 
     Example:
-        >>> config, sizes, none = SnapConfig(), SnapSizes(*np.array([3.0, 99, 0, 99])), Lines(*np.zeros((2, 1), int), *np.zeros((2, 1)))
+        >>> config, sizes = SnapConfig(), SnapSizes(*np.array([3.0, 99, 0, 99]))
+        >>> none = Lines(*np.zeros((2, 1), int), *np.zeros((2, 1)))
         >>> line = lambda *ends: Lines(*np.array(ends[:2])[:, None], *np.array(ends[2:], float)[:, None])
         >>> state = init(config, 0.005, 5, (1,))
         >>> state, said = step(config, 0.005, sizes, state, line(0, 100, 0, 8), line(100, 105, 8, 5))
@@ -267,13 +268,20 @@ class SnapDetector:
         self._words = FitConfig(window, 1 / rate)
         wide = self.sizes.least / TOLERANCES if tolerance is None else np.asarray(tolerance, np.float64)
         slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # labels do not matter here, but lines
-        self._encoder = Encoder(self._words, FitLimits(slopes, wide))
+        self._limits = FitLimits(slopes, wide)
+        self._encoder = Encoder(self._words, self._limits)
         self.reset()
 
     @property
     def dt(self) -> float:
         """Seconds between samples."""
         return self._words.dt
+
+    def warm_up(self) -> None:
+        """Compile the encoder now, not in the first :meth:`push`."""
+        encoder = Encoder(self._words, self._limits)
+        encoder.push(np.zeros((self._words.window, len(self.axes))))
+        encoder.run()
 
     def reset(self) -> None:
         """Start a new stream."""
