@@ -38,12 +38,12 @@ FZ, RATE = 2, 1 / CONTROL_PERIOD
 EARLY, IN_TIME, LATE = -10, 10, 20  # samples from a pass to when it is seen
 CHOSEN_ON = ("clip@panda", 1)
 TESTS = (  # what is simulated, seed
-    ("clip@panda", 2), ("clip@ur5e", 2), ("plug@panda", 2), ("plug@ur5e", 2), ("peg-in-hole@panda", 2),
-    ("square-peg@panda", 2), ("hooked-B", 2),
+    ("clip@panda", 3), ("clip@ur5e", 3), ("plug@panda", 3), ("plug@ur5e", 3), ("peg-in-hole@panda", 3),
+    ("square-peg@panda", 3), ("hooked-B", 3),
 )  # fmt: skip
 SMOOTH = ("peg-in-hole", "square-peg")  # parts without hooks: whatever is seen there is false
 SLOW = {"hooked-B": 0.3}  # share of the trials of sets that take long
-LEAST, HIGH, SHARES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0), (10.0, np.inf), (0.5, 0.75, 1.0, 1.5)
+LEAST, HIGH, SHARES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0), (10.0, np.inf), (0.6, 0.75, 0.9, 1.0, 1.5)
 BASELINE = np.arange(1.0, 12.1, 0.5)  # N
 APART = 60  # samples between two events of the baseline, as of the words
 AGREES = 0.15  # s between a snap that was read and one that is seen
@@ -137,16 +137,16 @@ def worth(result: dict[str, Any]) -> float:
 
 
 def choose(trials: Trials) -> tuple[dict[str, Any], float, dict[str, Any]]:
-    """Sizes and level that are best on these trials: of equals, those in the middle of their list."""
+    """Sizes and level that are best on these trials: of equals the strictest."""
     rows = {}
     for least, high, share in itertools.product(LEAST, HIGH, SHARES):
         rows[least, high, share] = worth(score(trials, seen(trials, least, high, SnapConfig(share=share))))
     best = [key for key, value in rows.items() if value == max(rows.values())]
-    least, high, share = best[len(best) // 2]
+    least, high, share = max(best, key=lambda key: (key[0], -key[1], -key[2]))
     levels = {float(level): worth(score(trials, fallen(trials, float(level)))) for level in BASELINE}
-    equal = [level for level, value in levels.items() if value == max(levels.values())]
+    level = max(level for level, value in levels.items() if value == max(levels.values()))
     table = {f"fall {k[0]:g} N, load to {k[1]:g} N, share {k[2]:g}": value for k, value in rows.items()}
-    return {"least": least, "high": high, "share": share}, equal[len(equal) // 2], table
+    return {"least": least, "high": high, "share": share}, level, table
 
 
 def of_session(recordings: Recordings, session: str, least: float, config: SnapConfig) -> dict[str, Any]:

@@ -52,7 +52,7 @@ class SnapConfig:
 
     within: float = 0.05
     hold: float = 0.1
-    share: float = 1.0
+    share: float = 0.75
     turn: float = 0.1
     loaded: float = 0.5
     apart: float = 0.3
@@ -91,8 +91,7 @@ class SnapState(NamedTuple):
     """What is remembered of every lane, whatever the length of the stream."""
 
     lines: Lines  # the latest published ones
-    last: Counts  # sample at which the latest snap began to fall
-    seen: Counts  # samples received when it was seen
+    seen: Counts  # samples received when the latest snap was seen
     open: Flags  # whether it is not published yet
 
 
@@ -101,7 +100,7 @@ class Snaps(NamedTuple):
 
     seen: Flags  # a snap is seen for the first time
     published: Flags  # it will not change any more
-    start: Counts  # first sample of the fall
+    start: Counts  # first sample of the fall: the last one within ``turn`` of its highest point
     stop: Counts  # sample after the last that is known
     release: Reals  # N or Nm, value from which it falls
     fall: Reals  # N or Nm, > 0
@@ -118,7 +117,7 @@ def init(config: SnapConfig, dt: float, window: int, lanes: tuple[int, ...]) -> 
     shape = memory(config, dt, window), *lanes
     lines = Lines(np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape))
     never = np.full(lanes, NEVER, np.int64)
-    return SnapState(lines, never, never, np.zeros(lanes, bool))
+    return SnapState(lines, never, np.zeros(lanes, bool))
 
 
 def step(
@@ -156,15 +155,15 @@ def step(
     known = state.lines.after(word)
     lines = Lines(*(np.where(new, after[1:], before) for after, before in zip(known, state.lines, strict=True)))
     now = running.t1
-    by_words = _released(config, dt, sizes, lines)
     by_run = _released(config, dt, sizes, lines.after(running))
+    by_words = _released(config, dt, sizes, lines) if new.any() else by_run
     sure = new & by_words.seen
-    first = ~state.open & (now - state.last > round(config.apart / dt)) & (sure | by_run.seen)
+    first = ~state.open & (now - state.seen > round(config.apart / dt)) & (sure | by_run.seen)
     published = sure & (first | state.open)
     said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
-    last, seen = np.where(first, said.start, state.last), np.where(first, now, state.seen)
+    seen = np.where(first, now, state.seen)
     forgotten = now - seen > round((config.within + config.apart) / dt)  # the words tell of another fall than the run
-    state = SnapState(lines, last, seen, (state.open | first) & ~published & ~forgotten)
+    state = SnapState(lines, seen, (state.open | first) & ~published & ~forgotten)
     return state, Snaps(first, published, *said[1:], seen)
 
 
@@ -183,15 +182,17 @@ def _released(config: SnapConfig, dt: float, sizes: SnapSizes, lines: Lines) -> 
     there = lines.t1[-1] > lines.t0[-1]
     known = np.where(lines.t1 > lines.t0, lines.t0, -NEVER).min(0)
     end = np.stack([lines.t1[-1] - 1] * len(LOAD))
-    peak, at = _highest(lines, LOAD, end - within, end)
-    before, _ = _highest(lines, LOAD, end - 2 * within, end - within - 1)
-    lowest = -_highest(lines, -LOAD, at - hold, at)[0]
+    values, samples = _points(lines, LOAD, end - within, end)
+    peak, at = _highest(values, samples)
+    before, _ = _highest(*_points(lines, LOAD, end - 2 * within, end - within - 1))
+    lowest = -_highest(*_points(lines, -LOAD, at - hold, at))[0]
     fall = peak - _by_way(LOAD, end.ndim) * lines.end[-1]
     good = there & (known <= at - hold) & (fall >= sizes.least) & (fall <= sizes.most) & (peak >= config.loaded * fall)
     good &= (peak >= sizes.low) & (peak <= sizes.high)
     good &= (before <= peak + config.turn * fall) & (lowest >= peak - config.share * fall)
+    start = np.where(values >= (peak - config.turn * fall)[:, None], samples, NEVER).max(1)
     which = np.where(good[0], 0, 1)[None]
-    start, release, fall = (np.take_along_axis(values, which, 0)[0] for values in (at, peak, fall))
+    start, release, fall = (np.take_along_axis(values, which, 0)[0] for values in (start, peak, fall))
     return _Released(good.any(0), start, lines.t1[-1], np.where(good[0], release, -release), fall)
 
 
@@ -199,21 +200,28 @@ def _by_way(way: Float64[np.ndarray, " way"], dims: int) -> Float64[np.ndarray, 
     return way.reshape(-1, *[1] * (dims - 1))
 
 
-def _highest(
+def _points(
     lines: Lines,
     way: Float64[np.ndarray, " way"],
     first: Int64[np.ndarray, "way *lanes"],
     last: Int64[np.ndarray, "way *lanes"],
-) -> tuple[Float64[np.ndarray, "way *lanes"], Int64[np.ndarray, "way *lanes"]]:
-    """Highest value times ``way`` from sample ``first`` to ``last``, and its sample; NOTHING where no line is."""
+) -> tuple[Float64[np.ndarray, "way point *lanes"], Int64[np.ndarray, "way point *lanes"]]:
+    """Both ends of every line within ``first`` to ``last``: value times ``way``, NOTHING where none is; and sample."""
     way = _by_way(way, lines.t0.ndim + 1)
     a, b = np.maximum(lines.t0, first[:, None]), np.minimum(lines.t1 - 1, last[:, None])
+    samples, there = np.concatenate([a, b], 1), (a <= b) & (lines.t1 > lines.t0)
     slope = (lines.end - lines.begin) / np.maximum(lines.t1 - 1 - lines.t0, 1)
-    left, right = (way * (lines.begin + slope * (at - lines.t0)) for at in (a, b))
-    value = np.where((a <= b) & (lines.t1 > lines.t0), np.maximum(left, right), NOTHING)
-    which = value.argmax(1, keepdims=True)
-    sample = np.where(left >= right, a, b)
-    return np.take_along_axis(value, which, 1)[:, 0], np.take_along_axis(sample, which, 1)[:, 0]
+    t0, begin, slope = (np.concatenate([field, field]) for field in (lines.t0, lines.begin, slope))
+    values = way * (begin + slope * (samples - t0))
+    return np.where(np.concatenate([there, there], 1), values, NOTHING), samples
+
+
+def _highest(
+    values: Float64[np.ndarray, "way point *lanes"], samples: Int64[np.ndarray, "way point *lanes"]
+) -> tuple[Float64[np.ndarray, "way *lanes"], Int64[np.ndarray, "way *lanes"]]:
+    """The highest of the points, and its sample."""
+    which = values.argmax(1, keepdims=True)
+    return np.take_along_axis(values, which, 1)[:, 0], np.take_along_axis(samples, which, 1)[:, 0]
 
 
 # --- for people -------------------------------------------------------------------------------------------------------
