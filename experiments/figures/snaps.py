@@ -23,7 +23,9 @@ def draw(result: dict[str, Any]) -> Figure:
     ax.plot([], [], "|", color=OURS, markersize=13, markeredgewidth=2.2, label="seen on words, as it was streamed")
     off = sum(not facts["seated"] for _, facts in trials)
     ax.axhline(off - 0.5, color="0.6", linewidth=0.8)
-    ax.set_yticks(range(len(trials)), [f"{name[-2:]}{'' if facts['seated'] else ', off seat'}" for name, facts in trials])
+    ax.set_yticks(
+        range(len(trials)), [f"{name[-2:]}{'' if facts['seated'] else ', off seat'}" for name, facts in trials]
+    )
     ax.set(xlim=(4, 30), ylim=(-0.7, len(trials) - 0.3), xlabel="time, s; snaps after 30 s are not shown")
     ax.set_ylabel("trial of session B")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=2, frameon=False)

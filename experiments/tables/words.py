@@ -201,10 +201,11 @@ def snap_events(result: dict[str, Any]) -> str:
         for kind, row in kinds.items():
             if "share" in kind:  # in the result
                 continue
-            late = NONE if row["ms after the pass, 5 50 95 %"] is None else f"{row['ms after the pass, 5 50 95 %'][2]:.0f}"
+            delays = row["ms after the pass, 5 50 95 %"]
+            late = NONE if delays is None else f"{delays[2]:.0f}"
             found = (row[which] for which in ("recall", "precision"))
             shares = (NONE if one is None else f"{one['mean']:.3f}{ends(one['low'], one['high'])}" for one in found)
             counts = (str(row[what]) for what in ("trials", "passes", "found in time", "seen", "false"))
-            rows.append((name, kind, *counts, *shares, late))
+            rows.append((name, kind.replace("|F|", "all force"), *counts, *shares, late))  # a bar would end the cell
     head = ("", "by", "trials", "passes", "found in time", "events", "false", "recall", "precision", "ms after, 95 %")
     return markdown(head, rows)

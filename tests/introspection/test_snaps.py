@@ -78,7 +78,9 @@ def test_the_step_equals_brute_force_over_all_words(share: float, high: float) -
         samples, config = rough(seed), SnapConfig(share=share)
         events = detector(load=(0.0, high), config=config).push(samples)
         for axis, said in zip(AXES, by_brute_force(samples, config, high), strict=True):
-            mine = [(e.sample, e.begin, e.published is not None, round(e.seen * RATE)) for e in events if e.axis == axis]
+            mine = [
+                (e.sample, e.begin, e.published is not None, round(e.seen * RATE)) for e in events if e.axis == axis
+            ]
             assert mine == [(s.sample, s.begin, s.published, s.seen) for s in said]
         told += len(events)
     assert told > 4

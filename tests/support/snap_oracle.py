@@ -24,7 +24,9 @@ def value(line: Line, sample: int) -> float:
 
 
 def highest(lines: Sequence[Line], way: float, first: int, last: int) -> tuple[float, int]:
-    points = [(way * value(line, k), k) for line in lines for k in range(max(line[0], first), min(line[1] - 1, last) + 1)]
+    points = [
+        (way * value(line, k), k) for line in lines for k in range(max(line[0], first), min(line[1] - 1, last) + 1)
+    ]
     return max(points, key=lambda point: (round(point[0], 9), -point[1])) if points else (-1e30, 0)
 
 
