@@ -36,6 +36,8 @@ def detector_of(sizes: tuple[str, ...], rate: float, window: int) -> SnapDetecto
         >>> detector_of(("Fz=3", "Mx=0.2,1"), 200.0, 5).sizes.most.tolist()
         [inf, 1.0]
     """
+    import numpy as np
+
     from rcbht_jax.introspection.snaps import SnapDetector
 
     if not sizes:
@@ -52,5 +54,5 @@ def detector_of(sizes: tuple[str, ...], rate: float, window: int) -> SnapDetecto
         if axis in table:
             raise InputError(f"--snap names {axis} twice.")
         table[axis] = values + [float("inf"), 0.0, float("inf")][len(values) - 1 :]
-    least, most, low, high = zip(*table.values(), strict=True)
+    least, most, low, high = np.array(list(table.values())).T
     return SnapDetector(rate, tuple(table), least, most, (low, high), window)

@@ -294,7 +294,7 @@ def _snaps(
         if not forces:
             return []
         names = [recordings.axes[axis] for axis in forces]
-        snaps = SnapDetector(1 / recordings.dt, names, least[forces].max())
+        snaps = SnapDetector(1 / recordings.dt, names, float(least[forces].max()))
     snaps.reset()
     columns = [recordings.axes.index(axis) for axis in snaps.axes if axis in recordings.axes]
     if len(columns) < len(snaps.axes):

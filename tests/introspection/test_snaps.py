@@ -17,7 +17,7 @@ from rcbht_jax.events import Snap
 from rcbht_jax.introspection.snaps import SnapConfig, SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
-from rcbht_jax.io.store import write_recordings
+from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.types import Recordings
 from tests.support.snap_oracle import Line, Said, snaps
 
@@ -203,7 +203,7 @@ def test_stream_reports_snaps_on_request(store: Path, capsys: pytest.CaptureFixt
 
 
 def test_describe_tells_of_snaps(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    name = "0"
+    name = str(read_recordings(store).trial[0])
     assert main(["describe", str(store), name]) == 0
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "snap" in line)
     assert "4.00 s  snap: a lets go" in line
