@@ -28,6 +28,7 @@ _FACE = {
     "introspection.fault_monitor": ("FaultMonitor",),
     "introspection.introspector": ("Introspector",),
     "introspection.nominal": ("NominalMonitor",),
+    "introspection.snaps": ("SnapDetector",),
     "io.label_store": ("read_tracks", "write_tracks"),
     "io.store": ("read_recordings", "write_recordings"),
     "learning.estimators": ("StateClassifier", "SvmClassifier", "WrenchFeatures"),
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.fault_monitor import FaultMonitor
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.introspection.nominal import NominalMonitor
+    from rcbht_jax.introspection.snaps import SnapDetector
     from rcbht_jax.io.label_store import read_tracks, write_tracks
     from rcbht_jax.io.store import read_recordings, write_recordings
     from rcbht_jax.learning.estimators import StateClassifier, SvmClassifier, WrenchFeatures

@@ -74,6 +74,19 @@ class ProvisionalWord(Event):
 
 
 @dataclass(frozen=True)
+class Snap(Event):
+    """A force that was released within a fraction of a second; told when it is seen, and again when it is published."""
+
+    axis: str
+    begin: int  # first sample of the fall
+    start: float  # s, its time stamp
+    release: float  # N or Nm, value from which it falls
+    fall: float  # N or Nm, how far it is known to have fallen, > 0
+    seen: float  # s, time stamp of the latest sample when it was first seen
+    published: float | None  # s, the same when it was published; None = it still runs, and may be withdrawn in silence
+
+
+@dataclass(frozen=True)
 class AnomalyRaised(Event):
     """The abnormal class has been certain for the hold time."""
 

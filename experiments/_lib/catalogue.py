@@ -78,6 +78,9 @@ EXPERIMENTS = (
         "fit_sim_to_real", "classification.sim_to_real_fit", 5, (SETS,), ("data",), shorter=("--only", "paper"),
         shorter_minutes=3,
     ),
+    Experiment(
+        "snaps", "words.snaps", 15, needs=("data",), shorter=("--trials", "40"), shorter_minutes=4
+    ),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
     Experiment("curves", "classification.curves", 2, needs=("data",)),

@@ -191,3 +191,21 @@ def _stability(result: dict[str, Any], kind: str, what: str) -> str:
 
 def _three(found: dict[str, Any]) -> str:
     return " / ".join(NONE if found[key] is None else f"{found[key]:.2f}" for key in ("kept", "edit", "time"))
+
+
+@table("snap-events", "snaps")
+def snap_events(result: dict[str, Any]) -> str:
+    """Passes found in time and false events, by words and by the baseline."""
+    rows = []
+    for name, kinds in result["rows"].items():
+        for kind, row in kinds.items():
+            if "share" in kind:  # in the result
+                continue
+            delays = row["ms after the pass, 5 50 95 %"]
+            late = NONE if delays is None else f"{delays[2]:.0f}"
+            found = (row[which] for which in ("recall", "precision"))
+            shares = (NONE if one is None else f"{one['mean']:.3f}{ends(one['low'], one['high'])}" for one in found)
+            counts = (str(row[what]) for what in ("trials", "passes", "found in time", "seen", "false"))
+            rows.append((name, kind.replace("|F|", "all force"), *counts, *shares, late))  # a bar would end the cell
+    head = ("", "by", "trials", "passes", "found in time", "events", "false", "recall", "precision", "ms after, 95 %")
+    return markdown(head, rows)

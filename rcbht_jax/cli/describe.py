@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Trial, option
+from rcbht_jax.cli.snaps import SnapSize, detector_of
 
 
 @dataclass(frozen=True)
 class Describe(Command):
-    """Tell a trial in sentences: which axes rise, fall or ring, when, by how much and how fast.
+    """Tell a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
 
-    The store needs no labels; the lines of the fit rule are made on the way.
+    The store needs no labels; the lines of the fit rule are made on the way. Without --snap, a force snaps that is let
+    go within 50 ms by at least the smallest change that is told of the force that changes most.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """
@@ -23,6 +25,7 @@ class Describe(Command):
     """Arm to tell of, if the trial has both."""
     source: SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first")] = ""
+    snap: SnapSize = ()
     least: Annotated[float, option("Smallest change that is told, as a share of the usual range of its axis.")] = 0.2
 
     def run(self) -> dict[str, Any]:
@@ -32,7 +35,8 @@ class Describe(Command):
 
         recordings = read_recordings(self.store)
         index = find_recording(recordings, self.trial, self.arm, self.source)
-        told = describe_recording(recordings, index, self.least, self.task)
+        snaps = detector_of(self.snap, 1 / recordings.dt, 5)
+        told = describe_recording(recordings, index, self.least, self.task, snaps)
         return {"trial": self.trial, "sentences": [{"seconds": seconds, "text": text} for seconds, text in told]}
 
     def text(self, result: dict[str, Any]) -> str:

@@ -87,6 +87,17 @@ class Encode(RuleCommand):
         }
         return {"store": str(self.store), "name": name, **facts, **run.how}
 
+    def made_now(self) -> tuple[str, LabelTracks, dict[str, Any]]:
+        """Name, labels and attributes of the online words of a store; nothing is written.
+
+        Raises:
+            InputError: no thresholds can be found for these recordings.
+        """
+        from rcbht_jax.io.label_parts import joined
+
+        run = self._online()
+        return self._default_name(), joined(list(run.tracks(self.store))), run.how
+
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
         speed = result["samples"] / result["seconds"] / 1e6

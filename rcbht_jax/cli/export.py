@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 
 from rcbht_jax.cli.command import ONLINE_MODEL, Command, NewWindow, Store, Tolerance, Tracks, WordRule, progress_bar
+from rcbht_jax.cli.drawn import DrawnRule, stored_by
 from rcbht_jax.errors import InputError
 
 
@@ -78,7 +79,7 @@ class Report(Command):
     """Folder with JSON files of result rows, shown as a table; docs/howto/share.md describes their format."""
     tracks: Tracks = ""
     window: NewWindow = None
-    rule: WordRule = "paper"
+    rule: DrawnRule = "fit"
     tolerance: Tolerance = ()
     trial: tuple[str, ...] = ()
     """Trials to show; default --max-trials of them, evenly spaced."""
@@ -105,7 +106,7 @@ class Report(Command):
             trials=self.trial,
             most=self.max_trials,
         )
-        data = load(self.store, self.tracks, self.window, self.rule, self.tolerance)
+        data = load(self.store, *self._words())
         count = len(chosen(data.recordings, options))
         with progress_bar("report", "trials", count) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)
@@ -119,6 +120,15 @@ class Report(Command):
             "results": 0 if options.results is None else len(options.results.rows),
             "bytes": self.out.stat().st_size,
         }
+
+    def _words(self) -> tuple[str, int | None, str, tuple[float, ...]]:
+        """Which words are shown: tracks, window, rule and tolerance of :func:`rcbht_jax.io.export.load`."""
+        from rcbht_jax.io.label_store import list_tracks
+
+        if self.tracks or not (self.window or list_tracks(self.store)):
+            return self.tracks, self.window, "paper", self.tolerance
+        name = "" if self.window or self.tolerance else stored_by(self.store, self.rule)
+        return (name, None, "paper", ()) if name else ("", self.window or 5, self.rule, self.tolerance)
 
     def text(self, result: dict[str, Any]) -> str:
         return (

@@ -13,10 +13,13 @@ import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
+from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    from rcbht_jax.events import Snap
     from rcbht_jax.introspection.nominal import NominalMonitor
+    from rcbht_jax.introspection.snaps import SnapDetector
     from rcbht_jax.types import Recordings
 
 MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
@@ -78,7 +81,7 @@ class MonitorFit(Command):
 
 @dataclass(frozen=True)
 class MonitorWatch(Command):
-    """Play recordings through a monitor, as JSON lines: one at the alarm, one at the end of each recording.
+    """Play recordings through a monitor, as JSON lines: one at the alarm, one at the end, one for each --snap.
 
     Example: rcbht monitor watch kitting.zarr --monitor skill7.monitor --where skill=7 --false-alarms 0.1
     """
@@ -90,6 +93,7 @@ class MonitorWatch(Command):
     )
     where: Where = ()
     false_alarms: FalseAlarms = 0.05
+    snap: SnapSize = ()
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import load
@@ -102,12 +106,14 @@ class MonitorWatch(Command):
                 f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
                 f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
             )
-        alarms = 0
+        alarms, snaps = 0, detector_of(self.snap, monitor.rate, 5)
         for row, part in enumerate(series):
             scores = monitor.scores(part)
             above = np.flatnonzero(scores > level)
             about = {"trial": str(recordings.trial[row]), "arm": str(recordings.arm[row])}
             alarms += bool(len(above))
+            for event in [] if snaps is None else _snaps(snaps, recordings.axes, part):
+                print(json.dumps(event.to_json() | about, allow_nan=False))
             if len(above):
                 _line("Alarm", about, time=(int(above[0]) + 1) * recordings.dt, score=scores[above[0]], threshold=level)
             _line("End", about, time=len(part) * recordings.dt, peak=scores.max(), outcome=str(recordings.outcome[row]))
@@ -153,6 +159,14 @@ class MonitorEvaluate(Command):
         width = max(map(len, rows))
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
         return "\n".join([head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())])
+
+
+def _snaps(detector: SnapDetector, axes: tuple[str, ...], part: NDArray[np.float64]) -> list[Snap]:
+    """What is seen and published in one recording ``[time, axis]``, time stamps from its beginning."""
+    if missing := [axis for axis in detector.axes if axis not in axes]:
+        raise InputError(f"--snap names {missing[0]}; there are {', '.join(axes)}.")
+    detector.reset()
+    return detector.push(part[:, [axes.index(axis) for axis in detector.axes]])
 
 
 def _row(row: dict[str, Any]) -> str:

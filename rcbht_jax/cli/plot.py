@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.cli.command import Arm, Command, LabelledStore, Model, OutFigure, SourcePrefix, Store, Tracks, Trial
+from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, rule_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,22 +34,22 @@ class PlotTrial(Command):
     tracks: Tracks = ""
     seconds: tuple[float, float] | None = None
     """Start and end of the interval to show, s; default the whole trial."""
+    rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.io.label_store import choose_tracks
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save, trial_figure
 
         recordings = read_recordings(self.store)
         index = find_recording(recordings, self.trial, self.arm, self.source)
-        name, labels, attrs = choose_tracks(self.store, self.tracks)
+        name, labels, attrs = drawn_words(self.store, self.tracks, self.rule)
         window = attrs.get("window")
         figure = trial_figure(
             recordings,
             labels,
             index,
             window=window if isinstance(window, int) else None,
-            rule=attrs.get("config", {}).get("rule", "paper"),
+            rule=rule_of(attrs),
             seconds=self.seconds,
         )
         save(figure, self.out)
@@ -79,18 +80,18 @@ class PlotMap(Command):
     source: tuple[str, ...] = ()
     """Data sets to show, or the beginnings of their names, for example REAL; default all."""
     tracks: Tracks = ""
+    rule: DrawnRule = "fit"
 
     FORMER: ClassVar[dict[str, str]] = {"--words": "--max-words"}
 
     def run(self) -> dict[str, Any]:
-        from rcbht_jax.io.label_store import choose_tracks
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import label_map, save
 
         recordings = read_recordings(self.store)
         select = _of_source(recordings, self.source)
-        name, labels, _ = choose_tracks(self.store, self.tracks)
-        title = " + ".join(self.source) or self.store.name
+        name, labels, attrs = drawn_words(self.store, self.tracks, self.rule)
+        title = f"{' + '.join(self.source) or self.store.name}, {SAYS[rule_of(attrs)]}"
         figure = label_map(recordings, labels, self.layer, select=select, by=self.by, words=self.max_words, title=title)
         save(figure, self.out)
         return {"figure": str(self.out), "tracks": name, "layer": self.layer, "recordings": int(select.sum())}

@@ -14,15 +14,17 @@ import tyro
 
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.cli.command import Arm, CompileCache, OnlineModel, RuleCommand, checked_tolerance
+from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
     from rcbht_jax.introspection.session import Session
+    from rcbht_jax.introspection.together import Together
     from rcbht_jax.introspection.words import WordIntrospector
     from rcbht_jax.io.messages import LineReader, Message
 
-    AnyIntrospector = Introspector | WordIntrospector
+    AnyIntrospector = Introspector | WordIntrospector | Together
     Messages = Iterator[Message]
 
 
@@ -56,6 +58,7 @@ class Source(RuleCommand):
     """Probability above which a belief counts as certain."""
     speed: float = 0.0
     """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
+    snap: SnapSize = ()
     max_gap: float | None = None
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
     timeout: float = 1.0
@@ -63,6 +66,7 @@ class Source(RuleCommand):
     compile_cache: CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
+    OWN_WORDS: ClassVar[bool] = False  # whether --rule is about words that are shown beside a model's beliefs
 
     def opened(self, words: bool = False, say: Callable[[str], None] = lambda _: None) -> tuple[Session, Messages]:
         """A session, and the messages for it; without a model, the beginning of the stream has been read.
@@ -75,9 +79,11 @@ class Source(RuleCommand):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
+        from rcbht_jax.encoding.rules import config_fields
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session, paced
+        from rcbht_jax.introspection.together import Together
 
         self.check()
         live, messages = self.source == "-", self._messages()
@@ -90,7 +96,14 @@ class Source(RuleCommand):
         else:
             rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
             detect = self.starts == "detected"
-            introspector = Introspector(load(self.model), rate, self.certainty, detect=detect, words=words)
+            model = load(self.model)
+            beside = self.OWN_WORDS and config_fields(model.encoder)["rule"] != self.rule
+            introspector = Introspector(model, rate, self.certainty, detect=detect, words=words and not beside)
+            if beside:
+                others, messages = self._words(messages, say)
+                introspector = Together(introspector, others)
+        if snaps := detector_of(self.snap, 1 / introspector.config.dt, introspector.config.window):
+            introspector = Together(introspector, snaps=snaps)
         return Session(introspector, self.max_gap), messages if live else paced(messages, self.speed)
 
     def check(self) -> None:
@@ -104,9 +117,10 @@ class Source(RuleCommand):
         own = {
             "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
             "--window": self.window != RuleCommand.window, "--axes": bool(self.axes),
-            "--sampling-rate": self.sampling_rate is not None, "--rule": self.rule != RuleCommand.rule,
-            "--tolerance": bool(self.tolerance),
+            "--sampling-rate": self.sampling_rate is not None,
         }  # fmt: skip
+        if not self.OWN_WORDS:
+            own |= {"--rule": self.rule != RuleCommand.rule, "--tolerance": bool(self.tolerance)}
         if self.model is not None and (given := [name for name, used in own.items() if used]):
             raise InputError(f"A model has axes, window, rate, rule and thresholds of its own; leave out {given[0]}.")
         checked_tolerance(self.rule, self.tolerance)
@@ -117,7 +131,7 @@ class Source(RuleCommand):
         if not 0 <= self.lead <= 600:
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
 
-    def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[AnyIntrospector, Messages]:
+    def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[WordIntrospector, Messages]:
         """What reports words without a model, with the thresholds of the options, and the messages for it."""
         from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import live_thresholds, read_opening

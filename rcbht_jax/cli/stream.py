@@ -8,7 +8,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -26,6 +26,7 @@ from rcbht_jax.cli.command import (
     Store,
     Task,
     Weighing,
+    option,
     progress_bar,
 )
 from rcbht_jax.cli.source import Source
@@ -212,6 +213,15 @@ class Serve(Source):
     """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
     stay: Flag = True
     """Exit when the input ends, instead of showing its end until Ctrl-C."""
+    rule: Annotated[
+        Literal["paper", "fit"],
+        option(
+            "Rule of the words that are shown, also beside the beliefs of a model that reads others: fit, whose words "
+            "follow the signal and come in time; or the paper's."
+        ),
+    ] = field(default="fit", kw_only=True)
+
+    OWN_WORDS: ClassVar[bool] = True
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.report.live_page import Frames, PageServer

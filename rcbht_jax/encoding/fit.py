@@ -257,9 +257,7 @@ def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderSta
 
 def drain_stages(config: FitConfig, limits: Array, state: EncoderState) -> list[list[Segment]]:
     """What the five stages say in each step of a drain."""
-    t0, t1, line, held = _opened(state)
-    end = jnp.full_like(t0, config.kept)
-    line = join(line, span_line(state.reals[_REALS:], end - (t1 - t0 - line.count), end))
+    t0, t1, line, held = running(config, state)
     arrival = pipe.keep(t1 > t0, _primitive(config, limits, t0, t1, line))
     rounds = []
     for number in range(DRAIN_STEPS):
@@ -285,11 +283,18 @@ def _by_lane(limits: Array, like: Array) -> Array:
     return jnp.moveaxis(wide, -1, 0)
 
 
-def _opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
+def opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
     """First sample and end of the run, the line of its samples that are not kept any more, the segments above it."""
     t0, t1, count = state.ints[:_RUN_INTS]
     line = Line(count, *state.reals[:_RUN_REALS])
     return t0, t1, line, unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:_REALS])
+
+
+def running(config: FitConfig, state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
+    """As :func:`opened`, with the line through all samples of the run."""
+    t0, t1, line, held = opened(state)
+    end = jnp.full_like(t0, config.kept)
+    return t0, t1, join(line, span_line(state.reals[_REALS:], end - (t1 - t0 - line.count), end)), held
 
 
 def advance(
@@ -306,7 +311,7 @@ def advance(
         count: new samples; fewer than a window only at the end, none after it.
     """
     kept, window = config.kept, config.window
-    t0, t1, line, held = _opened(state)
+    t0, t1, line, held = opened(state)
     count = jnp.where(state.time < 0, 0, count)  # never negative, but no compiler knows: no constant
     now, there = state.time + count, count > 0
     start, stop = kept - (t1 - t0 - line.count), kept + count  # the run's own samples among these

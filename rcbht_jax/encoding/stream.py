@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import jax
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
+from rcbht_jax.encoding.fit import FitConfig, running
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
@@ -26,6 +28,12 @@ def _step(config: AnyConfig, limits: Array, state: EncoderState, window: Array) 
 @partial(jax.jit, static_argnums=0)
 def _flush(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
     return rule_of(config).flush(config, limits, state, rest, count)
+
+
+@partial(jax.jit, static_argnums=0)
+def _run(config: FitConfig, state: EncoderState) -> tuple[Array, ...]:
+    t0, t1, line, _ = running(config, state)
+    return t0, t1, line.mean, line.slope
 
 
 class WindowBuffer:
@@ -115,14 +123,28 @@ class Encoder:
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
         """
-        chunk, published = self._buffer.checked(samples), []
+        return list(self.windows(samples))
+
+    def windows(self, samples: ArrayLike) -> Iterator[LabelTracks]:
+        """As :meth:`push`, one entry at a time: between two of them the stream stands at the end of the window."""
+        chunk = self._buffer.checked(samples)
         while len(chunk):
             chunk = self._buffer.fill(chunk, self._config.window)
             if not self._buffer.room:
                 window, self._buffer.count = jnp.array(self._buffer.samples), 0
                 self._state, packed = _step(self._config, self._limits, self._state, window)
-                published.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed)))
-        return published
+                yield jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed))
+
+    def run(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]:
+        """Of each axis, the run that goes on: first sample, end, mean and slope per sample of its line.
+
+        Raises:
+            InputError: the stream does not follow the fit rule, the only one with runs.
+        """
+        if not isinstance(self._config, FitConfig):
+            raise InputError('Only words of the fit rule have a running line; choose rule="fit".')
+        t0, t1, mean, slope = jax.tree.map(np.asarray, _run(self._config, self._state))
+        return t0, t1, mean, slope
 
     def peek(self) -> LabelTracks:
         """Provisional labels as if the stream ended now; nothing changes."""

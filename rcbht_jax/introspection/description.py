@@ -3,7 +3,7 @@
 Built from the lines of primitives (best those of the fit rule). A change is a rise or fall between two turning points
 that are at least a given height apart (zigzag rule), or between one and a level stretch; its times are those at which a
 tenth and nine tenths of it are done. Several changes in alternation, equally far apart, are a ringing. What begins
-together is one sentence.
+together is one sentence. Forces that are let go at once have a sentence of their own.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rcbht_jax.encoding.arrays import encode
 from rcbht_jax.encoding.tolerance import USUAL
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.types import LabelTrack, Recordings
 
 TOGETHER = 0.1  # s between onsets that are told as one
@@ -236,7 +237,7 @@ def describe(
 
 
 def describe_recording(
-    recordings: Recordings, row: int, share: float = 0.2, track: str = ""
+    recordings: Recordings, row: int, share: float = 0.2, track: str = "", snaps: SnapDetector | None = None
 ) -> list[tuple[float, str]]:
     """Time and text of each sentence about a recording, with the names of annotated intervals where they begin.
 
@@ -245,6 +246,8 @@ def describe_recording(
         row: which one.
         share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change that is told.
         track: of annotations to name; default the first.
+        snaps: detector of snaps; default on all axes in N, its smallest fall the smallest change of the
+            one that changes most.
 
     Returns:
         seconds and text, in order of time.
@@ -256,6 +259,9 @@ def describe_recording(
         >>> push = np.interp(np.arange(600) / 200, [0, 1, 1.5, 3], [0, 0, 12, 12])[:, None]
         >>> describe_recording(Recordings.from_arrays([push], 200.0, axes=["grip"], units=["N"]), 0)
         [(1.05, 'grip rises 12 N in 0.4 s')]
+        >>> push = np.interp(np.arange(600) / 200, [0, 1, 2.5, 2.53, 3], [0, 0, 9, 2, 2])[:, None]
+        >>> describe_recording(Recordings.from_arrays([push], 200.0, axes=["grip"], units=["N"]), 0)[1]
+        (2.5, 'snap: grip lets go 5.8 of 9 N; seen at 2.52 s, published at 2.54 s')
     """
     if not 0 < share < 1:
         raise InputError(f"The smallest change is {share:g} of an axis's range; expected a number between 0 and 1.")
@@ -267,9 +273,37 @@ def describe_recording(
     least = np.where(high > low, share * (high - low), np.inf)
     units = dict(zip(recordings.axes, recordings.units, strict=True))
     told = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
+    told += _snaps(recordings, wrench, least, snaps)
     track = recordings.annotations.choose(track)
     if track:
         marks = recordings.annotations.of_recording(row).of(track)
         begun = zip(marks.start.tolist(), marks.names().tolist(), strict=True)
         told += [(round(start, 3), f"[{track}: {label}]") for start, label in begun]
     return sorted(told)
+
+
+def _snaps(
+    recordings: Recordings,
+    wrench: Float[np.ndarray, "time axis"],
+    least: Float[np.ndarray, " axis"],
+    snaps: SnapDetector | None,
+) -> list[tuple[float, str]]:
+    """Time and text of each snap, as it was published or, if it never was, last seen."""
+    if snaps is None:
+        forces = [axis for axis, unit in enumerate(recordings.units) if unit == "N" and np.isfinite(least[axis])]
+        if not forces:
+            return []
+        names = [recordings.axes[axis] for axis in forces]
+        snaps = SnapDetector(1 / recordings.dt, names, float(least[forces].max()))
+    snaps.reset()
+    columns = [recordings.axes.index(axis) for axis in snaps.axes if axis in recordings.axes]
+    if len(columns) < len(snaps.axes):
+        raise InputError(f"Snaps are asked for on {', '.join(snaps.axes)}; there are {', '.join(recordings.axes)}.")
+    events = snaps.push(wrench[:, columns], (len(wrench) - 1) * recordings.dt)
+    told = []
+    for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each
+        unit = recordings.units[recordings.axes.index(event.axis)]
+        end = "" if event.published is None else f", published at {event.published:.2f} s"
+        of = f"{_number(event.fall)} of {_number(abs(event.release))}{unit and f' {unit}'}"
+        told.append((round(event.start, 3), f"snap: {event.axis} lets go {of}; seen at {event.seen:.2f} s{end}"))
+    return told

@@ -11,6 +11,7 @@ from typing import Any
 from rcbht_jax.events import Event, Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
+from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
@@ -22,7 +23,8 @@ class Session:
     """Feeds one source into one introspector; irregularities of the source become a :class:`Notice`.
 
     Args:
-        introspector: with a model, or a :class:`rcbht_jax.introspection.words.WordIntrospector` for words alone.
+        introspector: with a model, or a :class:`rcbht_jax.introspection.words.WordIntrospector` for words alone, or
+            several as a :class:`rcbht_jax.introspection.together.Together`.
         bridge: see :class:`rcbht_jax.introspection.resampling.Resampler`.
 
     Example:
@@ -34,7 +36,7 @@ class Session:
         ['CT', 'FX']
     """
 
-    def __init__(self, introspector: Introspector | WordIntrospector, bridge: float | None = None) -> None:
+    def __init__(self, introspector: Introspector | WordIntrospector | Together, bridge: float | None = None) -> None:
         self.introspector = introspector
         self._axes = len(introspector.axes)
         self._grid = introspector.config.dt, bridge, self._axes

@@ -81,7 +81,7 @@ function key() {
       node.prepend(swatch(wordColor(layer, i + 1, false)));
       return node;
     });
-  }), text("span", "pale: provisional, may still change"));
+  }), text("span", `words by the ${about.rule === "fit" ? "fit rule" : "published rules"}; pale: provisional, may still change`));
 }
 
 function log(event, kind) {

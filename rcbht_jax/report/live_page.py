@@ -20,6 +20,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
 
+from rcbht_jax.encoding.rules import config_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.session import Session
@@ -42,6 +43,7 @@ def description(session: Session) -> dict[str, Any]:
     introspector = session.introspector
     return {
         "axes": introspector.axes,
+        "rule": config_fields(introspector.config)["rule"],
         "units": introspector.units,
         "layers": LAYERS,
         "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},

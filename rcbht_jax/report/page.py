@@ -122,7 +122,9 @@ def _summary(data: DataSet, shown: int) -> str:
     samples = int(recordings.length.sum())
     outcomes = [f"{int((recordings.outcome == o).sum())} {o}" for o in np.unique(recordings.outcome).tolist()]
     sources = ", ".join(escape(source) for source in np.unique(recordings.source).tolist())
-    labels = f"labels {escape(data.tracks_name)}" if data.tracks_name else "no labels"
+    rule = "fit" if data.tracks_attrs.get("config", {}).get("rule") == "fit" else "published"
+    words = f"labels {escape(data.tracks_name)}, words by the {rule} rule{'s' * (rule != 'fit')}"
+    labels = words if data.tracks_name else "no labels"
     warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
     return (
         f"<p>{len(recordings)} recordings of {sources}: {', '.join(map(escape, outcomes))}; "

@@ -13,6 +13,7 @@ import tyro
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.cli.command import Command, announce
+from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
 from rcbht_jax.cli.store import ImportHiro
@@ -50,10 +51,11 @@ class Demo(Command):
     """Trials to simulate."""
     seed: int = 0
     """Seed of the random numbers."""
+    rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
         if self.data is not None:
-            return _run_recorded(self.data, self.out)
+            return _run_recorded(self.data, self.out, self.rule)
         if self.trials < 40:
             raise InputError(f"{self.trials} trials are too few to train and test on; expected at least 40.")
         from rcbht_jax.io.store import read_recordings
@@ -73,7 +75,7 @@ class Demo(Command):
             for task in ("states", "outcome")
         }
         announce(5, STEPS, "plot")
-        pictures = self._draw(store, encoded["name"])
+        pictures = self._draw(store)
         recordings = read_recordings(store)
         result = {
             "simulated": simulated,
@@ -82,6 +84,7 @@ class Demo(Command):
             "evaluation": scores,
             "models": models,
             "pictures": [str(path) for path in pictures],
+            "words of the pictures": self.rule,
             "seconds": time.perf_counter() - start,
         }
         summary = self.out / "summary.txt"
@@ -97,21 +100,21 @@ class Demo(Command):
         path.unlink(missing_ok=True)
         return str(Train(store, task=task, kernels=KERNELS, costs=COSTS, out=path).run()["model"])
 
-    def _draw(self, store: Path, tracks_name: str) -> list[Path]:
-        from rcbht_jax.io.label_store import read_tracks
+    def _draw(self, store: Path) -> list[Path]:
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import label_map, save
 
-        recordings, (tracks, _) = read_recordings(store), read_tracks(store, tracks_name)
+        recordings, (_, tracks, _) = read_recordings(store), drawn_words(store, "", self.rule)
         paths = []
         for name, fault in (("success", "none"), ("failure", "jamming")):
             trial = _first(recordings, store, fault, name)
             if trial is not None:
                 paths.append(self.out / f"{name}.png")
-                View(store, trial, paths[-1]).run()
+                View(store, trial, paths[-1], rule=self.rule).run()
         paths.append(self.out / "label-map.png")
         rows = recordings.outcome == "success"
-        figure = label_map(recordings, tracks, "llb", select=rows, by="state", title="simulated trials that succeeded")
+        title = f"simulated trials that succeeded, {SAYS[self.rule]}"
+        figure = label_map(recordings, tracks, "llb", select=rows, by="state", title=title)
         save(figure, paths[-1])
         return paths
 
@@ -144,6 +147,7 @@ def _summary(result: dict[str, Any]) -> str:
         "",
         f"Models      {', '.join(result['models'])}",
         *(f"{'Pictures' if i == 0 else '':12}{path}" for i, path in enumerate(result["pictures"])),
+        f"            {_caption(result['words of the pictures'])}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -154,7 +158,13 @@ def _score(title: str, score: dict[str, Any], what: str) -> list[str]:
     return lines + [f"            {name:16}{score[key]['balanced_accuracy']['mean']:.3f}" for name, key in rows]
 
 
-def _run_recorded(data: Path, out: Path) -> dict[str, Any]:
+def _caption(rule: str) -> str:
+    """What the pictures show, and what the classifiers read."""
+    read = "" if rule == "paper" else "; the classifiers read those of the published rules"
+    return f"They show {SAYS[rule]}{read}."
+
+
+def _run_recorded(data: Path, out: Path, rule: Literal["fit", "paper"]) -> dict[str, Any]:
     """The chain on the authors' real trials: import, encode, evaluate, plot, summarise.
 
     Raises:
@@ -178,7 +188,8 @@ def _run_recorded(data: Path, out: Path) -> dict[str, Any]:
         "left_out": len(imported["skipped"]),
         "labels": encoded["labels"],
         "evaluation": scores,
-        "pictures": [str(path) for path in _draw_recorded(out, store, encoded["name"])],
+        "pictures": [str(path) for path in _draw_recorded(out, store, rule)],
+        "words of the pictures": rule,
         "summary": str(summary),
         "seconds": time.perf_counter() - start,
     }
@@ -192,28 +203,26 @@ def _run_recorded(data: Path, out: Path) -> dict[str, Any]:
         "",
         "pictures:",
         *(f"  {path}" for path in result["pictures"]),
+        f"  {_caption(rule)}",
     ]
     with atomic_write(summary) as draft:
         draft.write_text("\n".join(lines) + "\n")
     return result
 
 
-def _draw_recorded(out: Path, store: Path, tracks_name: str) -> list[Path]:
-    from rcbht_jax.io.label_store import read_tracks
+def _draw_recorded(out: Path, store: Path, rule: Literal["fit", "paper"]) -> list[Path]:
     from rcbht_jax.io.store import read_recordings
     from rcbht_jax.plots import label_map, save, trial_figure
 
-    recordings, (tracks, _) = read_recordings(store), read_tracks(store, tracks_name)
+    recordings, (_, tracks, _) = read_recordings(store), drawn_words(store, "", rule)
     paths = []
     for session in ("A", "B"):
         rows = np.flatnonzero(recordings.session == session)
         if rows.size:
             row = int(rows[rows.size // 2])
             paths.append(out / f"trial-{recordings.trial[row]}.png")
-            save(trial_figure(recordings, tracks, row, window=WINDOW), paths[-1])
+            save(trial_figure(recordings, tracks, row, window=WINDOW, rule=rule), paths[-1])
     paths.append(out / "label-map.png")
-    save(
-        label_map(recordings, tracks, "llb", select=recordings.source == RECORDED, by="state", title=RECORDED),
-        paths[-1],
-    )
+    select, title = recordings.source == RECORDED, f"{RECORDED}, {SAYS[rule]}"
+    save(label_map(recordings, tracks, "llb", select=select, by="state", title=title), paths[-1])
     return paths

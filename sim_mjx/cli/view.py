@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, progress_bar
+from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class View(Command):
     tracks: Tracks = ""
     speed: float = 1.0
     """Playback speed in viewer and film: 1 = real time."""
+    rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.plot import find_recording
@@ -69,7 +71,8 @@ class View(Command):
             with progress_bar("film", "frames") as bar:
                 animation.film(out, replay, recordings, row, speed=self.speed, progress=lambda n, of: _show(bar, n, of))
         else:
-            save(trial_overview(replay, *self._labelled(recordings, row), times), out)
+            labelled, tracks, at, rule = self._labelled(recordings, row)
+            save(trial_overview(replay, labelled, tracks, at, times, SAYS[rule]), out)
         return {**result, "moments": times}
 
     def text(self, result: dict[str, Any]) -> str:
@@ -77,21 +80,27 @@ class View(Command):
         lines += [f"  {seconds:7.2f} s  {name}" for name, seconds in result["moments"].items()]
         return "\n".join([*lines, *([result["picture"]] if result["picture"] else [])])
 
-    def _labelled(self, recordings: Recordings, row: int) -> tuple[Recordings, LabelTracks, int]:
-        """The labels of the store; if it has none, those of this trial alone."""
+    def _labelled(self, recordings: Recordings, row: int) -> tuple[Recordings, LabelTracks, int, str]:
+        """Recordings, labels, row and rule: labels of the store by the rule; if it has none, of this trial alone."""
         from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.batch import encode_batch
-        from rcbht_jax.encoding.encoder import EncoderConfig
+        from rcbht_jax.encoding.rules import config_of, limits_for
         from rcbht_jax.encoding.thresholds import preset
         from rcbht_jax.io.label_store import choose_tracks, list_tracks
+        from rcbht_jax.io.store import read_sample
         from rcbht_jax.robots.snap_assembly import HARMONISED
 
-        if self.tracks or list_tracks(self.store):
-            return recordings, choose_tracks(self.store, self.tracks)[1], row
+        name = self.tracks or (stored_by(self.store, self.rule) if list_tracks(self.store) else "")
+        if name:
+            _, tracks, attrs = choose_tracks(self.store, name)
+            return recordings, tracks, row, rule_of(attrs)
         alone = _only(recordings, row)
-        config = EncoderConfig(WINDOW, recordings.dt)
-        limits = preset("hiro") if HARMONISED in recordings.annotations.labels else auto_thresholds(recordings, WINDOW)
-        return alone, encode_batch(config, limits, alone.wrench, alone.length), 0
+        config = config_of(self.rule, WINDOW, recordings.dt)
+        known = HARMONISED in recordings.annotations.labels
+        thresholds = preset("hiro") if known else auto_thresholds(recordings, WINDOW)
+        teachers = read_sample(self.store)[0]  # of one trial alone, an axis that only rests would have words of noise
+        limits = limits_for(config, thresholds, None, teachers.wrench, teachers.length)
+        return alone, encode_batch(config, limits, alone.wrench, alone.length), 0, self.rule
 
     def _check(self, out: Path | None) -> None:
         from sim_mjx.plots import animation

@@ -109,6 +109,10 @@ class Drawing:
         """Where a body is in the picture, m, as last shown."""
         return self._data.body(body).xpos[[self._view.right, self._view.up]]
 
+    def tips(self) -> Float64[np.ndarray, "tab 2"]:
+        """Where the tips of the tabs are in the picture, m, as last shown."""
+        return self._data.geom_xpos[_tabs(self._model)][:, [self._view.right, self._view.up]]
+
     def _name(self, geom: int) -> str:
         return str(self._model.geom(geom).name)
 

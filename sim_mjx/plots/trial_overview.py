@@ -28,13 +28,19 @@ LETTERS = "abcdef"
 
 
 def trial_overview(
-    replay: Replay, recordings: Recordings, tracks: LabelTracks, row: int, moments: Mapping[str, float]
+    replay: Replay,
+    recordings: Recordings,
+    tracks: LabelTracks,
+    row: int,
+    moments: Mapping[str, float],
+    words: str = "",
 ) -> Figure:
     """The figure of one trial.
 
     Args:
         replay: how it moved. recordings: its store. tracks: its labels. row: of the trial in both.
         moments: what to show, name -> s, in order.
+        words: what they are, for the title.
     """
     figure = new_figure(INCHES, DPI)
     frames = choose(moments)
@@ -63,7 +69,8 @@ def trial_overview(
         panel.tick_params(labelbottom=panel is panels[-1])
     panels[-1].set_xlabel("time, s", fontsize=11)
     label_legend(figure, "llb", used, (0.06, 0.002), 7)
-    figure.suptitle(_title(replay, recordings, row), x=0.06, y=0.988, ha="left", va="top", fontsize=14)
+    title = ", ".join(filter(None, (_title(replay, recordings, row), words)))
+    figure.suptitle(title, x=0.06, y=0.988, ha="left", va="top", fontsize=14)
     return figure
 
 
@@ -101,7 +108,7 @@ def still(pair: tuple[Axes, Axes], replay: Replay, seconds: float) -> tuple[Draw
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = drawings[0].place("MOUNT")
     _look_at(pair[0], *((0.16, y + 0.22, 0.27) if one else (0.2, 0.0, 0.33)))
-    _look_at(pair[1], *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
+    _look_closely(pair[1], drawings[1], *((x - 0.02, y + 0.018, 0.03) if one else (x - 0.02, y - 0.015, 0.035)))
     for ax in pair:
         ax.set(xticks=[], yticks=[])
         for spine in ax.spines.values():
@@ -116,10 +123,16 @@ def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = cut.place("MOUNT")
     _look_at(pair[0], x / 2, y + 0.25, 0.42)
-    _look_at(pair[1], x, y, 0.03)
+    _look_closely(pair[1], cut, x, y, 0.03)
     for ax in pair:
         ax.set(xticks=[], yticks=[])
     return whole, cut
+
+
+def _look_closely(ax: Axes, drawing: Drawing, x: float, y: float, half: float) -> None:
+    """As :func:`_look_at`, from farther away where the tips of the part would be outside."""
+    away = np.abs(drawing.tips() - (x, y)).max(initial=0.0)
+    _look_at(ax, x, y, half if away < half else away + half / 2)
 
 
 def _look_at(ax: Axes, x: float, y: float, half: float) -> None:

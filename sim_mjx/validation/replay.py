@@ -231,13 +231,15 @@ def moments(replay: Replay, onset: Float64[np.ndarray, " 4"]) -> dict[str, float
         onset: of its states, s, NaN = never reached.
     """
     touch, turned, mating = (float(at) for at in onset[1:])
-    events = {"before touch": max(touch - 0.6, 0.0) if np.isfinite(touch) else 0.0}
-    for name, at in (("touch", touch), ("rotation", (touch + turned) / 2), ("insertion", turned), ("mating", mating)):
-        if np.isfinite(at):
-            events[name] = at
+    passes = {}
     # a tab is in from the moment after which it stays past its lip
     for tab in np.flatnonzero(replay.past[-1]):
         first = len(replay.past) - int(np.argmin(np.append(replay.past[::-1, tab], False)))
-        events[f"{parts.TABS[tab]}{PASSES}"] = first * replay.dt
-    events["end"] = (len(replay.qpos) - 1) * replay.dt
+        passes[f"{parts.TABS[tab]}{PASSES}"] = first * replay.dt
+    met = touch if np.isfinite(touch) else min(passes.values(), default=0.0)  # a hand may jam before it feels a touch
+    events = {"before touch": max(met - 0.6, 0.0)}
+    for name, at in (("touch", touch), ("rotation", (touch + turned) / 2), ("insertion", turned), ("mating", mating)):
+        if np.isfinite(at):
+            events[name] = at
+    events |= passes | {"end": (len(replay.qpos) - 1) * replay.dt}
     return dict(sorted(events.items(), key=lambda item: item[1]))

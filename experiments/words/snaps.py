@@ -1,0 +1,211 @@
+"""Snaps on words, against the moments at which tabs pass their lips in simulation, and on the recorded session B.
+
+Words are those of the fit rule on the axis of insertion (Fz). A pass counts as found if a snap is seen from 50 ms
+before to 100 ms after it, and as found in time if that is at most 50 ms after it; what is seen and matches no pass is a
+false event. Passes of worn hooks, which release next to no force, are told apart. Shares are by trial: of trials with a
+pass, those in which every pass is found in time; of trials in which something is seen, those in which nothing false is;
+with Wilson's intervals. Sizes were chosen on clip@panda, seed 1, alone; all else is another seed or another assembly,
+of which the pegs have nothing that could snap. The baseline is a fall of |F| within 50 ms, its level chosen on the same
+trials.
+
+Run: python -m experiments.words.snaps
+Simulates with the native engine; reads the recorded trials (RCBHT_DATA).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments._lib.benchmarks import recorded, rounded
+from experiments._lib.intervals import by_trial
+from experiments._lib.results_io import write_result
+from rcbht_jax.introspection.snaps import SnapConfig, SnapDetector
+from rcbht_jax.robots.snap_assembly import RECORDED
+from rcbht_jax.types import Recordings
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets.session_a import SESSION_A
+from sim_mjx.registry import get_scenario
+from sim_mjx.validation import passing, sessions, snaps
+
+FZ, RATE = 2, 1 / CONTROL_PERIOD
+EARLY, IN_TIME, LATE = -10, 10, 20  # samples from a pass to when it is seen
+CHOSEN_ON = ("clip@panda", 1)
+TESTS = (  # what is simulated, seed
+    ("clip@panda", 3), ("clip@ur5e", 3), ("plug@panda", 3), ("plug@ur5e", 3), ("peg-in-hole@panda", 3),
+    ("square-peg@panda", 3), ("hooked-B", 3),
+)  # fmt: skip
+SMOOTH = ("peg-in-hole", "square-peg")  # parts without hooks: whatever is seen there is false
+SLOW = {"hooked-B": 0.3}  # share of the trials of sets that take long
+LEAST, HIGH, SHARES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0), (10.0, np.inf), (0.6, 0.75, 0.9, 1.0, 1.5)
+BASELINE = np.arange(1.0, 12.1, 0.5)  # N
+APART = 60  # samples between two events of the baseline, as of the words
+AGREES = 0.15  # s between a snap that was read and one that is seen
+
+
+@dataclass(frozen=True)
+class Trials:
+    """A set with its truth."""
+
+    wrench: NDArray[np.float32]  # [trial, time, 6]
+    length: NDArray[np.int32]
+    passes: list[list[int]]  # of each trial, samples
+    worn: NDArray[np.bool_]  # [trial]
+
+
+def simulated(name: str, seed: int, count: int) -> Trials:
+    """Trials of one kind, half of them with a fault."""
+    scenario = get_scenario(name)
+    done = passing.simulate(scenario, seed, range(count), scenario.spec(nominal_share=0.5))
+    hooks = not name.startswith(SMOOTH)
+    moments = [[sample for sample, _ in done.moments(trial) if hooks] for trial in range(count)]
+    worn = np.array([fault.kind == "worn-hook" for fault in done.faults])
+    return Trials(done.run.wrench, done.run.length, moments, worn)
+
+
+def seen(trials: Trials, least: float, high: float, config: SnapConfig) -> list[list[int]]:
+    """Samples at which snaps are seen on Fz, of each trial: every trial is an axis of one stream."""
+    names = [str(trial) for trial in range(len(trials.length))]
+    detector = SnapDetector(RATE, names, least, load=(0.0, high), config=config)
+    found: list[list[int]] = [[] for _ in names]
+    for event in detector.push(trials.wrench[:, :, FZ].T):
+        trial = int(event.axis)
+        if event.time == event.seen and event.sample <= trials.length[trial]:
+            found[trial].append(event.sample)
+    return found
+
+
+def fallen(trials: Trials, level: float) -> list[list[int]]:
+    """The baseline: samples at which |F| has fallen by more than the level within 50 ms."""
+    size = np.linalg.norm(trials.wrench[:, :, :3].astype(float), axis=2)
+    fall = np.pad(size[:, :-IN_TIME] - size[:, IN_TIME:], ((0, 0), (IN_TIME, 0)))
+    found: list[list[int]] = []
+    for row, length in zip(fall, trials.length.tolist(), strict=True):
+        events: list[int] = []
+        for sample in np.flatnonzero(row[:length] > level).tolist():
+            if not events or sample + 1 - events[-1] > APART:
+                events.append(sample + 1)
+        found.append(events)
+    return found
+
+
+def score(trials: Trials, found: Sequence[Sequence[int]]) -> dict[str, Any]:
+    """How events agree with passes; shares by trial."""
+    delays: list[int] = []
+    in_time: list[float] = []
+    right: list[float] = []
+    counts = {"passes": 0, "found in time": 0, "found": 0, "seen": 0, "false": 0, "worn hooks": 0, "worn hooks seen": 0}
+    for passes, events, worn in zip(trials.passes, found, trials.worn.tolist(), strict=True):
+        left, hits = list(events), 0
+        for sample in passes:
+            match = next((event for event in left if EARLY <= event - sample <= LATE), None)
+            if match is not None:
+                left.remove(match)
+            counts["worn hooks" if worn else "passes"] += 1
+            if worn:
+                counts["worn hooks seen"] += match is not None
+            elif match is not None:
+                delays.append(match - sample)
+                hits += delays[-1] <= IN_TIME
+                counts["found"] += 1
+        counts["found in time"] += hits
+        counts["seen"] += len(events)
+        counts["false"] += len(left)
+        if passes and not worn:
+            in_time.append(hits / len(passes))
+        if events:
+            right.append(1 - len(left) / len(events))
+    shares = {"recall": in_time, "precision": right}
+    return {
+        "trials": len(trials.length),
+        **counts,
+        **{name: by_trial(float(np.mean(part)), len(part)) if part else None for name, part in shares.items()},
+        "ms after the pass, 5 50 95 %": (np.percentile(delays, (5, 50, 95)) * 1e3 / RATE).tolist() if delays else None,
+    }
+
+
+def worth(result: dict[str, Any]) -> float:
+    """Harmonic mean of the shares of passes found in time and of events that are right."""
+    right = result["seen"] - result["false"]
+    return 2 * result["found in time"] / max(result["passes"] + result["seen"], 1) if right else 0.0
+
+
+def choose(trials: Trials) -> tuple[dict[str, Any], float, dict[str, Any]]:
+    """Sizes and level that are best on these trials: of equals the strictest."""
+    rows = {}
+    for least, high, share in itertools.product(LEAST, HIGH, SHARES):
+        rows[least, high, share] = worth(score(trials, seen(trials, least, high, SnapConfig(share=share))))
+    best = [key for key, value in rows.items() if value == max(rows.values())]
+    least, high, share = max(best, key=lambda key: (key[0], -key[1], -key[2]))
+    levels = {float(level): worth(score(trials, fallen(trials, float(level)))) for level in BASELINE}
+    level = max(level for level, value in levels.items() if value == max(levels.values()))
+    table = {f"fall {k[0]:g} N, load to {k[1]:g} N, share {k[2]:g}": value for k, value in rows.items()}
+    return {"least": least, "high": high, "share": share}, level, table
+
+
+def of_session(recordings: Recordings, session: str, least: float, config: SnapConfig) -> dict[str, Any]:
+    """Recorded trials that reached every state: what is seen, and where it agrees with the reading afterwards.
+
+    The reading (:func:`sim_mjx.validation.snaps.find`) sees whole trials, with the sensor's filter inverted.
+    """
+    rows = sessions.recorded_rows(recordings, session)
+    detector = SnapDetector(RATE, ["Fz"], least, config=config)
+    out: dict[str, Any] = {}
+    names = ("seated", "one is seen", "as recorded is read", "as recorded is read and seen", "read", "read and seen",
+             "seen", "seen alone")  # fmt: skip
+    counts = dict.fromkeys(names, 0)
+    for row in rows.tolist():
+        wrench, touch = recordings.wrench[row, : recordings.length[row], FZ], recordings.starts(RECORDED)[row, 1]
+        detector.reset()
+        events = [event for event in detector.push(wrench[:, None]) if event.time == event.seen]
+        seated = "off-seat" not in str(recordings.note[row]) and recordings.outcome[row] == "success"
+        read = snaps.find(snaps.unfiltered(wrench, SESSION_A.sensor), float(touch))
+        starts = [event.start for event in events]
+        agreed = [any(abs(start - snap.time) <= AGREES for start in starts) for snap in read]
+        alone = sum(not any(abs(start - snap.time) <= AGREES for snap in read) for start in starts)
+        like = [snaps.as_recorded(snap) for snap in read]
+        out[str(recordings.trial[row])] = {
+            "seated": bool(seated), "read, s": [round(snap.time, 3) for snap in read], "falls, s": starts,
+            "seen, s": [event.seen for event in events],
+        }  # fmt: skip
+        if seated:
+            both = any(one and seen for one, seen in zip(like, agreed, strict=True))
+            add = (1, bool(events), any(like), both, len(read), sum(agreed), len(events), alone)
+            counts = {name: value + more for (name, value), more in zip(counts.items(), add, strict=True)}
+    return {"seated trials": counts, "trials": out}
+
+
+def main(trials: int = 200) -> None:
+    """Choose on one set, test on the others, count in the recorded sessions."""
+    first = simulated(*CHOSEN_ON, trials)
+    sizes, level, grid = choose(first)
+    config = SnapConfig(share=sizes["share"])
+    rows = {}
+    for name, seed in (CHOSEN_ON, *TESTS):
+        count = round(trials * SLOW.get(name, 1.0))
+        of = first if (name, seed) == CHOSEN_ON else simulated(name, seed, count)
+        rows[f"{name}, seed {seed}"] = {
+            "words": score(of, seen(of, sizes["least"], sizes["high"], config)),
+            "words, default share, any load": score(of, seen(of, sizes["least"], np.inf, SnapConfig())),
+            "fall of |F|": score(of, fallen(of, level)),
+        }
+        print(name, seed, flush=True)
+    hiro = recorded()
+    about = {
+        "chosen on": ", seed ".join(map(str, CHOSEN_ON)),
+        "chosen": {**sizes, "high": sizes["high"] if np.isfinite(sizes["high"]) else None, "level of |F|": level},
+        "worth by choice": grid,
+        "rows": rounded(rows),
+        "recorded": {session: of_session(hiro, session, sizes["least"], SnapConfig()) for session in ("B", "A")},
+    }
+    write_result("snaps", f"python -m experiments.words.snaps --trials {trials}", about, seed=CHOSEN_ON[1])
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,61 @@
+"""Which words a picture shows: those of the fit rule, unless told otherwise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rcbht_jax.cli.command import option
+
+if TYPE_CHECKING:
+    from rcbht_jax.types import LabelTracks
+
+DrawnRule = Annotated[
+    Literal["fit", "paper"],
+    option(
+        "Rule of the words that are shown, where --tracks names none: fit, whose words follow the signal, or the "
+        "paper's. Words that the store has not are made on the way."
+    ),
+]
+SAYS = {"fit": "words by the fit rule", "paper": "words by the published rules"}
+
+
+def rule_of(attrs: dict[str, Any]) -> str:
+    """The rule of label tracks, by what they note; that of the authors' program is the paper's.
+
+    >>> rule_of({"config": {"rule": "fit"}}), rule_of({"semantics": "offline"})
+    ('fit', 'paper')
+    """
+    return "fit" if attrs.get("config", {}).get("rule") == "fit" else "paper"
+
+
+def stored_by(store: Path, rule: str) -> str:
+    """Name of the label tracks by a rule; "" = the store has only others.
+
+    Raises:
+        InputError: there are no tracks at all, or several by this rule.
+    """
+    from rcbht_jax.errors import InputError
+    from rcbht_jax.io.label_store import choose_name, list_tracks, read_tracks_attrs
+
+    names = list_tracks(store)
+    if not names:
+        choose_name(store)
+    found = [name for name in names if rule_of(read_tracks_attrs(store, name)) == rule]
+    if len(found) > 1:
+        raise InputError(f"{store} has several label tracks; choose one with --tracks: {', '.join(found)}.")
+    return found[0] if found else ""
+
+
+def drawn_words(store: Path, tracks: str, rule: Literal["fit", "paper"]) -> tuple[str, LabelTracks, dict[str, Any]]:
+    """Name, labels and attributes of what is drawn: tracks by name, stored ones by the rule, or words made now.
+
+    Raises:
+        InputError: there are no tracks, none of that name, or several by the rule.
+    """
+    from rcbht_jax.cli.encode import Encode
+    from rcbht_jax.io.label_store import choose_tracks
+
+    if tracks or (name := stored_by(store, rule)):
+        return choose_tracks(store, tracks or name)
+    return Encode(store, rule=rule).made_now()

@@ -1,0 +1,344 @@
+"""Snaps on words: a force that was built up slowly and is released within a fraction of a second, as when a tab passes.
+
+Reads the lines of the fit rule's primitives, published ones and the running one, once for each window. :func:`init` and
+:func:`step` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A snap is seen as
+soon as the running line tells of it, and published when the published words alone do. :class:`SnapDetector` is these
+functions for people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from numpy.typing import ArrayLike, NDArray
+
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.stream import Encoder
+from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Snap
+
+Reals = Float64[np.ndarray, "*lanes"]
+Counts = Int64[np.ndarray, "*lanes"]
+Flags = Bool[np.ndarray, "*lanes"]
+
+LOAD = np.array([1.0, -1.0])  # ways in which an axis can be loaded
+NEVER = -(2**40)  # a sample long before the first one
+TOLERANCES = 10.0  # of the words in the smallest fall
+NOTHING = -1e30  # the highest value where no line is: finite, so that differences are numbers
+
+
+@dataclass(frozen=True)
+class SnapConfig:
+    """What counts as a snap; sizes are those of :func:`step`.
+
+    Attributes:
+        within: seconds in which the force falls.
+        hold: seconds before its highest point in which it must not have risen by as much as it falls: in a ringing it
+            has.
+        share: of the fall, by which it may have risen in this time.
+        turn: of the fall, by which it may have been higher before this point: else the fall is a longer one.
+        loaded: of the fall, how far from zero the axis must have been: a release, no push. Sensors are tared.
+        apart: seconds after a snap without another one on the same axis.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    within: float = 0.05
+    hold: float = 0.1
+    share: float = 0.75
+    turn: float = 0.1
+    loaded: float = 0.5
+    apart: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in (("within", self.within), ("hold", self.hold), ("apart", self.apart)):
+            if not 0 < value < math.inf:
+                raise InputError(f"A snap's {name} is {value:g} s; expected a positive, finite time.")
+        if not all(0 <= share < math.inf for share in (self.share, self.turn, self.loaded)):
+            raise InputError("The shares of a snap's fall must be finite and not negative.")
+
+
+class SnapSizes(NamedTuple):
+    """How large a snap is, N or Nm, of each lane or of all."""
+
+    least: Float64[np.ndarray, "*axes"]  # smallest fall, > 0
+    most: Float64[np.ndarray, "*axes"]  # largest fall
+    low: Float64[np.ndarray, "*axes"]  # smallest load from which it falls
+    high: Float64[np.ndarray, "*axes"]  # largest
+
+
+class Lines(NamedTuple):
+    """Straight lines, one after the other ``[line, *lanes]``; those with no samples are no lines."""
+
+    t0: Counts  # first sample
+    t1: Counts  # one past the last
+    begin: Reals  # N or Nm at the first sample
+    end: Reals  # at the last
+
+    def after(self, line: Lines) -> Lines:
+        """These and one more ``[*lanes]``."""
+        return Lines(*(np.concatenate([old, new[None]]) for old, new in zip(self, line, strict=True)))
+
+
+class SnapState(NamedTuple):
+    """What is remembered of every lane, whatever the length of the stream."""
+
+    lines: Lines  # the latest published ones
+    seen: Counts  # samples received when the latest snap was seen
+    open: Flags  # whether it is not published yet
+
+
+class Snaps(NamedTuple):
+    """What one window says of every lane; the numbers mean nothing where there is no snap."""
+
+    seen: Flags  # a snap is seen for the first time
+    published: Flags  # it will not change any more
+    start: Counts  # first sample of the fall: the last one within ``turn`` of its highest point
+    stop: Counts  # sample after the last that is known
+    release: Reals  # N or Nm, value from which it falls
+    fall: Reals  # N or Nm, > 0
+    when: Counts  # samples received when it was seen
+
+
+def memory(config: SnapConfig, dt: float, window: int) -> int:
+    """How many lines are remembered: as many as can begin within the times that count, one for each window."""
+    return math.ceil((2 * config.within + config.hold) / dt / window) + 2
+
+
+def init(config: SnapConfig, dt: float, window: int, lanes: tuple[int, ...]) -> SnapState:
+    """The empty state; ``dt`` s between samples, ``window`` samples for each step."""
+    shape = memory(config, dt, window), *lanes
+    lines = Lines(np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape))
+    never = np.full(lanes, NEVER, np.int64)
+    return SnapState(lines, never, np.zeros(lanes, bool))
+
+
+def step(
+    config: SnapConfig,
+    dt: float,
+    sizes: SnapSizes,
+    state: SnapState,
+    word: Lines,
+    running: Lines,
+) -> tuple[SnapState, Snaps]:
+    """What one more window tells of every lane.
+
+    Args:
+        config: what counts as a snap.
+        dt: s between samples.
+        sizes: of the lanes' axes.
+        state: of the same lanes.
+        word: the line that this window published ``[*lanes]``; no samples where none.
+        running: the line of the run that goes on ``[*lanes]``, up to the latest sample.
+
+    Returns:
+        the new state, and what is seen or published now.
+
+    Example:
+        >>> config, sizes = SnapConfig(), SnapSizes(*np.array([3.0, 99, 0, 99]))
+        >>> none = Lines(*np.zeros((2, 1), int), *np.zeros((2, 1)))
+        >>> line = lambda *ends: Lines(*np.array(ends[:2])[:, None], *np.array(ends[2:], float)[:, None])
+        >>> state = init(config, 0.005, 5, (1,))
+        >>> state, said = step(config, 0.005, sizes, state, line(0, 100, 0, 8), line(100, 105, 8, 5))
+        >>> state, said = step(config, 0.005, sizes, state, none, line(100, 110, 8, 2))
+        >>> said.seen.tolist(), said.start.tolist(), said.fall.tolist()
+        ([True], [100], [6.0])
+    """
+    new = word.t1 > word.t0
+    known = state.lines.after(word)
+    lines = Lines(*(np.where(new, after[1:], before) for after, before in zip(known, state.lines, strict=True)))
+    now = running.t1
+    by_run = _released(config, dt, sizes, lines.after(running))
+    by_words = _released(config, dt, sizes, lines) if new.any() else by_run
+    sure = new & by_words.seen
+    first = ~state.open & (now - state.seen > round(config.apart / dt)) & (sure | by_run.seen)
+    published = sure & (first | state.open)
+    said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
+    seen = np.where(first, now, state.seen)
+    forgotten = now - seen > round((config.within + config.apart) / dt)  # the words tell of another fall than the run
+    state = SnapState(lines, seen, (state.open | first) & ~published & ~forgotten)
+    return state, Snaps(first, published, *said[1:], seen)
+
+
+class _Released(NamedTuple):
+    """Whether the last line ends after a release, and what it is."""
+
+    seen: Flags
+    start: Counts
+    stop: Counts
+    release: Reals
+    fall: Reals
+
+
+def _released(config: SnapConfig, dt: float, sizes: SnapSizes, lines: Lines) -> _Released:
+    within, hold = round(config.within / dt), round(config.hold / dt)
+    there = lines.t1[-1] > lines.t0[-1]
+    known = np.where(lines.t1 > lines.t0, lines.t0, -NEVER).min(0)
+    end = np.stack([lines.t1[-1] - 1] * len(LOAD))
+    values, samples = _points(lines, LOAD, end - within, end)
+    peak, at = _highest(values, samples)
+    before, _ = _highest(*_points(lines, LOAD, end - 2 * within, end - within - 1))
+    lowest = -_highest(*_points(lines, -LOAD, at - hold, at))[0]
+    fall = peak - _by_way(LOAD, end.ndim) * lines.end[-1]
+    good = there & (known <= at - hold) & (fall >= sizes.least) & (fall <= sizes.most) & (peak >= config.loaded * fall)
+    good &= (peak >= sizes.low) & (peak <= sizes.high)
+    good &= (before <= peak + config.turn * fall) & (lowest >= peak - config.share * fall)
+    start = np.where(values >= (peak - config.turn * fall)[:, None], samples, NEVER).max(1)
+    which = np.where(good[0], 0, 1)[None]
+    start, release, fall = (np.take_along_axis(values, which, 0)[0] for values in (start, peak, fall))
+    return _Released(good.any(0), start, lines.t1[-1], np.where(good[0], release, -release), fall)
+
+
+def _by_way(way: Float64[np.ndarray, " way"], dims: int) -> Float64[np.ndarray, "way ..."]:
+    return way.reshape(-1, *[1] * (dims - 1))
+
+
+def _points(
+    lines: Lines,
+    way: Float64[np.ndarray, " way"],
+    first: Int64[np.ndarray, "way *lanes"],
+    last: Int64[np.ndarray, "way *lanes"],
+) -> tuple[Float64[np.ndarray, "way point *lanes"], Int64[np.ndarray, "way point *lanes"]]:
+    """Both ends of every line within ``first`` to ``last``: value times ``way``, NOTHING where none is; and sample."""
+    way = _by_way(way, lines.t0.ndim + 1)
+    a, b = np.maximum(lines.t0, first[:, None]), np.minimum(lines.t1 - 1, last[:, None])
+    samples, there = np.concatenate([a, b], 1), (a <= b) & (lines.t1 > lines.t0)
+    slope = (lines.end - lines.begin) / np.maximum(lines.t1 - 1 - lines.t0, 1)
+    t0, begin, slope = (np.concatenate([field, field]) for field in (lines.t0, lines.begin, slope))
+    values = way * (begin + slope * (samples - t0))
+    return np.where(np.concatenate([there, there], 1), values, NOTHING), samples
+
+
+def _highest(
+    values: Float64[np.ndarray, "way point *lanes"], samples: Int64[np.ndarray, "way point *lanes"]
+) -> tuple[Float64[np.ndarray, "way *lanes"], Int64[np.ndarray, "way *lanes"]]:
+    """The highest of the points, and its sample."""
+    which = values.argmax(1, keepdims=True)
+    return np.take_along_axis(values, which, 1)[:, 0], np.take_along_axis(samples, which, 1)[:, 0]
+
+
+# --- for people -------------------------------------------------------------------------------------------------------
+
+
+def line_of(
+    t0: NDArray[np.integer], t1: NDArray[np.integer], mean: NDArray[np.floating], slope: NDArray[np.floating]
+) -> Lines:
+    """Lines from their spans, means and slopes per sample, of one shape."""
+    half = np.asarray(slope, np.float64) * (t1 - t0 - 1) / 2
+    return Lines(t0.astype(np.int64), t1.astype(np.int64), mean - half, mean + half)
+
+
+class SnapDetector:
+    """Snaps of a stream of forces, words of the fit rule within; the same events however the samples are cut.
+
+    Args:
+        rate: samples per second.
+        axes: their names.
+        least: smallest fall that is a snap, N or Nm: a number, or one for each axis.
+        most: largest fall.
+        load: smallest and largest value, either way from zero, from which it falls; numbers, or one for each axis.
+        window: samples for each step of the encoder: a snap is seen at the end of one.
+        tolerance: of the words; default a tenth of the smallest fall.
+        config: what else counts as a snap.
+
+    Raises:
+        InputError: sizes that are not positive, not in order or not one for each axis, or a bad rate or window.
+
+    Example:
+        >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])  # let go after 2 s
+        >>> seen, published = SnapDetector(200.0, ["Fz"], least=3.0).push(force[:, None])
+        >>> seen.begin, seen.seen, round(seen.fall, 1), published.seen, published.published, round(published.fall, 1)
+        (400, 2.025, 4.7, 2.025, 2.05, 5.8)
+    """
+
+    def __init__(
+        self,
+        rate: float,
+        axes: Sequence[str],
+        least: ArrayLike,
+        most: ArrayLike = math.inf,
+        load: tuple[ArrayLike, ArrayLike] = (0.0, math.inf),
+        window: int = 5,
+        tolerance: ArrayLike | None = None,
+        config: SnapConfig = SnapConfig(),
+    ) -> None:
+        if not 0 < rate < math.inf:
+            raise InputError(f"The rate is {rate:g} samples per second; expected a positive, finite number.")
+        self.axes, self.config = tuple(axes), config
+        self.sizes = _sizes(len(self.axes), least, most, *load)
+        self._words = FitConfig(window, 1 / rate)
+        wide = self.sizes.least / TOLERANCES if tolerance is None else np.asarray(tolerance, np.float64)
+        slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # labels do not matter here, but lines
+        self._limits = FitLimits(slopes, wide)
+        self._encoder = Encoder(self._words, self._limits)
+        self.reset()
+
+    @property
+    def dt(self) -> float:
+        """Seconds between samples."""
+        return self._words.dt
+
+    def warm_up(self) -> None:
+        """Compile the encoder now, not in the first :meth:`push`."""
+        encoder = Encoder(self._words, self._limits)
+        encoder.push(np.zeros((self._words.window, len(self.axes))))
+        encoder.run()
+
+    def reset(self) -> None:
+        """Start a new stream."""
+        self._encoder.restart()
+        self._received = self._complete = 0
+        self._state = init(self.config, self.dt, self._words.window, (len(self.axes),))
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Snap]:
+        """Feed any number of samples ``[time, axis]``; returns the snaps that are seen or published with them.
+
+        Args:
+            samples: tared, N or Nm.
+            time: stamp of the last of them, s; None = samples received x period.
+
+        Raises:
+            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+        """
+        said: list[tuple[int, Snaps]] = []
+        for tracks in self._encoder.windows(samples):
+            self._complete += self._words.window
+            word = (np.asarray(getattr(tracks.primitive, name))[:, 0] for name in ("t0", "t1", "avg", "grad"))
+            t0, t1, mean, slope = word
+            lines = line_of(t0, t1, mean, slope * self.dt), line_of(*self._encoder.run())
+            self._state, now = step(self.config, self.dt, self.sizes, self._state, *lines)
+            said.append((self._complete, now))
+        self._received += len(np.asarray(samples))
+        stamp = self._received * self.dt if time is None else time
+        return [event for sample, now in said for event in self._events(now, sample, stamp)]
+
+    def _events(self, now: Snaps, sample: int, stamp: float) -> list[Snap]:
+        def at(count: int) -> float:
+            """Stamp of the latest of so many samples."""
+            return round(stamp - (self._received - count) * self.dt, 9)
+
+        found = []
+        for axis in np.flatnonzero(now.seen | now.published).tolist():
+            begin, release, fall = int(now.start[axis]), float(now.release[axis]), float(now.fall[axis])
+            published = at(sample) if now.published[axis] else None
+            about = (self.axes[axis], begin, at(begin + 1), release, fall, at(int(now.when[axis])))
+            found.append(Snap(sample, at(sample), *about, published))
+        return found
+
+
+def _sizes(axes: int, *values: ArrayLike) -> SnapSizes:
+    """Sizes ``[axis]``, checked."""
+    try:
+        least, most, low, high = (np.broadcast_to(np.asarray(value, np.float64), (axes,)) for value in values)
+    except (ValueError, TypeError):
+        raise InputError(f"The sizes of a snap must be numbers, one or one for each of {axes} axes.") from None
+    if not ((least > 0) & (least <= most) & (low >= 0) & (low <= high) & (least < math.inf)).all():
+        raise InputError("A snap's smallest fall must be positive and no larger than its largest; so must its loads.")
+    return SnapSizes(least, most, low, high)

@@ -1,0 +1,131 @@
+"""Several readers of one stream that look like one: beliefs of a model, words of another rule, snaps."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Int
+from numpy.typing import ArrayLike
+
+from rcbht_jax.encoding.rules import AnyConfig
+from rcbht_jax.errors import InputError
+from rcbht_jax.events import Event, Word
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import Head
+from rcbht_jax.introspection.snaps import SnapDetector
+from rcbht_jax.introspection.words import WordIntrospector
+
+
+class Together:
+    """An introspector with words that its model does not read, with a detector of snaps, or with both.
+
+    Args:
+        main: what announces sub-tasks, and has the beliefs if there is a model.
+        words: whose words are reported in place of those of ``main``.
+        snaps: detector of some of the axes; those of ``main`` by name.
+
+    Raises:
+        InputError: their axes or their sampling periods differ.
+
+    Example:
+        >>> import rcbht_jax as rj
+        >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])[:, None]
+        >>> words = WordIntrospector(rj.EncoderConfig(), rj.preset("hiro", ["Fz"]), ["Fz"])
+        >>> events = Together(words, snaps=SnapDetector(200.0, ["Fz"], least=3.0)).push(force)
+        >>> [event.published for event in events if type(event).__name__ == "Snap"]
+        [None, 2.05]
+    """
+
+    def __init__(
+        self,
+        main: Introspector | WordIntrospector | Together,
+        words: WordIntrospector | None = None,
+        snaps: SnapDetector | None = None,
+    ) -> None:
+        self._main, self._snaps = main, snaps
+        self._words: WordIntrospector | Introspector | Together = words or main
+        if words is not None and (words.axes != main.axes or not np.isclose(words.config.dt, main.config.dt)):
+            raise InputError(
+                f"The stream has {', '.join(words.axes)} at {1 / words.config.dt:g} Hz; the model reads "
+                f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
+            )
+        self._columns: list[int] = []
+        if snaps is not None:
+            missing = [axis for axis in snaps.axes if axis not in main.axes]
+            if missing or not np.isclose(snaps.dt, main.config.dt):
+                raise InputError(
+                    f"Snaps are asked for on {', '.join(snaps.axes)} at {1 / snaps.dt:g} Hz; the stream has "
+                    f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
+                )
+            self._columns = [main.axes.index(axis) for axis in snaps.axes]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self._main.axes
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each axis."""
+        return self._main.units
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The classifiers."""
+        return self._main.heads
+
+    @property
+    def certainty(self) -> float:
+        """Probability above which a belief counts as certain."""
+        return self._main.certainty
+
+    @property
+    def config(self) -> AnyConfig:
+        """Options of the encoder of the words."""
+        return self._words.config
+
+    @property
+    def labels(self) -> Int[np.ndarray, "3 3 axis"]:
+        """Latest published label of each layer and axis."""
+        return self._words.labels
+
+    @property
+    def received(self) -> int:
+        """Samples received so far."""
+        return self._main.received
+
+    def warm_up(self) -> None:
+        """Compile everything now; the stream is unchanged."""
+        self._main.warm_up()
+        if self._words is not self._main:
+            self._words.warm_up()
+        if self._snaps is not None:
+            self._snaps.warm_up()
+
+    def provisional(self) -> list[Word]:
+        """Words that would be published if the stream ended now."""
+        return self._words.provisional()
+
+    def begin(self) -> list[Event]:
+        """Start a sub-task with the next sample."""
+        return self._main.begin()
+
+    def finish(self) -> list[Event]:
+        """The words still held at the end of a stream, where words are reported."""
+        return self._words.finish()
+
+    def reset(self) -> None:
+        """Start a new trial."""
+        self._main.reset()
+        if self._words is not self._main:
+            self._words.reset()
+        if self._snaps is not None:
+            self._snaps.reset()
+
+    def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
+        """Feed samples ``[time, axis]``; returns all events that they cause, in order; see ``Introspector.push``."""
+        events = list(self._main.push(samples, time))
+        if self._words is not self._main:
+            events += self._words.push(samples, time)
+        if self._snaps is not None:
+            events += self._snaps.push(np.asarray(samples)[:, self._columns], time)
+        return sorted(events, key=lambda event: event.sample)
