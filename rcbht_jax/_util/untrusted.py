@@ -34,6 +34,10 @@ MAX_LINE = 2**16  # of a line of a stream
 MAX_TABLE_LINE = 2**20  # of a line of a table
 SMALL = 2**26  # below this nobody asks how well a file is compressed
 MAX_RATIO = 200  # of bytes that a file declares to its own: far above what measured signals reach
+# Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
+DECODER_SECONDS = 20.0  # for any file, and a second more for every DECODER_SPEED bytes that it may unpack to
+DECODER_SPEED = 2**24
+DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
 MAX_MEMBERS = 10_000  # arrays of a file
@@ -92,6 +96,16 @@ def check_declared(path: Path, declared: int, size: int) -> None:
         raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
     if declared > max(SMALL, MAX_RATIO * size):
         raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
+
+
+def decoder_limits(size: int) -> tuple[int, float]:
+    """Bytes of memory and seconds that a process may take to decode a file of a size in bytes.
+
+    >>> decoder_limits(1000)
+    (1275068416, 24.0)
+    """
+    unpacked = min(MAX_BYTES, max(SMALL, MAX_RATIO * size))
+    return DECODER_MEMORY + 3 * unpacked, DECODER_SECONDS + unpacked / DECODER_SPEED
 
 
 def read_bytes(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> bytes:
