@@ -35,8 +35,9 @@ MAX_TABLE_LINE = 2**20  # of a line of a table
 SMALL = 2**26  # below this nobody asks how well a file is compressed
 MAX_RATIO = 200  # of bytes that a file declares to its own: far above what measured signals reach
 # Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
-DECODER_SECONDS = 20.0  # for any file, and a second more for every DECODER_SPEED bytes that it may unpack to
-DECODER_SPEED = 2**24
+DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
+DECODER_SPEED = 2**26
+DECODER_PATIENCE = 10  # times as long by the clock, on a busy machine or a slow disk, and never less than a minute
 DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
@@ -99,10 +100,10 @@ def check_declared(path: Path, declared: int, size: int) -> None:
 
 
 def decoder_limits(size: int) -> tuple[int, float]:
-    """Bytes of memory and seconds that a process may take to decode a file of a size in bytes.
+    """Bytes of memory and seconds of a processor that a process may take to decode a file of a size in bytes.
 
     >>> decoder_limits(1000)
-    (1275068416, 24.0)
+    (1275068416, 3.0)
     """
     unpacked = min(MAX_BYTES, max(SMALL, MAX_RATIO * size))
     return DECODER_MEMORY + 3 * unpacked, DECODER_SECONDS + unpacked / DECODER_SPEED

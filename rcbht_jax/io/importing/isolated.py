@@ -10,7 +10,9 @@ from __future__ import annotations
 import atexit
 import importlib
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,18 +20,19 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Event, Lock, Timer
+from threading import Lock, Timer
 from typing import Any
 
 import numpy as np
 
 from rcbht_jax._util.optional import MissingPackage
-from rcbht_jax._util.untrusted import check_file, decoder_limits
+from rcbht_jax._util.untrusted import DECODER_PATIENCE, check_file, decoder_limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.table import Table
 
 # Reserve no memory ahead, which the limit would count.
 _SPARING = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
+_STOPPED = (-signal.SIGKILL, -getattr(signal, "SIGXCPU", signal.SIGKILL))
 Decode = Callable[[Path, str], Iterable[Table]]
 
 
@@ -51,7 +54,7 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
     with tempfile.TemporaryDirectory() as folder:
         request = {
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
-            "name": name, "out": folder, "memory": memory,
+            "name": name, "out": folder, "memory": memory, "seconds": seconds,
         }  # fmt: skip
         said = _decoder(os.getpid()).ask(path, request, seconds)
         if "missing" in said:
@@ -80,8 +83,7 @@ class _Decoder:
         with self._lock:
             child = self._child = self._child or _begun()
             assert child.stdin and child.stdout
-            late = Event()
-            timer = Timer(seconds, lambda: (late.set(), child.kill()))
+            timer = Timer(max(DECODER_PATIENCE * seconds, 60), child.kill)
             timer.start()
             try:
                 with suppress(BrokenPipeError):
@@ -96,7 +98,7 @@ class _Decoder:
             if line.endswith(b"\n"):
                 return json.loads(line)  # type: ignore[no-any-return]
             status = self._end()
-            how = f"was stopped after {seconds:.0f} s" if late.is_set() else f"crashed (status {status})"
+            how = f"was stopped after {seconds:.0f} s" if status in _STOPPED else f"crashed (status {status})"
             raise InputError(f"{path} is damaged: what decodes such files {how}.")
 
     def close(self) -> None:
@@ -147,7 +149,7 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
     module, _, function = request["decode"].partition(":")
     try:
         decode: Decode = getattr(importlib.import_module(module), function)
-        _limit(request["memory"])
+        _limit(request["memory"], request["seconds"])
         return {"tables": list(_saved(decode(Path(request["path"]), request["name"]), Path(request["out"])))}
     except MissingPackage as error:
         return {"missing": [error.package, error.extra]}
@@ -166,10 +168,12 @@ def _saved(tables: Iterable[Table], folder: Path) -> Iterator[dict[str, Any]]:
         yield {**fields, "columns": list(table.columns), "units": dict(table.units), "facts": dict(table.facts)}
 
 
-def _limit(memory: int) -> None:
-    """Bound the memory of this process from now on, where the system can."""
+def _limit(memory: int, seconds: float) -> None:
+    """Bound memory and work of this process from now on, where the system can."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 
+        done = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(done + seconds), resource.getrlimit(resource.RLIMIT_CPU)[1]))
         now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (now + memory, resource.getrlimit(resource.RLIMIT_AS)[1]))
