@@ -96,7 +96,11 @@ def label_limits() -> NDArray[np.float64]:
 
 def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
-    versions: dict[str, Any] = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
+    versions: dict[str, Any] = {
+        "rcbht_jax": rcbht_jax.__version__,
+        "jax": jax.__version__,
+        "mujoco": mujoco.__version__,
+    }
     versions |= {"numpy": np.__version__, "sim_mjx_sha256": code_hash()}
     if job.engine != "warp":  # which does not give the same bytes twice
         versions["processor"] = processor()
@@ -120,7 +124,9 @@ def processor() -> str:
     """
     extensions: Any = np.show_config(mode="dicts")
     found = {name for names in ("baseline", "found") for name in extensions["SIMD Extensions"].get(names, ())}
-    widest = next((words for words, names in _WIDEST.items() if found & names), "no vector instructions beyond its base")
+    widest = next(
+        (words for words, names in _WIDEST.items() if found & names), "no vector instructions beyond its base"
+    )
     return f"{platform.system()} {platform.machine()} with {widest}"
 
 

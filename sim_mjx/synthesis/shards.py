@@ -170,7 +170,8 @@ def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     if existing != wanted:
         raise InputError(
             f"{folder} was begun with {_difference(existing, wanted)}. "
-            "Finish it with the same options, versions and kind of processor, choose another name, or delete it to begin anew."
+            "Finish it with the same options, versions and kind of processor, choose another name, or delete it "
+            "to begin anew."
         )
 
 

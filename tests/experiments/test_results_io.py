@@ -42,6 +42,5 @@ def test_a_result_that_is_not_a_number_is_refused_with_its_place(
 
 def test_a_state_that_no_trial_entered_has_no_onset() -> None:
 
-
     nan = np.nan
     assert medians(np.array([[0.0, 1.0, nan], [0.0, nan, nan], [0.0, 4.0, nan]])) == [0.0, 2.5, None]

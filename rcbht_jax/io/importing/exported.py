@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.cells import text_of
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, check_declared, check_file, read_object
 from rcbht_jax.annotations import Annotations
@@ -87,7 +88,7 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     types = about.get("column_types")
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
+            rows = [[text_of(cell) for cell in row] for row in csv.reader(file)]
     except (csv.Error, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from None
     if not rows or any(len(row) != len(rows[0]) for row in rows):
@@ -134,7 +135,7 @@ def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[A
 
 def _csv(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
     [table] = read_csv(path, path.name)
-    return _wrench(path, table.columns, axes)
+    return _wrench(path, {text_of(name): values for name, values in table.columns.items()}, axes)
 
 
 def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ...]) -> NDArray[np.float32]:

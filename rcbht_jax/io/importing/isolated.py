@@ -82,7 +82,8 @@ class _Decoder:
         """
         with self._lock:
             child = self._child = self._child or _begun()
-            assert child.stdin and child.stdout
+            assert child.stdin
+            assert child.stdout
             timer = Timer(max(DECODER_PATIENCE * seconds, 60), child.kill)
             timer.start()
             try:
@@ -156,7 +157,9 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
     except (InputError, OSError) as error:
         return {"error": str(error).replace(request["path"], request["shown"])}
     except (MemoryError, RecursionError) as error:
-        return {"error": f"{request['shown']} is damaged: it asks for more memory than there is ({type(error).__name__})."}
+        return {
+            "error": f"{request['shown']} is damaged: it asks for more memory than there is ({type(error).__name__})."
+        }
 
 
 def _saved(tables: Iterable[Table], folder: Path) -> Iterator[dict[str, Any]]:
