@@ -19,7 +19,7 @@ from rcbht_jax.io.store import read_attrs
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import plan, shards
+from sim_mjx.synthesis import claims, plan, shards
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.synthesis.workers import SynthesisProgress
@@ -278,6 +278,31 @@ def test_no_trial_is_drawn_twice(whole: dict[str, bytes], tmp_path: Path, monkey
     synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
     assert drawn == list(range(5, 12))
     assert tree(tmp_path / "t.zarr") == whole
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda path: path.write_text("{"), lambda path: path.write_bytes(b"\xa9"), os.mkfifo]
+)
+def test_a_damaged_description_of_an_array_begins_anew(
+    damage: Callable[[Path], object], whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    target = tmp_path / "trials.zarr"
+    interrupted(target, SMALL)
+    metadata = shards.store_of(shards.folder_of(target)) / "wrench" / "zarr.json"
+    metadata.unlink()
+    damage(metadata)
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
+    assert tree(target) == whole
+
+
+@pytest.mark.parametrize("content", [b"[1]", b'{"pid": "x"}', b"[" * 60_000, None])
+def test_a_claim_that_is_none_waits_for_its_lease(content: bytes | None, tmp_path: Path) -> None:
+    (tmp_path / claims.FOLDER).mkdir()
+    path = tmp_path / claims.FOLDER / "000000-0"
+    os.mkfifo(path) if content is None else path.write_bytes(content)
+    assert claims.attempts(tmp_path, "000000")[0].state == "held"
+    os.utime(path, (0, 0))
+    assert claims.attempts(tmp_path, "000000")[0].state == "dead"
 
 
 def test_another_kind_of_processor_does_not_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
