@@ -97,7 +97,7 @@ class _Decoder:
             finally:
                 timer.cancel()
             if line.endswith(b"\n"):
-                return json.loads(line)  # type: ignore[no-any-return]
+                return json.loads(line)
             status = self._end()
             how = f"was stopped after {seconds:.0f} s" if status in _STOPPED else f"crashed (status {status})"
             raise InputError(f"{path} is damaged: what decodes such files {how}.")
