@@ -30,6 +30,7 @@ MAX_JSON_BYTES = 2**26
 MAX_MAP_BYTES = 2**20  # of a mapping
 MAX_BAG_BYTES = 2**34  # of a bag, which is read message by message
 MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 to 4 MiB
+MAX_SCHEMA = 2**17  # of the description of a message in a bag; of the largest in use, some 50 kB
 MAX_LINE = 2**16  # of a line of a stream
 MAX_TABLE_LINE = 2**20  # of a line of a table
 SMALL = 2**26  # below this nobody asks how well a file is compressed

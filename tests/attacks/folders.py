@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zarr
 
-from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.introspection import nominal_file
 from rcbht_jax.introspection.nominal import NominalMonitor
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.store_schema import open_store
 from rcbht_jax.types import Recordings
 from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.pipeline import synthesise
@@ -78,11 +80,16 @@ def _renewed(path: Path) -> dict[int, str]:
         shutil.copytree(path, folder, symlinks=True, copy_function=_copy)
         shards.begin(folder, manifest_of(SMALL))
         shards.renew(folder)
-        chunks = {
-            shard: sorted(file for file in shards.store_of(folder).rglob(f"c/{shard}/**/*") if file.is_file())
-            for shard in shards.finished(folder)
-        }
-        return {shard: files_hash(shards.store_of(folder), files) for shard, files in chunks.items()}
+        members = sorted(open_store(shards.store_of(folder)).members(None), key=lambda member: member[0])
+        arrays = [one for _, one in members if isinstance(one, zarr.Array)]
+        return {shard: _content(arrays, shard) for shard in shards.finished(folder)}
+
+
+def _content(arrays: list[Any], shard: int) -> str:
+    """Digest of what the arrays hold of a shard: a file may be another one and hold the same."""
+    rows = {"trial": slice(shard * SMALL.shard, (shard + 1) * SMALL.shard), "part": slice(shard, shard + 1)}
+    held = [(one, rows.get((one.metadata.dimension_names or ("",))[0])) for one in arrays]
+    return content_hash([np.asarray(one[span].tolist()) for one, span in held if span is not None])
 
 
 def _believed(good: dict[int, str], found: dict[int, str]) -> str:
