@@ -139,6 +139,10 @@ EXPERIMENTS = (
         shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
     ),
     Experiment(
+        "endurance", "online.endurance", 60, alone=True, shorter_minutes=4,
+        shorter=("--hours", "1", "--messages", "50000", "--page-hours", "0.1"),
+    ),
+    Experiment(
         "sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"),
         shorter_minutes=3,
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 from datetime import UTC, datetime
@@ -38,8 +39,22 @@ def pictures() -> Path:
     return folder
 
 
+def not_finite(value: Any, at: str = "result") -> str:
+    """Where the first number is that strict JSON cannot hold; "" = nowhere."""
+    if isinstance(value, float):
+        return "" if math.isfinite(value) else f"{at} is {value}"
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    return next((found for key, one in pairs if (found := not_finite(one, f"{at} > {key}"))), "")
+
+
 def write_result(name: str, command: str, result: Any, seed: int | None = None, show: bool = True) -> Path:
-    """Write ``<name>.json`` in ``RESULTS``, whole or not at all, and print it if ``show``."""
+    """Write ``<name>.json`` in ``RESULTS``, whole or not at all, and print it if ``show``.
+
+    Raises:
+        ValueError: a number is NaN or infinite, which is not JSON; write None and say beside it why.
+    """
+    if wrong := not_finite(result):
+        raise ValueError(f"{name}: {wrong}; write None, and say beside it why there is no number.")
     record = {
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
@@ -51,7 +66,7 @@ def write_result(name: str, command: str, result: Any, seed: int | None = None, 
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.json"
     with atomic_write(path) as draft:
-        draft.write_text(json.dumps(record, indent=1) + "\n")
+        draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
     if show:
         print(path.read_text())
     return path

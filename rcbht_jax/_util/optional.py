@@ -16,6 +16,7 @@ class MissingPackage(InputError, ImportError):
     """A package of an extra is not installed: an :class:`InputError` and an ``ImportError`` in one sentence."""
 
     def __init__(self, package: str, extra: str) -> None:
+        self.package, self.extra = package, extra
         super().__init__(f'{package} is not installed: pip install "rcbht-jax[{extra}]".')
 
 

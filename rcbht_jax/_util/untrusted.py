@@ -30,10 +30,16 @@ MAX_JSON_BYTES = 2**26
 MAX_MAP_BYTES = 2**20  # of a mapping
 MAX_BAG_BYTES = 2**34  # of a bag, which is read message by message
 MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 to 4 MiB
+MAX_SCHEMA = 2**17  # of the description of a message in a bag; of the largest in use, some 50 kB
 MAX_LINE = 2**16  # of a line of a stream
 MAX_TABLE_LINE = 2**20  # of a line of a table
 SMALL = 2**26  # below this nobody asks how well a file is compressed
 MAX_RATIO = 200  # of bytes that a file declares to its own: far above what measured signals reach
+# Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
+DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
+DECODER_SPEED = 2**26
+DECODER_PATIENCE = 10  # times as long by the clock, on a busy machine or a slow disk, and never less than a minute
+DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
 MAX_MEMBERS = 10_000  # arrays of a file
@@ -92,6 +98,16 @@ def check_declared(path: Path, declared: int, size: int) -> None:
         raise InputError(f"{path} declares arrays of {declared} bytes; expected at most {MAX_BYTES}. Split it.")
     if declared > max(SMALL, MAX_RATIO * size):
         raise InputError(f"{path} has {size} bytes and declares arrays of {declared}; that is not a recording.")
+
+
+def decoder_limits(size: int) -> tuple[int, float]:
+    """Bytes of memory and seconds of a processor that a process may take to decode a file of a size in bytes.
+
+    >>> decoder_limits(1000)
+    (1275068416, 3.0)
+    """
+    unpacked = min(MAX_BYTES, max(SMALL, MAX_RATIO * size))
+    return DECODER_MEMORY + 3 * unpacked, DECODER_SECONDS + unpacked / DECODER_SPEED
 
 
 def read_bytes(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> bytes:

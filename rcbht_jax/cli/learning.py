@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
+from rcbht_jax._util.cells import cell
 from rcbht_jax.cli.command import (
     Boundaries,
     Command,
@@ -325,10 +326,9 @@ def lines_of(classification: Classification, recordings: Recordings) -> list[dic
 def _csv(classification: Classification, lines: list[dict[str, Any]]) -> str:
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow([*lines[0], *classification.pairs])
-    writer.writerows(
-        [*line.values(), *values] for line, values in zip(lines, classification.decision.tolist(), strict=True)
-    )
+    writer.writerow([*lines[0], *map(cell, classification.pairs)])
+    decisions = classification.decision.tolist()
+    writer.writerows([*map(cell, line.values()), *values] for line, values in zip(lines, decisions, strict=True))
     return table.getvalue()
 
 

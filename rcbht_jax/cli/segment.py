@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from rcbht_jax._util.cells import cell
 from rcbht_jax.cli.command import (
     Command,
     Flag,
@@ -93,5 +94,5 @@ def _table(result: Segmentation) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("recording", "trial", "arm", "label", "start", "end", "annotated"))
-    writer.writerows(result.rows())
+    writer.writerows(map(cell, row) for row in result.rows())
     return text.getvalue()

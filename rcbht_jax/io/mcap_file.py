@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_CHANNELS, MAX_CHUNK, check_declared, check_file
+from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_CHANNELS, MAX_CHUNK, MAX_SCHEMA, check_declared, check_file
 from rcbht_jax.errors import InputError
 
 with needs_extra("stream"):
@@ -96,15 +96,19 @@ def _problems(path: Path, file: BinaryIO, size: int) -> list[str]:
     try:
         for kind, at, length in _records(path, file):
             described += kind in (SCHEMA, CHANNEL)
+            _check_schema(path, kind, length)
             found += kind == MESSAGE
             if kind == CHUNK:
                 try:
                     chunk = _chunk(file, at, length)
-                    kinds = Counter(kind for kind, _, _ in _inside(chunk.content))
+                    inside = [(kind, length) for kind, _, length in _inside(chunk.content)]
                 except ValueError as error:
                     _refuse_bombs(path, error)
                     problems["damaged chunks"] += 1
                     continue
+                kinds = Counter(kind for kind, _ in inside)
+                for one, size_inside in inside:
+                    _check_schema(path, one, size_inside)
                 unpacked += len(chunk.content)
                 check_declared(path, min(unpacked, 2 * size), size)
                 described += kinds[SCHEMA] + kinds[CHANNEL]
@@ -189,6 +193,12 @@ def _beginning(file: BinaryIO, at: int) -> _Chunk | None:
         for _, start, length in _inside(data):
             whole = start + length
     return _Chunk(0, data[:whole]) if whole else None
+
+
+def _check_schema(path: Path, kind: int, length: int) -> None:
+    """Refuse a description of a message whose parsing would take minutes."""
+    if kind == SCHEMA and length > MAX_SCHEMA:
+        raise InputError(f"{path} describes a message in {length} bytes; expected at most {MAX_SCHEMA}.")
 
 
 def _described(path: Path, file: BinaryIO) -> dict[bytes, None]:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.atomic import atomic_write, uninterrupted
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import chunk_files
 from rcbht_jax.io import zarr as zarr_io
@@ -141,10 +142,14 @@ def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
 
 
 def discard(folder: Path, number: int) -> None:
-    """Delete a part of all tables in a folder, whether it is damaged or not; its digests go first."""
+    """Delete a part of all tables in a folder, whether it is damaged or not; its digests go first.
+
+    Raises:
+        InputError: the description of a table is damaged: nobody can write its parts again.
+    """
     files = []
     for metadata in folder.rglob("zarr.json"):
-        dimensions = json.loads(metadata.read_text()).get("dimension_names") or [""]
+        dimensions = read_object(metadata).get("dimension_names") or [""]
         if dimensions[0] in ("trial", "part"):
             files.append(metadata.parent / "c" / str(number))
     for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):

@@ -16,6 +16,7 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Iterable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
@@ -30,7 +31,7 @@ from rcbht_jax.labels import ALPHABETS, COLORS, LAYERS, MEANING, name
 HISTORY = 600  # frames that a new viewer gets at once
 FRAME = 0.05  # s of stream per frame
 VIEWERS = 16
-CONNECTIONS = 64  # at once; further ones are closed unanswered
+CONNECTIONS = 64  # at once; a further one takes the place of the one that has sent half a request for the longest time
 BUFFER = 2**16  # bytes that the system keeps for a viewer: one that does not read is noticed, and left after IDLE
 IDLE = 10.0  # s until a connection that sends no request is closed
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -227,6 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(body=False)
 
     def _answer(self, body: bool) -> None:
+        self.server.asked(self.request)
         path = self.path.split("?", 1)[0]
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
         if self.server.local and _host(self.headers.get("Host", "")) not in self.server.names:
@@ -316,6 +318,8 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()
         self._free = threading.BoundedSemaphore(CONNECTIONS)
+        self._lock = threading.Lock()
+        self._unasked: dict[socket.socket, None] = {}  # connections without a whole request, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()
@@ -348,21 +352,41 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, if there are not too many."""
-        if not self._free.acquire(blocking=False):
+        """Answer in a thread of its own; of too many, those that hold back their request go."""
+        if not (self._free.acquire(blocking=False) or (self._dropped() and self._free.acquire(timeout=1.0))):
             self.shutdown_request(request)
             return
+        with self._lock:
+            self._unasked[request] = None
         try:
             super().process_request(request, client_address)
         except BaseException:  # no thread can be started
+            self.asked(request)
             self._free.release()
             raise
+
+    def asked(self, request: Any) -> None:
+        """A connection has sent a whole request, or ends."""
+        with self._lock:
+            self._unasked.pop(request, None)
+
+    def _dropped(self) -> bool:
+        """End the connection that has not sent a whole request for the longest time; whether there was one."""
+        with self._lock:
+            oldest = next(iter(self._unasked), None)
+            if oldest is None:
+                return False
+            del self._unasked[oldest]
+        with suppress(OSError):
+            oldest.shutdown(socket.SHUT_RDWR)  # its thread reads the end
+        return True
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer, then let another one in."""
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self.asked(request)
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:

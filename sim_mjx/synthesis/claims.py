@@ -32,6 +32,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+from rcbht_jax._util.untrusted import parse_json
+
 FOLDER = "claims"
 HEARTBEAT = 15.0  # s
 LEASE = 120.0  # s; shared file systems may show a touched file up to a minute late
@@ -208,11 +210,13 @@ def _attempt(task: str, number: int, about: dict[str, Any], seconds: float, lock
 
 def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
     """What a claim says, when it was touched, and whether its holder has it locked; None = a lock would not tell."""
-    handle = os.open(path, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # somebody's pipe is not waited for
     try:
         touched = os.fstat(handle).st_mtime
         try:
-            about = json.loads(os.read(handle, 1 << 16))
+            about = parse_json(os.read(handle, 1 << 16))
+            if not isinstance(about, dict) or not isinstance(about.get("pid", 0), int):
+                raise ValueError
         except ValueError:  # its holder is just writing, or died of it: the lease tells
             return {}, touched, None
         if about.get("kernel") != _kernel() or not about.get("locked"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
@@ -24,6 +25,10 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario, get_scenario, own_files
 
 ROBOT = "hiro"  # its threshold preset labels the trials
+# Widest first; the names of NumPy before 2.4, and since.
+_WIDEST = {
+    "AVX-512": {"AVX512_SKX", "X86_V4"}, "AVX2": {"AVX2", "X86_V3"}, "AVX": {"AVX"}, "SVE": {"SVE"}, "NEON": {"ASIMD"},
+}  # fmt: skip
 MOST = 10**9  # trials: more would fill any disk
 
 
@@ -91,14 +96,38 @@ def label_limits() -> NDArray[np.float64]:
 
 def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
     """Everything that determines a shard, as JSON values."""
-    versions = {"rcbht_jax": rcbht_jax.__version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
-    made = {"job": asdict(job), "versions": {**versions, "numpy": np.__version__, "sim_mjx_sha256": code_hash()}}
+    versions: dict[str, Any] = {
+        "rcbht_jax": rcbht_jax.__version__,
+        "jax": jax.__version__,
+        "mujoco": mujoco.__version__,
+    }
+    versions |= {"numpy": np.__version__, "sim_mjx_sha256": code_hash()}
+    if job.engine != "warp":  # which does not give the same bytes twice
+        versions["processor"] = processor()
+    made = {"job": asdict(job), "versions": versions}
     if own := own_files(job.preset):
         made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
         made["thresholds"] = label_limits().tolist()
     return made
+
+
+@cache
+def processor() -> str:
+    """System and instructions that decide how numbers are rounded, in words.
+
+    MuJoCo, NumPy and XLA choose vector instructions when they run; of those that NumPy has found, the widest is told.
+
+    >>> processor()  # doctest: +SKIP
+    'Linux x86_64 with AVX-512'
+    """
+    extensions: Any = np.show_config(mode="dicts")
+    found = {name for names in ("baseline", "found") for name in extensions["SIMD Extensions"].get(names, ())}
+    widest = next(
+        (words for words, names in _WIDEST.items() if found & names), "no vector instructions beyond its base"
+    )
+    return f"{platform.system()} {platform.machine()} with {widest}"
 
 
 @cache  # the code that runs is the one read at the start, whatever is edited later

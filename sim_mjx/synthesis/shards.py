@@ -67,12 +67,11 @@ def renew(folder: Path) -> None:
             shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
         try:
             stored = Stored.of(store_of(folder), open_store(store_of(folder)))
+            for shard in finished(folder):
+                if not _is_intact(stored, shard):
+                    parts.discard(stored.path, shard)
         except InputError:  # none yet, or one that is no use
             shutil.rmtree(store_of(folder), ignore_errors=True)
-            return
-        for shard in finished(folder):
-            if not _is_intact(stored, shard):
-                parts.discard(stored.path, shard)
 
 
 def store_of(folder: Path) -> Path:
@@ -170,7 +169,8 @@ def _check_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     if existing != wanted:
         raise InputError(
             f"{folder} was begun with {_difference(existing, wanted)}. "
-            "Finish it with the same options, choose another name, or delete it to begin anew."
+            "Finish it with the same options, versions and kind of processor, choose another name, or delete it "
+            "to begin anew."
         )
 
 

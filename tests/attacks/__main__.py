@@ -20,6 +20,7 @@ from typing import Any
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.untrusted import load_json
+from sim_mjx.synthesis.plan import processor
 from tests.attacks import harness
 
 BATCH = 250
@@ -44,7 +45,7 @@ def main() -> int:
 
 
 def _run(seed: int, attempts: int, out: Path, good: Path) -> int:
-    result = _begun(out, seed)
+    result = _begun(out, seed, attempts)
     start, before = harness.clock(), result["attempts"]
     while result["attempts"] < attempts:
         batch = range(result["attempts"], min(result["attempts"] + BATCH, attempts))
@@ -67,14 +68,14 @@ def _run(seed: int, attempts: int, out: Path, good: Path) -> int:
     return bool(result["defects"])
 
 
-def _begun(out: Path, seed: int) -> dict[str, Any]:
+def _begun(out: Path, seed: int, attempts: int) -> dict[str, Any]:
     """The result of an earlier run with this seed, or an empty one."""
     if out.exists() and (found := load_json(out))["seed"] == seed and found["version"] == rcbht_jax.__version__:
         return found
     return {
-        "command": f"python -m tests.attacks --seed {seed}",
+        "command": f"python -m tests.attacks --seed {seed} --attempts {attempts}",
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{os.cpu_count()} CPU cores, {platform.system()}, Python {platform.python_version()}",
+        "machine": f"{os.cpu_count()} CPU cores, {processor()}, Python {platform.python_version()}",
         "version": rcbht_jax.__version__,
         "seed": seed,
         "attempts": 0,

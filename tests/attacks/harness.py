@@ -15,22 +15,25 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from tests.attacks import readers, streams, writers
+from tests.attacks import folders, names, readers, requests, streams, writers
 
 SECONDS, PATIENCE = 20.0, 90.0  # of one attempt: of the processor, and by the clock of a busy machine
 MEMORY = 3 * 2**30  # bytes beyond what a child begins with: a file may declare 2 GiB
 
+READERS = {reader.name: reader for reader in (*readers.READERS, *folders.READERS)}
 NAMES = (
-    *(f"read {reader.name}" for reader in readers.READERS),
+    *(f"read {name}" for name in READERS),
     *(f"write {writer}" for writer in writers.WRITERS),
     "stream",
     "stream again",
+    "names",
+    "page",
 )
 
 
 def make_good(folder: Path) -> None:
     """The good files of all readers."""
-    for reader in readers.READERS:
+    for reader in READERS.values():
         reader.make(folder / reader.name)
 
 
@@ -42,10 +45,13 @@ def attempt(number: int, seed: int, good: Path) -> tuple[str, str]:
     try:
         if kind == "stream":
             return name, streams.attack(key)
+        if kind == "names":
+            return name, names.attack(key, folder)
+        if kind == "page":
+            return name, requests.attack(key)
         if kind == "write":
             return name, writers.attack(what, key, folder)
-        reader = next(one for one in readers.READERS if one.name == what)
-        return name, readers.attack(reader, key, good / reader.name, folder)
+        return name, readers.attack(READERS[what], key, good / what, folder)
     except Exception as error:
         at = traceback.extract_tb(error.__traceback__)[-1]
         return name, f"{type(error).__name__}: {str(error)[:120]} ({Path(at.filename).name}:{at.lineno})"

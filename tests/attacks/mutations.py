@@ -154,6 +154,11 @@ def _header(rng: random.Random) -> bytes:
     return b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
 
 
+def pipe(path: Path) -> None:
+    """A pipe to which nobody writes."""
+    os.mkfifo(path)
+
+
 def damage_tree(rng: random.Random, folder: Path) -> None:
     """Damage one file of a folder, or what it is."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -161,7 +166,7 @@ def damage_tree(rng: random.Random, folder: Path) -> None:
     kind = rng.randrange(12)
     if kind == 0:
         path.unlink()
-        os.mkfifo(path)
+        pipe(path)
     elif kind == 1:
         path.unlink()
         path.symlink_to("/dev/zero")

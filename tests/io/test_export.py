@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from rcbht_jax._util.cells import text_of
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, Block, DataSet, export, load, tables
@@ -168,7 +169,8 @@ def same_text(path: Path, expected: tables.Table) -> None:
     assert rows[0] == list(expected)
     for (column, values), texts in zip(expected.items(), zip(*rows[1:], strict=True), strict=True):
         if values.dtype.kind == "U":
-            assert list(texts) == values.tolist(), column
+            assert [text_of(text) for text in texts] == values.tolist(), column
+            assert not any(text.startswith(("=", "@", "\t", "\r")) for text in texts), column
         else:
             got = np.array([text or "nan" for text in texts]).astype(values.dtype)
             np.testing.assert_array_equal(got, values)

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from rcbht_jax._util.untrusted import MAX_CHANNELS
+from rcbht_jax._util.untrusted import MAX_CHANNELS, MAX_SCHEMA
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.mcap_file import CHANNEL, CHUNK, MAGIC, sound
+from rcbht_jax.io.mcap_file import CHANNEL, CHUNK, MAGIC, SCHEMA, sound
 from rcbht_jax.io.messages import Malformed, Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
 
@@ -91,6 +91,15 @@ def record(kind: int, content: bytes) -> bytes:
     ("records", "sentence"),
     [
         (record(CHANNEL, b"") * (MAX_CHANNELS + 1), "channels"),
+        (record(SCHEMA, bytes(MAX_SCHEMA + 1)), f"describes a message in {MAX_SCHEMA + 1} bytes"),
+        (
+            record(
+                CHUNK,
+                struct.pack("<QQQIIQ", 0, 0, MAX_SCHEMA + 10, 0, 0, MAX_SCHEMA + 10)
+                + record(SCHEMA, bytes(MAX_SCHEMA + 1)),
+            ),
+            "describes a message",
+        ),
         (record(CHUNK, struct.pack("<QQQII", 0, 0, 2**40, 0, 0) + bytes(8)), "chunk of"),
         (struct.pack("<BQ", CHUNK, 2**27) + bytes(2**27), "record of"),
     ],

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_folder
+from rcbht_jax._util.cells import cell
 from rcbht_jax._util.optional import require
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
@@ -149,18 +150,18 @@ def _optional(data: DataSet) -> Iterator[tuple[str, Table]]:
 def _write_csv(path: Path, table: Table) -> None:
     """Append a table; a new file begins with its header.
 
-    Numbers are the shortest text that reads back equal, NaN is empty.
+    Numbers are the shortest text that reads back equal, NaN is empty; formulas are text (:mod:`rcbht_jax._util.cells`).
     """
     columns = [
         ["" if text == "nan" else text for text in values.astype(str).tolist()]
         if values.dtype.kind == "f"
-        else values.tolist()
+        else [cell(value) for value in values.tolist()]
         for values in table.values()
     ]
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         if file.tell() == 0:
-            writer.writerow(table)
+            writer.writerow(map(cell, table))
         writer.writerows(zip(*columns, strict=True))
 
 

@@ -22,6 +22,7 @@ from rcbht_jax._util.untrusted import (
     read_arrays,
 )
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table, tables_of
 
 
@@ -68,12 +69,23 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
     yield from tables_of(path, name, arrays)
 
 
-def read_hdf5(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
+def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
 
     Arrays below a group are its columns, by their path in it; attributes are facts (dt, rate: the sampling).
 
     >>> list(read_hdf5(Path("demo.h5"), "demo.h5"))  # doctest: +SKIP
+
+    Raises:
+        InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
+    """
+    yield from isolated(hdf5_tables, path, name)
+
+
+def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
+    """As :func:`read_hdf5`, in this process, which a damaged file can keep busy without end.
+
+    >>> list(hdf5_tables(Path("demo.h5"), "demo.h5"))  # doctest: +SKIP
 
     Args:
         path: the file.
@@ -147,11 +159,25 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or scipy or h5py is missing.
     """
+    yield from isolated(matlab_tables, path, name)
+
+
+def matlab_tables(path: Path, name: str) -> Iterator[Table]:
+    """As :func:`read_matlab`, in this process, which a damaged file can crash.
+
+    >>> from scipy.io import savemat
+    >>> savemat("/tmp/a.mat", {"t": np.arange(9) * 0.01, "F": np.zeros((9, 3))})
+    >>> [table.name for table in matlab_tables(Path("/tmp/a.mat"), "a.mat")]
+    ['a.mat']
+
+    Raises:
+        InputError: as :func:`read_matlab`.
+    """
     size = check_file(path)
     with path.open("rb") as file:
         head = file.read(128)
     if head.startswith(b"\x89HDF") or b"MATLAB 7.3" in head:
-        yield from read_hdf5(path, name, turned=True)
+        yield from hdf5_tables(path, name, turned=True)
         return
     io = require("scipy.io", "import")
     with reading(path, "MATLAB"):

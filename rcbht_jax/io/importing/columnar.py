@@ -13,6 +13,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_COLUMNS, check_declared, check_file, read_object
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.arrays import reading
+from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
@@ -28,19 +29,36 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    with reading(path, "Parquet"):
-        columns, facts = read_columns(path)
-    yield Table(name, columns, facts.get("rate"))
+    yield from isolated(parquet_tables, path, name)
 
 
-def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
-    """Columns of a Parquet file that can be read, and the rate where its metadata state it.
+def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
+    """Columns of a Parquet file that can be imported.
 
     >>> read_columns(Path("run.parquet"))  # doctest: +SKIP
 
     Raises:
         InputError: as :func:`read_parquet`.
     """
+    [table] = isolated(parquet_tables, path, "")
+    return table.columns
+
+
+def parquet_tables(path: Path, name: str) -> Iterator[Table]:
+    """As :func:`read_parquet`, in this process, which a damaged file can crash.
+
+    >>> list(parquet_tables(Path("run.parquet"), "run.parquet"))  # doctest: +SKIP
+
+    Raises:
+        InputError: as :func:`read_parquet`.
+    """
+    with reading(path, "Parquet"):
+        columns, rate = _columns(path)
+    yield Table(name, columns, rate)
+
+
+def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None]:
+    """Columns that can be imported, and the rate where the metadata state it."""
     size = check_file(path)
     pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
     with pq.ParquetFile(path, thrift_string_size_limit=2**24, thrift_container_size_limit=2**20) as file:
@@ -65,7 +83,7 @@ def read_columns(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, float]]
             columns[field.name] = _array(pa, column, _kind(pa, field.type))
     if not columns or not len(next(iter(columns.values()))):
         raise InputError(f"{path} has no rows of numbers or text.")
-    return columns, {"rate": 1 / float(rows)} if rows and float(rows) > 0 else {}
+    return columns, 1 / float(rows) if rows and float(rows) > 0 else None
 
 
 def _kind(pa: Any, kind: Any) -> str:
@@ -128,8 +146,7 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
     if not files:
         raise InputError(f"{folder} has no data/*/*.parquet.")
     for path in files:
-        with reading(path, "Parquet"):
-            columns, _ = read_columns(path)
+        columns = read_columns(path)
         if EPISODE not in columns:
             raise InputError(f"{path} has no column {EPISODE}.")
         columns = {names.get(key, key): values for key, values in columns.items()}
@@ -154,20 +171,28 @@ def _element_names(info: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
-    facts: dict[int, dict[str, str | float]] = {}
-    for path in sorted((folder / "meta" / "episodes").glob("*/*.parquet")):
-        with reading(path, "Parquet"):
-            pq = require("pyarrow.parquet", "import")
-            check_declared(path, pq.read_metadata(path).num_rows * 8, check_file(path))
-            schema = pq.read_schema(path)
-            wanted = [key for key in schema.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
-            for row in pq.read_table(path, columns=wanted).to_pylist():
-                plain = {
-                    key: value for key, value in row.items() if isinstance(value, str | int | float) and key != EPISODE
-                }
-                if isinstance(row.get("tasks"), list):
-                    plain["task"] = "; ".join(map(str, row["tasks"]))
-                facts[int(row[EPISODE])] = {
-                    key: value if isinstance(value, str) else float(value) for key, value in plain.items()
-                }
-    return facts
+    """Facts of each episode."""
+    files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
+    return {int(table.name): dict(table.facts) for path in files for table in isolated(episode_tables, path, "")}
+
+
+def episode_tables(path: Path, _: str) -> Iterator[Table]:
+    """Facts of the episodes that a Parquet file of a LeRobot data set describes: tables without columns.
+
+    >>> list(episode_tables(Path("pusht/meta/episodes/chunk-000/file-000.parquet"), ""))  # doctest: +SKIP
+
+    Raises:
+        InputError: damaged.
+    """
+    with reading(path, "Parquet"):
+        pq = require("pyarrow.parquet", "import")
+        check_declared(path, pq.read_metadata(path).num_rows * 8, check_file(path))
+        schema = pq.read_schema(path)
+        wanted = [key for key in schema.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
+        for row in pq.read_table(path, columns=wanted).to_pylist():
+            plain = {key: value for key, value in row.items() if isinstance(value, str | int | float)}
+            number = str(int(plain.pop(EPISODE)))
+            if isinstance(row.get("tasks"), list):
+                plain["task"] = "; ".join(map(str, row["tasks"]))
+            facts = {key: value if isinstance(value, str) else float(value) for key, value in plain.items()}
+            yield Table(number, {}, facts=facts)

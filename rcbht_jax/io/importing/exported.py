@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.cells import text_of
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, check_declared, check_file, read_object
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import columnar
 from rcbht_jax.io.importing.arrays import reading
+from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
 
@@ -77,18 +80,15 @@ def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tupl
 def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     """A table with a row per recording or interval, from CSV or Parquet; empty if there is none."""
     if (path := folder / f"{name}.parquet").is_file():
-        check_declared(path, 0, check_file(path))
-        with reading(path, "Parquet"):
-            table = require("pyarrow.parquet", "import").read_table(path)
-            columns = {key: table.column(key).to_numpy() for key in table.column_names}
-        return {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
+        [table] = isolated(exported_tables, path, name)
+        return dict(table.columns)
     if not (path := folder / f"{name}.csv").is_file():
         return {}
     check_file(path, MAX_TEXT_BYTES)
     types = about.get("column_types")
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
+            rows = [[text_of(cell) for cell in row] for row in csv.reader(file)]
     except (csv.Error, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from None
     if not rows or any(len(row) != len(rows[0]) for row in rows):
@@ -98,6 +98,22 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     pairs = zip(rows[0], content, strict=True)
     texts = (*_TEXTS, "track", "label")
     return {key: _typed(path, key, cells, "text" if key in texts else str(known.get(key, ""))) for key, cells in pairs}
+
+
+def exported_tables(path: Path, name: str) -> Iterator[Table]:
+    """A Parquet table of an export, its columns of the types that they were written with.
+
+    >>> list(exported_tables(Path("hiro-parquet/trials.parquet"), "trials"))  # doctest: +SKIP
+
+    Raises:
+        InputError: damaged.
+    """
+    check_declared(path, 0, check_file(path))
+    with reading(path, "Parquet"):
+        table = require("pyarrow.parquet", "import").read_table(path)
+        columns = {key: table.column(key).to_numpy() for key in table.column_names}
+    plain = {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
+    yield Table(name, plain)
 
 
 def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[Any]:
@@ -119,7 +135,7 @@ def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[A
 
 def _csv(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
     [table] = read_csv(path, path.name)
-    return _wrench(path, table.columns, axes)
+    return _wrench(path, {text_of(name): values for name, values in table.columns.items()}, axes)
 
 
 def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ...]) -> NDArray[np.float32]:
@@ -129,8 +145,7 @@ def _wrench(path: Path, columns: Mapping[str, NDArray[Any]], axes: tuple[str, ..
 
 
 def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[np.float32]]:
-    with reading(path, "Parquet"):
-        columns, _ = columnar.read_columns(path)
+    columns = columnar.read_columns(path)
     if "recording" not in columns:
         raise InputError(f"{path} has no column recording.")
     wrench = _wrench(path, columns, axes)

@@ -10,15 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zarr
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.store import read_attrs
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import plan, shards
-from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis import claims, plan, shards
+from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.synthesis.workers import SynthesisProgress
 from tests.support.fake_simulation import SMALL, fake_engine, tree
@@ -276,3 +278,58 @@ def test_no_trial_is_drawn_twice(whole: dict[str, bytes], tmp_path: Path, monkey
     synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
     assert drawn == list(range(5, 12))
     assert tree(tmp_path / "t.zarr") == whole
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda path: path.write_text("{"), lambda path: path.write_bytes(b"\xa9"), os.mkfifo]
+)
+def test_a_damaged_description_of_an_array_begins_anew(
+    damage: Callable[[Path], object], whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    target = tmp_path / "trials.zarr"
+    interrupted(target, SMALL)
+    metadata = shards.store_of(shards.folder_of(target)) / "wrench" / "zarr.json"
+    metadata.unlink()
+    damage(metadata)
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
+    assert tree(target) == whole
+
+
+@pytest.mark.parametrize("content", [b"[1]", b'{"pid": "x"}', b"[" * 60_000, None])
+def test_a_claim_that_is_none_waits_for_its_lease(content: bytes | None, tmp_path: Path) -> None:
+    (tmp_path / claims.FOLDER).mkdir()
+    path = tmp_path / claims.FOLDER / "000000-0"
+    os.mkfifo(path) if content is None else path.write_bytes(content)
+    assert claims.attempts(tmp_path, "000000")[0].state == "held"
+    os.utime(path, (0, 0))
+    assert claims.attempts(tmp_path, "000000")[0].state == "dead"
+
+
+def test_another_kind_of_processor_does_not_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its vector instructions round differently: one store must not hold trials of both."""
+    target = tmp_path / "trials.zarr"
+    interrupted(target, SMALL)
+    before = tree(shards.folder_of(target))
+    here = plan.processor()
+    monkeypatch.setattr(plan, "processor", lambda: "Linux x86_64 with AVX2 alone")
+    words = f'begun with versions.processor "{here}", not "Linux x86_64 with AVX2 alone". Finish it .* processor'
+    for work in (synthesise, work_on):
+        with pytest.raises(InputError, match=words):
+            work(target, SMALL, simulate=fake_engine)
+    assert tree(shards.folder_of(target)) == before
+    assert plan.manifest_of(replace(SMALL, engine="warp"))["versions"].get("processor") is None
+    monkeypatch.undo()
+    synthesise(target, SMALL, simulate=fake_engine)
+    assert read_attrs(target)["simulated"]["versions"]["processor"] == here
+
+
+def test_the_processor_is_told_by_its_widest_instructions(monkeypatch: pytest.MonkeyPatch) -> None:
+    for found, words in (
+        (["X86_V3", "X86_V4"], "AVX-512"),
+        (["SSE3", "FMA3", "AVX2"], "AVX2"),
+        (["ASIMDHP", "ASIMD"], "NEON"),
+        ([], "no vector instructions beyond its base"),
+    ):
+        known = {"SIMD Extensions": {"baseline": found[:1], "found": found[1:]}}
+        monkeypatch.setattr(np, "show_config", lambda mode, known=known: known)
+        assert plan.processor.__wrapped__().endswith(f" with {words}")

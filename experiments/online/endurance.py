@@ -1,0 +1,233 @@
+"""A day of stream at 500 Hz from a sensor that fails, in compressed time: memory and time per reading stay the same.
+
+* stream: readings of :mod:`experiments._lib.faulty_stream` through resampler, encoder and classifier, one by one, as
+  "rcbht stream" feeds them; memory each simulated minute, time by quarter, and whether every reading that must be left
+  out was told. The result is written each simulated hour, so that an interrupted run keeps what it has;
+* messages: hostile lines through the reader of streams and the chain;
+* page: an hour of the same stream on the live page, as fast as it goes, before viewers in another process.
+
+Run: python -m experiments.online.endurance
+Memory is what counts. Times are those of this machine, and mean little where something else runs beside.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments._lib.faulty_stream import HERTZ, readings
+from experiments._lib.results_io import RESULTS, write_result
+from experiments.online.stream_speed import fuzz_stream, megabytes
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.events import Belief
+from rcbht_jax.features import FeatureSpec
+from rcbht_jax.features.online import names
+from rcbht_jax.introspection import model as models
+from rcbht_jax.introspection.chain import FeatureView
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.model import Head, IntrospectionModel
+from rcbht_jax.introspection.session import Session
+from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.svm import SvmSpec, fit
+from rcbht_jax.report.live_page import Frames, PageServer
+
+WINDOW = 50  # samples, 100 ms
+RATE = 10.0  # beliefs per second of stream
+HOUR, MINUTE = 3600, 60
+QUARTERS = 4
+QUANTILES = {"median": 0.5, "p99": 0.99}
+WARM = 60  # minutes of stream after which memory must stand still
+
+
+def model() -> IntrospectionModel:
+    """A classifier of two classes, trained on random features: what it believes does not matter here."""
+    spec, rng = FeatureSpec(families=("histogram",)), np.random.default_rng(0)
+    x, y = rng.normal(size=(200, len(names(spec, 6)))), np.arange(200) % 2
+    machine = ProbabilisticSvm(fit(x + y[:, None], y, ("a", "b"), SvmSpec("rbf", 1.0, True)), np.array([[-1.0, 0.0]]))
+    head = Head("states", "subtask", FeatureView(spec), machine)
+    config = EncoderConfig(window=WINDOW, dt=1 / HERTZ)
+    return IntrospectionModel(config, np.asarray(preset().limits), (head,), "endurance")
+
+
+class Day:
+    """A stream through the chain, and what is measured of it."""
+
+    def __init__(self, seconds: int, seed: int) -> None:
+        self._told: Counter[str] = Counter()
+        self._stream = readings(seconds, seed, self._told)
+        self.session = Session(Introspector(model(), rate=RATE))
+        self.session.introspector.warm_up()
+        self.memory = [megabytes()]  # after each minute
+        self.processor: list[float] = []  # s of each minute
+        # s of single readings, of a second each minute; all there from the start, so that it is no growth
+        self.latency = np.full((math.ceil(seconds / MINUTE), 2 * HERTZ), np.nan)
+        self.readings = self.beliefs = self.wrong = self.done = 0
+
+    def minute(self) -> bool:
+        """Feed a minute; whether there was one."""
+        start = time.process_time()
+        for second in range(MINUTE):
+            block = next(self._stream, None)
+            if block is None:
+                return False
+            self.readings += len(block)
+            self.done += 1
+            times = self.latency[self.done // MINUTE] if second == 0 else None
+            for k, reading in enumerate(block):
+                began = time.perf_counter()
+                events = self.session.feed(reading)
+                if times is not None:
+                    times[k] = time.perf_counter() - began
+                for event in events:
+                    if isinstance(event, Belief):
+                        self.beliefs += 1
+                        self.wrong += not abs(sum(event.probabilities) - 1) < 1e-3  # NaN is wrong, too
+        self.processor.append(time.process_time() - start)
+        self.memory.append(megabytes())
+        return True
+
+    def result(self) -> dict[str, Any]:
+        """Everything measured so far."""
+        counts, told = self.session.counts, self._told
+        return {
+            "simulated hours": round(self.done / HOUR, 3),
+            "readings": self.readings,
+            "faults": {name: told[name] for name in sorted(told) if "readings" not in name},
+            "beliefs": self.beliefs,
+            "beliefs that are no probabilities": self.wrong,
+            "readings left out as not finite, and those that were": [counts["not-finite"], told["bad readings"]],
+            "readings left out as repeated, and those that were": [counts["repeated"], told["stamps twice, readings"]],
+            "notices": {name: counts[name] for name in ("gap", "late", "jitter", "malformed")},
+            "memory, MB": memory_told(self.memory),
+            "processor seconds per simulated minute, median by quarter": _quarters(self.processor),
+            "one reading, ms": [_latency(part) for part in np.array_split(self.latency, QUARTERS)],
+        }
+
+
+def memory_told(memory: list[float]) -> dict[str, Any]:
+    """Memory by quarter, and its slope once the stream is warm, with the interval of 95 % of a straight line."""
+    warm = np.array(memory[min(WARM, len(memory) // 4) :])
+    hours = np.arange(len(warm)) / 60
+    slope, error = math.nan, math.nan
+    if len(warm) > 2:
+        slope, level = np.polyfit(hours, warm, 1)
+        spread = warm - level - slope * hours
+        error = 1.96 * float(np.sqrt(spread @ spread / (len(warm) - 2) / ((hours - hours.mean()) ** 2).sum()))
+    return {
+        "at the start": round(memory[0], 1),
+        "median by quarter": _quarters(memory[1:]),
+        "largest minus least, warm": round(float(warm.max() - warm.min()), 1) if len(warm) else None,
+        "MB per simulated hour, warm": None if math.isnan(slope) else round(float(slope), 4),
+        "its interval, plus or minus": None if math.isnan(error) else round(error, 4),
+    }
+
+
+def _quarters(values: list[float]) -> list[float]:
+    return [round(float(np.median(part)), 3) for part in np.array_split(values, QUARTERS) if len(part)]
+
+
+def _latency(times: NDArray[np.float64]) -> dict[str, float]:
+    """Quantiles, empty where nothing has been timed."""
+    known = times[np.isfinite(times)]
+    return {name: round(float(np.quantile(known, q)) * 1e3, 3) for name, q in QUANTILES.items() if len(known)}
+
+
+def page(seconds: int, clients: int, seed: int) -> dict[str, Any]:
+    """A stream on the live page before viewers, as fast as it goes."""
+    session = Session(Introspector(model(), rate=RATE))
+    session.introspector.warm_up()
+    memory, start = [], time.perf_counter()
+    with PageServer(session, port=0) as server:
+        frames = Frames(session, server.broadcast)
+        command = [sys.executable, "-m", "experiments._lib.page_clients", server.url, str(clients)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as viewers:
+            time.sleep(2)  # until they look
+            for second, block in enumerate(readings(seconds, seed, Counter())):
+                for reading in block:
+                    frames.feed(reading)
+                if second % MINUTE == 0:
+                    memory.append(megabytes())
+            frames.finish()
+            server.broadcast.close()
+            took = time.perf_counter() - start
+            time.sleep(2)  # until they have read the end
+            server.shutdown()
+            server.server_close()
+            said, _ = viewers.communicate(timeout=120)
+    return {
+        "simulated seconds": seconds,
+        "took, s": round(took),
+        "clients": clients,
+        "of them all": json.loads(said),
+        "memory, MB": memory_told(memory),
+    }
+
+
+PARTS = ("page", "messages", "stream")
+
+
+def main(
+    hours: float = 24.0,
+    messages: int = 1_000_000,
+    page_hours: float = 1.0,
+    clients: int = 20,
+    seed: int = 0,
+    parts: tuple[Literal["page", "messages", "stream"], ...] = PARTS,
+) -> None:
+    """Measure; every option has the size of the committed result.
+
+    Args:
+        hours: of the stream, simulated.
+        messages: hostile lines.
+        page_hours: of the stream on the page, simulated.
+        clients: viewers of the page.
+        seed: of noise, faults and lines.
+        parts: what to measure, beside what is there already of a run with these options.
+    """
+    command = (
+        f"python -m experiments.online.endurance --hours {hours:g} --messages {messages} --page-hours {page_hours:g} "
+        f"--clients {clients} --seed {seed}"
+    )
+
+    def keep(part: str, value: dict[str, Any], show: bool = False) -> None:
+        done = {**measured(command), part: {"load of the machine, processes": round(os.getloadavg()[0], 1), **value}}
+        about = {"window, samples": WINDOW, "readings per second": HERTZ, "hours asked for": hours}
+        write_result("endurance", command, {**about, **done}, seed, show)
+
+    if "page" in parts:
+        keep("page", page(round(page_hours * HOUR), clients, seed))
+    if "messages" in parts:
+        with tempfile.TemporaryDirectory() as folder:
+            models.save(Path(folder) / "endurance.model", model())
+            keep("messages", fuzz_stream(Path(folder) / "endurance.model", messages, seed))
+    if "stream" in parts:
+        day = Day(round(hours * HOUR), seed)
+        while day.minute():
+            if day.done % HOUR == 0:
+                keep("stream", day.result())
+        keep("stream", day.result(), show=True)
+
+
+def measured(command: str) -> dict[str, Any]:
+    """Parts that are there already, of the same command."""
+    path = RESULTS / "endurance.json"
+    record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    same = record.get("command") == command
+    return {part: record["result"][part] for part in PARTS if part in record["result"]} if same else {}
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

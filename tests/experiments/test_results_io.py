@@ -1,0 +1,46 @@
+"""Results are strict JSON: what any other program reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments._lib import results_io
+from experiments.simulation.sessions import medians
+from rcbht_jax._util.untrusted import parse_json
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("benchmarks", "conda", "docs", "examples", "experiments", "rcbht_jax", "sim_mjx", "tests", "tools")
+
+
+def test_every_json_file_of_the_project_is_strict() -> None:
+    files = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.json")]
+    assert len(files) > 50
+    for path in files:
+        try:
+            parse_json(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            pytest.fail(f"{path.relative_to(ROOT)}: {error}")
+
+
+def test_a_result_that_is_not_a_number_is_refused_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results_io, "RESULTS", tmp_path)
+    for wrong, said in (
+        ({"rows": [1.0, {"a": float("nan")}]}, "result > rows > 1 > a is nan"),
+        ((float("inf"),), "inf"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            results_io.write_result("x", "python -m experiments.x", wrong, show=False)
+    assert not list(tmp_path.iterdir())
+    path = results_io.write_result("x", "python -m experiments.x", {"rows": [None, 1.0]}, show=False)
+    assert parse_json(path.read_text())["result"] == {"rows": [None, 1.0]}
+
+
+def test_a_state_that_no_trial_entered_has_no_onset() -> None:
+
+    nan = np.nan
+    assert medians(np.array([[0.0, 1.0, nan], [0.0, nan, nan], [0.0, 4.0, nan]])) == [0.0, 2.5, None]
