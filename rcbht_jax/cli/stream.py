@@ -53,6 +53,8 @@ class TrainOnline(RuleCommand):
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
+    first_seconds: float = 0.0
+    """Learn from so many seconds of each recording, the same of all, so that its length tells nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
     relative: Flag = False
@@ -76,7 +78,8 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         recordings = read_recordings(self.store)
-        tasks = [TaskSpec(task, sources=self.source, sessions=self.session) for task in self.task]
+        seconds = self.first_seconds
+        tasks = [TaskSpec(task, sources=self.source, sessions=self.session, seconds=seconds) for task in self.task]
         phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
         if self.detect and not phases:
             raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
