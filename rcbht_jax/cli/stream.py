@@ -37,6 +37,11 @@ if TYPE_CHECKING:
     from rcbht_jax.io.messages import Message
     from rcbht_jax.io.rosbags import McapWriter
 
+Family = Literal[  # that a stream can keep up to date
+    "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
+    "levels", "elapsed",
+]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class TrainOnline(RuleCommand):
@@ -57,6 +62,10 @@ class TrainOnline(RuleCommand):
     """Learn from so many seconds of each recording, the same of all, so that its length tells nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
+    families: tuple[Family, ...] = ()
+    """Feature families; none = those that serve a sub-task, or a whole trial, best."""
+    ranks: Flag = False
+    """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
     weighing: Weighing = ()
@@ -86,7 +95,9 @@ class TrainOnline(RuleCommand):
         specs = tuple(
             HeadSpec(
                 task,
+                self.families,
                 relative=self.relative,
+                ranks=self.ranks,
                 phase=number >= len(tasks),
                 false_alarms=self.false_alarms,
                 weighing=self.weighing,

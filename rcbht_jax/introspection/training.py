@@ -123,6 +123,7 @@ class HeadSpec:
     false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
     weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
+    ranks: bool = False  # of a whole trial: features as ranks, as those of a sub-task are; for long tails
     subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
 
     @property
@@ -142,7 +143,7 @@ class HeadSpec:
     @property
     def learning(self) -> tuple[Grid, int]:
         """The grid of hyper-parameters, and the snapshots that a complete interval counts for."""
-        return (GRID, ENDS) if self.scope == "subtask" else (TRIAL_GRID, 1)
+        return (GRID, ENDS) if self.scope == "subtask" else (replace(TRIAL_GRID, ranks=self.ranks), 1)
 
     @property
     def name(self) -> str:
