@@ -7,9 +7,10 @@ duration nor the length of the record is among what it sees. As a command:
 
 It trains on four moments of each training trial, and is asked at the last of them, at least about one second before
 the trial ends as planned, and at the earlier ones; "by moment" has a machine for each, which was better on trials of
-seed 5, but was tried only after the first had been scored on the others. Within a session: five folds of trials, repeated. From one session
-to the other: all trials of one train. "Own nominal" subtracts the median feature of a half of the tested session's
-nominal trials and divides by their deviation, as one would after some trials known to be good; these are not tested.
+seed 5, but was tried only after the first had been scored on the others. Within a session: five folds of trials,
+repeated. From one session to the other: all trials of one train. "Own nominal" subtracts the median feature of a half
+of the tested session's nominal trials and divides by their deviation, as one would after some trials known to be good;
+these are not tested.
 
 Scores are areas under the ROC curve of failed against seated trials of each kind. Intervals are Wilson's for as many
 trials as the rarer outcome has, which is wide, and never zero. Families, ranks and cost were chosen on trials of seed 5

@@ -66,7 +66,9 @@ def test_equals_the_batch(rate):
         mine = [b for b in beliefs if b.head == head.name]
         assert [b.sample for b in mine] == now.tolist()
         x = online_features(CONFIG, preset(), VIEW, signal, begin, now)
-        np.testing.assert_allclose([b.probabilities for b in mine], head.probability(x, (now - begin) * CONFIG.dt), atol=1e-4)
+        np.testing.assert_allclose(
+            [b.probabilities for b in mine], head.probability(x, (now - begin) * CONFIG.dt), atol=1e-4
+        )
         assert all(b.label == b.classes[int(np.argmax(b.probabilities))] for b in mine)
 
 
