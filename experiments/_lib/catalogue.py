@@ -146,12 +146,12 @@ EXPERIMENTS = (
     ),
     Experiment("faults_outcome", "online.faults_outcome", 0.1),
     Experiment(
-        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=10,
-        shorter=("--per-kind", "20", "--repeats", "1"),
+        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=3,
+        shorter=("--per-kind", "20", "--repeats", "1", "--only", "A |"),
     ),
     Experiment(
-        "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=4,
-        shorter=("--only", "records", "choice | 1"),
+        "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=0.5,
+        shorter=("--only", "records"),
     ),
     Experiment(
         "calibration", "calibration.methods", 180, (STORE,), ("data",), shorter_minutes=4,

@@ -208,6 +208,8 @@ def within(get: Callable[[str], Seen], session: str, name: str, repeats: int, se
     x, y, groups = matrix(s), taught(s, name), np.arange(len(s.y))
     p = np.zeros((len(BEFORE), len(y)))
     cells = np.unique(np.char.add(s.trials.kind, s.y.astype(str)), return_inverse=True)[1]
+    if np.bincount(cells).min() < FOLDS:  # of a short run
+        cells = s.y
     for number, folds in enumerate(repeated_folds(cells, groups, FOLDS, repeats, seed)):
         for train, test in folds:
             p[:, test] += learner(x[:, train], y[train], x[:, test], seed + number) / repeats
