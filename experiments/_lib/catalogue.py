@@ -147,7 +147,7 @@ EXPERIMENTS = (
     Experiment("faults_outcome", "online.faults_outcome", 0.1),
     Experiment(
         "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=3,
-        shorter=("--per-kind", "20", "--repeats", "1", "--only", "A |"),
+        shorter=("--per-kind", "20", "--repeats", "1", "--only", "trials"),
     ),
     Experiment(
         "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=0.5,
