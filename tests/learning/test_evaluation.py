@@ -14,6 +14,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
+from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
