@@ -155,6 +155,15 @@ EXPERIMENTS = (
         ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
         shorter_minutes=25, shorter=("--nominal", "300", "300", "--per-kind", "40"),
     ),
+    Experiment("faults_outcome", "online.faults_outcome", 0.1),
+    Experiment(
+        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=3,
+        shorter=("--per-kind", "20", "--repeats", "1", "--only", "trials"),
+    ),
+    Experiment(
+        "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=0.5,
+        shorter=("--only", "records"),
+    ),
     Experiment(
         "calibration", "calibration.methods", 180, (STORE,), ("data",), shorter_minutes=4,
         shorter=("--tasks", "sim1-to-real", "--candidates", "128", "--repeats", "1"),

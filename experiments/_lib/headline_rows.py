@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from experiments._lib.intervals import rule_of_three
+from rcbht_jax.learning.metrics import rule_of_three
 
 Record = dict[str, Any]
 MEASURE = "macro step accuracy"  # of streamed states

@@ -24,11 +24,12 @@ from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
 from experiments._lib.benchmarks import BENCHMARKS, CONFOUNDS, FAILURES, FOLDS, Benchmark, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.intervals import by_trial, rule_of_three, with_width
+from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import failure_types
 from experiments.classification.grammar import BATCHES, by_batch, of_both
 from experiments.classification.probes import held_out
 from rcbht_jax.learning import validation
+from rcbht_jax.learning.metrics import rule_of_three
 from rcbht_jax.learning.svm import Split
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 

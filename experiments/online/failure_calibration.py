@@ -1,9 +1,9 @@
 """Do beliefs in a type of failure mean what they say? Calibration error by quarter of the record and by class.
 
 A type cannot be known before the parts touch; sigmoids fitted on all snapshots of a record say too much early and too
-little late, and a pooled error lets the two cancel. Here a belief is calibrated by progress, the time that has passed
-as a share of the median record of the training trials, which a planner knows: in every quarter of it, a temperature and
-a share of the classes' frequencies, fitted by likelihood. Five folds grouped by trial; the calibration of a fold is
+little late, and a pooled error lets the two cancel. Here a belief is calibrated by progress as ``rcbht train-online``
+does (:mod:`rcbht_jax.learning.progress`): in every quarter of the median record of the training trials a temperature
+and a share of the classes' frequencies, fitted by likelihood. Five folds grouped by trial; the calibration of a fold is
 fitted on the beliefs about the trials of the other folds, none of which trained the classifier that they come from.
 Those classifiers had seen the trials of the fold; two numbers for each quarter hardly carry that over.
 
@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
@@ -30,41 +29,17 @@ from experiments._lib.tasks import failure_types
 from experiments.online.failure_types import FOLDS, METHODS, RATE, streamed, that_train, watched
 from rcbht_jax.introspection.training import regular_snapshots
 from rcbht_jax.learning import metrics
+from rcbht_jax.learning.progress import PARTS, ProgressCalibration, part_of
 from rcbht_jax.learning.tasks import labelled_intervals
 from rcbht_jax.learning.validation import repeated_folds
 
-QUARTERS = 4
 TARGET = 0.08
-LEAST = 1e-6  # probability below which a logarithm is not taken
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def tempered(p: Floats, temperature: float, share: float, prior: Floats) -> Floats:
-    """Beliefs ``[step, class]`` with a temperature (1 = as they are) and a share of the classes' frequencies."""
-    log = np.log(np.maximum(p, LEAST)) / temperature
-    scaled = np.exp(log - log.max(1, keepdims=True))
-    return (1 - share) * scaled / scaled.sum(1, keepdims=True) + share * prior
-
-
-def fitted(p: Floats, y: Ints, prior: Floats) -> tuple[float, float]:
-    """Temperature and share that make the classes likeliest."""
-
-    def loss(params: Floats) -> float:
-        made = tempered(p, float(np.exp(params[0])), 1 / (1 + float(np.exp(-params[1]))), prior)
-        return -float(np.log(np.maximum(made[np.arange(len(y)), y], LEAST)).mean())
-
-    best = minimize(loss, np.array([0.0, -2.0]), method="Nelder-Mead").x
-    return float(np.exp(best[0])), 1 / (1 + float(np.exp(-best[1])))
-
-
-def quarter_of(progress: Floats) -> Ints:
-    """0 to 3; whatever lasts longer than planned is in the last."""
-    return np.clip((progress * QUARTERS).astype(np.int64), 0, QUARTERS - 1)
-
-
-def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, planned: Floats) -> Floats:
+def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, trial: NDArray[np.str_], planned: Floats) -> Floats:
     """Calibrated beliefs: those of a fold by what was fitted on the other folds.
 
     Args:
@@ -72,24 +47,21 @@ def by_progress(p: Floats, y: Ints, fold: Ints, seconds: Floats, planned: Floats
         y: class ``[step]``.
         fold: in which the step's trial was tested ``[step]``.
         seconds: since the record began ``[step]``.
+        trial: of each step.
         planned: median length of the records that did not test in a fold, s ``[fold]``.
     """
     out = np.empty_like(p)
     for number in np.unique(fold):
         mine, others = fold == number, fold != number
-        prior = np.bincount(y[others], minlength=p.shape[1]) / others.sum()
-        quarter = quarter_of(seconds / planned[number])
-        for part in range(QUARTERS):
-            learn, use = others & (quarter == part), mine & (quarter == part)
-            if use.any():
-                out[use] = tempered(p[use], *fitted(p[learn], y[learn], prior), prior)
+        learn = (p[others], y[others], seconds[others], trial[others])
+        out[mine] = ProgressCalibration.fit(*learn, float(planned[number]))(p[mine], seconds[mine])
     return out
 
 
 def errors(p: Floats, y: Ints, quarter: Ints, classes: tuple[str, ...]) -> dict[str, Any]:
     """Calibration errors of each quarter of the record, of the likeliest class and of every class."""
     found: dict[str, Any] = {"pooled": metrics.calibration_error(p, y)}
-    for part in range(QUARTERS):
+    for part in range(PARTS):
         mine = quarter == part
         alone = {name: one_class(p[mine, c], y[mine] == c) for c, name in enumerate(classes)}
         found[f"quarter {part + 1}"] = {
@@ -130,8 +102,8 @@ def row(name: str, seed: int) -> Callable[[], Any]:
             p[mine], fold[mine], planned[number] = beliefs[mine], number, np.median(length[train])
         y = items.y[snapshots.interval]
         seconds = (snapshots.now - snapshots.begin) * recordings.dt
-        quarter = quarter_of(seconds / length[snapshots.interval] - 1e-9)
-        calibrated = by_progress(p, y, fold, seconds, planned)
+        quarter = part_of(seconds / length[snapshots.interval] - 1e-9)
+        calibrated = by_progress(p, y, fold, seconds, items.trial[snapshots.interval], planned)
         made = {"as they are": p, "by progress": calibrated}
         return {kind: errors(q, y, quarter, items.classes) for kind, q in made.items()}
 

@@ -23,10 +23,10 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.intervals import wilson
 from experiments._lib.results_io import write_result
 from experiments.simulation import steered
 from rcbht_jax._util import checkpoint as checkpoints
+from rcbht_jax.learning.metrics import wilson
 from sim_mjx import engines, env
 from sim_mjx.assembly import task
 from sim_mjx.env.actions import with_set_points

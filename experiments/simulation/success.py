@@ -19,9 +19,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments._lib.catalogue import DATA
-from experiments._lib.intervals import wilson
 from experiments._lib.results_io import RESULTS, pictures, write_result
 from rcbht_jax.io.hiro.importer import read_hiro
+from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack

@@ -5,6 +5,7 @@ from experiments.tables import (  # noqa: F401
     calibration,
     engines,
     external,
+    failure,
     headline,
     methods,
     online,

@@ -138,6 +138,8 @@ class Evaluate(_Learning):
         return {"tracks": " ".join(grammars), **result.to_json()}
 
     def text(self, result: dict[str, Any]) -> str:
+        from rcbht_jax.learning.metrics import rule_of_three
+
         items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
         lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
         lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
@@ -148,6 +150,9 @@ class Evaluate(_Learning):
             ("most frequent class", "majority_baseline"),
         )
         lines += [f"{title:24}{_scores(result[key])}" for title, key in rows]
+        if result["score"]["accuracy"]["mean"] == 1.0:
+            most = rule_of_three(result["tested"])
+            lines.append(f"no mistake in {result['tested']} trials: up to {most:.1%} of new ones may have one")
         if "fold_min_mean_max" in result["score"]:
             low, mean, high = result["score"]["fold_min_mean_max"]
             lines.append(

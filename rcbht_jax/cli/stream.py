@@ -38,6 +38,11 @@ if TYPE_CHECKING:
     from rcbht_jax.io.messages import Message
     from rcbht_jax.io.rosbags import McapWriter
 
+Family = Literal[  # that a stream can keep up to date
+    "histogram", "ngram", "duration", "attributes", "offset", "course", "edges", "parts", "spread", "together", "order",
+    "levels", "elapsed",
+]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class TrainOnline(RuleCommand):
@@ -54,8 +59,14 @@ class TrainOnline(RuleCommand):
     """Also learn to detect when a sub-task of the first track in --task begins, for streams that do not say so."""
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
+    first_seconds: float = 0.0
+    """Learn from so many seconds of each recording, the same of all, so that its length tells nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
+    families: tuple[Family, ...] = ()
+    """Feature families; none = those that serve a sub-task, or a whole trial, best."""
+    ranks: Flag = False
+    """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
     """Use only features that do not depend on absolute forces or times, such as the bias of the sensor."""
     weighing: Weighing = ()
@@ -77,14 +88,17 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         recordings = read_recordings(self.store)
-        tasks = [TaskSpec(task, sources=self.source, sessions=self.session) for task in self.task]
+        seconds = self.first_seconds
+        tasks = [TaskSpec(task, sources=self.source, sessions=self.session, seconds=seconds) for task in self.task]
         phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
         if self.detect and not phases:
             raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
         specs = tuple(
             HeadSpec(
                 task,
+                self.families,
                 relative=self.relative,
+                ranks=self.ranks,
                 phase=number >= len(tasks),
                 false_alarms=self.false_alarms,
                 weighing=self.weighing,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +18,11 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted, Word
 from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
-from rcbht_jax.introspection.model import Head, IntrospectionModel
+from rcbht_jax.introspection.model import Head, HeadArrays, IntrospectionModel, head_arrays
 from rcbht_jax.introspection.words import words_of_tracks, words_of_window
 from rcbht_jax.learning.metrics import CERTAINTY_LEVELS
-from rcbht_jax.learning.probability import SvmArrays, probability_jax, to_arrays
+from rcbht_jax.learning.probability import probability_jax
+from rcbht_jax.learning.progress import mixed_jax
 from rcbht_jax.types import Array
 
 FAILURE_TYPE = "failure-type"  # the classifier whose belief becomes a FailureType event
@@ -67,7 +69,7 @@ class Chain:
 def infer(
     chain: Chain,
     limits: Float[Array, "axis limit"],
-    machines: tuple[SvmArrays, ...],
+    heads: tuple[HeadArrays, ...],
     state: StreamState,
     window: Float[Array, "window axis"],
     count: Int[Array, ""],
@@ -78,7 +80,7 @@ def infer(
     Args:
         chain: static.
         limits: of :func:`rcbht_jax.encoding.rules.checked_limits`.
-        machines: one per classifier.
+        heads: one per classifier.
         state: at the end of the last complete window.
         window: samples since then, N and Nm; those from ``count`` on mean nothing.
         count: samples in ``window``.
@@ -87,12 +89,16 @@ def infer(
     Returns:
         the new state, the class probabilities of each classifier, and the labels published by a complete window.
     """
+    now = state.encoder.time[0] + count
     state, features, published = step(chain.config, chain.views, limits, state, window, count, begins)
-    probabilities = tuple(
-        probability_jax(machine, head.kernel, head.gamma, head.classes, features[head.view])
-        for head, machine in zip(chain.heads, machines, strict=True)
-    )
-    return state, probabilities, published
+    probabilities = []
+    for shape, head in zip(chain.heads, heads, strict=True):
+        p = probability_jax(head.machine, shape.kernel, shape.gamma, shape.classes, features[shape.view])
+        if head.progress is not None:
+            seconds = (now - begins[shape.view]).astype(jnp.float32) * jnp.float32(chain.config.dt)
+            p = mixed_jax(head.progress, p, seconds)
+        probabilities.append(p)
+    return state, tuple(probabilities), published
 
 
 _infer = jax.jit(infer, static_argnums=0)
@@ -146,7 +152,7 @@ class Introspector:
         self._config = model.encoder
         self._every = _samples_between(rate, model.encoder)
         self._limits = jax.device_put(model.stacked_limits.astype(np.float32))
-        self._machines = tuple(jax.device_put(to_arrays(head.machine)) for head in model.heads)
+        self._heads = tuple(jax.device_put(head_arrays(head)) for head in model.heads)
         self._confidence = [Confidence(k, margin) for _ in model.heads]
         self._alarms = {h.name: Alarm(h.alarm_level or k, hold) for h in model.heads if h.alarm}
         detector = _detector(model) if detect else None
@@ -258,7 +264,7 @@ class Introspector:
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.
         window, count, begins = self._buffer.samples.copy(), np.int32(self._buffer.count), self._begins.copy()
-        return _infer(self._chain, self._limits, self._machines, self._state, window, count, begins)
+        return _infer(self._chain, self._limits, self._heads, self._state, window, count, begins)
 
     def _advance(self) -> list[Event]:
         complete = not self._buffer.room

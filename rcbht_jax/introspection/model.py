@@ -7,7 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
@@ -29,7 +31,8 @@ from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.labels import UNIT_OF
 from rcbht_jax.learning.model_io import check_finite, read_svm, reading, svm_members, write_archive
-from rcbht_jax.learning.probability import ProbabilisticSvm
+from rcbht_jax.learning.probability import ProbabilisticSvm, SvmArrays, to_arrays
+from rcbht_jax.learning.progress import ProgressArrays, ProgressCalibration, progress_arrays
 from rcbht_jax.types import axis_names
 
 FORMAT = "rcbht-introspection-1"
@@ -49,6 +52,7 @@ class Head:
         machine: gives a probability per class.
         alarm: the class that raises an anomaly; "" = none does.
         alarm_level: probability above which it does; 0 = the introspector's own level.
+        progress: calibrates the probabilities by the time since the interval began; None = they are as they are.
 
     Raises:
         InputError: features that a stream cannot make or the classifier does not know, or an unknown scope or class.
@@ -60,6 +64,7 @@ class Head:
     machine: ProbabilisticSvm
     alarm: str = ""
     alarm_level: float = 0.0
+    progress: ProgressCalibration | None = None
 
     def __post_init__(self) -> None:
         check_online(self.view.spec)
@@ -69,11 +74,36 @@ class Head:
             raise InputError(f"head {self.name} has no class {self.alarm}; it has {', '.join(self.classes)}.")
         if not 0 <= self.alarm_level < 1:
             raise InputError(f"head {self.name} has the alarm level {self.alarm_level:g}; expected 0 to 1.")
+        if self.progress is not None and len(self.progress.prior) != len(self.classes):
+            raise InputError(
+                f"head {self.name} has {len(self.classes)} classes; its calibration has {len(self.progress.prior)}."
+            )
 
     @property
     def classes(self) -> tuple[str, ...]:
         """Names of the classes, in the order of the probabilities."""
         return self.machine.svm.classes
+
+    def probability(
+        self, x: Float[np.ndarray, "item feature"], seconds: Float[np.ndarray, " item"]
+    ) -> Float[np.ndarray, "item class"]:
+        """Calibrated class probabilities of features, ``seconds`` after the interval began."""
+        p = self.machine.probability(x)
+        return p if self.progress is None else self.progress(p, seconds)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HeadArrays:
+    """A head in single precision, for a compiled stream."""
+
+    machine: SvmArrays
+    progress: ProgressArrays | None
+
+
+def head_arrays(head: Head) -> HeadArrays:
+    """A head for :func:`rcbht_jax.introspection.introspector.infer`."""
+    return HeadArrays(to_arrays(head.machine), None if head.progress is None else progress_arrays(head.progress))
 
 
 @dataclass(frozen=True)
@@ -140,7 +170,8 @@ def save(path: Path, model: IntrospectionModel) -> None:
         members, described = svm_members(head.machine.svm, prefix)
         arrays |= members | {prefix + "sigmoid": head.machine.sigmoid}
         plain = {name: getattr(head, name) for name in ("name", "scope", "alarm", "alarm_level")}
-        heads.append({**plain, "sight": asdict(head.view), **described})
+        progress = {} if head.progress is None else {"progress": asdict(head.progress)}
+        heads.append({**plain, "sight": asdict(head.view), **described, **progress})
     rest = {k: getattr(model, k) for k in ("data_hash", "version", "extra")}
     write_archive(path, {"format": FORMAT, "encoder": config_fields(model.encoder), "heads": heads, **rest}, arrays)
 
@@ -171,5 +202,11 @@ def _read_head(
     check_finite(path, "sigmoid", sigmoid)
     view = FeatureView(spec, bool(meta["sight"]["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
-    # Files older than alarm levels lack them.
-    return Head(meta["name"], meta["scope"], view, machine, meta["alarm"], float(meta.get("alarm_level", 0.0)))
+    # Files older than alarm levels and calibration by progress lack them.
+    level, progress = float(meta.get("alarm_level", 0.0)), meta.get("progress")
+    return Head(meta["name"], meta["scope"], view, machine, meta["alarm"], level, progress and _read_progress(progress))
+
+
+def _read_progress(meta: Mapping[str, Any]) -> ProgressCalibration:
+    parts = {name: tuple(float(value) for value in meta[name]) for name in ("temperature", "share", "prior")}
+    return ProgressCalibration(float(meta["planned"]), **parts)

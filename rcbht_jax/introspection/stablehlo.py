@@ -30,8 +30,7 @@ from rcbht_jax.encoding.rules import config_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
-from rcbht_jax.introspection.model import IntrospectionModel
-from rcbht_jax.learning.probability import to_arrays
+from rcbht_jax.introspection.model import IntrospectionModel, head_arrays
 from rcbht_jax.types import Array
 
 FORMAT = "rcbht-chain-1"
@@ -46,11 +45,11 @@ def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS
     start = begin_stream(chain.config, chain.views, len(model.axes))
     leaves, tree = jax.tree.flatten(start)
     limits = jnp.asarray(model.stacked_limits, jnp.float32)
-    machines = tuple(jax.tree.map(jnp.asarray, to_arrays(head.machine)) for head in model.heads)
+    heads = tuple(jax.tree.map(jnp.asarray, head_arrays(head)) for head in model.heads)
 
     def run(state: list[Array], window: Array, count: Array, begins: Array) -> tuple[list[Array], list[Array], Array]:
         after, probabilities, published = infer(
-            chain, limits, machines, jax.tree.unflatten(tree, state), window, count, begins
+            chain, limits, heads, jax.tree.unflatten(tree, state), window, count, begins
         )
         return jax.tree.leaves(after), list(probabilities), published.ints
 

@@ -22,6 +22,7 @@ from rcbht_jax.introspection.introspector import PHASE, PHASE_IN_TRIAL
 from rcbht_jax.introspection.model import Head, IntrospectionModel, Scope
 from rcbht_jax.labels import AXES
 from rcbht_jax.learning.probability import ProbabilisticSvm, fit_probabilistic
+from rcbht_jax.learning.progress import ProgressCalibration
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import FAILURE, LabelledIntervals, TaskSpec, labelled_intervals, track_of
 from rcbht_jax.types import Recordings
@@ -33,6 +34,8 @@ ENDS = 6  # snapshots that a complete interval counts for: the belief at its end
 TRIAL_GRID = Grid(
     kernels=("linear", "rbf"), costs=(1e-2, 1.0, 10.0), scalings=(True,), balanced=True, inner=3, floor=0.1
 )
+# Features, class and trial of every training snapshot.
+Training = tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]]
 PICKED = 12  # snapshots per interval and per spacing (even, geometric) for training
 
 
@@ -120,6 +123,7 @@ class HeadSpec:
     false_alarms: float = 0.0  # per nominal trial, for the classifier that alarms; 0 = the introspector's own level
     hold: float = 0.1  # s, for which that alarm must last
     weighing: tuple[str, ...] = ()  # of labels in the family histogram, see FeatureSpec
+    ranks: bool = False  # of a whole trial: features as ranks, as those of a sub-task are; for long tails
     subtask: bool | None = None  # whether the task is about a track; None = see when training, before only for states
 
     @property
@@ -139,7 +143,7 @@ class HeadSpec:
     @property
     def learning(self) -> tuple[Grid, int]:
         """The grid of hyper-parameters, and the snapshots that a complete interval counts for."""
-        return (GRID, ENDS) if self.scope == "subtask" else (TRIAL_GRID, 1)
+        return (GRID, ENDS) if self.scope == "subtask" else (replace(TRIAL_GRID, ranks=self.ranks), 1)
 
     @property
     def name(self) -> str:
@@ -191,6 +195,9 @@ def train_head(
 ) -> Head:
     """Train one classifier on the training snapshots of its task.
 
+    What it says of a whole trial is calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs about
+    trials that were held out.
+
     ``progress`` is called with the number of snapshots since the last call and the total.
 
     Raises:
@@ -206,11 +213,29 @@ def train_head(
     )
     machine = learn(x, snapshots, items, view.spec, *spec.learning, seed, recordings.wrench.shape[2])
     alarm = FAILURE if spec.task.task == "outcome" and FAILURE in items.classes else ""
-    level = 0.0
+    head = Head(spec.name, spec.scope, view, machine, alarm)
+    training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
+    if spec.scope == "trial" and not spec.phase:  # the filter over phases takes beliefs as they are
+        head = replace(head, progress=_progress(machine, items, snapshots, training, config.dt, seed))
     if alarm and spec.false_alarms:
-        training = x, items.y[snapshots.interval], items.trial[snapshots.interval]
-        level = _alarm_level(recordings, spec, config, thresholds, items, machine, training, seed)
-    return Head(spec.name, spec.scope, view, machine, alarm, level)
+        level = _alarm_level(recordings, spec, config, thresholds, items, head, training, seed)
+        head = replace(head, alarm_level=level)
+    return head
+
+
+def _progress(
+    machine: ProbabilisticSvm,
+    items: LabelledIntervals,
+    snapshots: Snapshots,
+    training: Training,
+    dt: float,
+    seed: int,
+) -> ProgressCalibration:
+    """Calibration by progress, from what classifiers say that were not trained on the trial."""
+    x, y, groups = training
+    p = held_out(machine, *training, x, groups, seed)
+    planned = float(np.median(items.seconds[:, 0]))
+    return ProgressCalibration.fit(p, y, (snapshots.now - snapshots.begin) * dt, groups, planned)
 
 
 def _every(spec: HeadSpec, config: AnyConfig) -> int:
@@ -224,8 +249,8 @@ def _alarm_level(
     config: AnyConfig,
     thresholds: AnyLimits,
     items: LabelledIntervals,
-    machine: ProbabilisticSvm,
-    training: tuple[Float[np.ndarray, "row feature"], Int[np.ndarray, " row"], Shaped[np.ndarray, " row"]],
+    head: Head,
+    training: Training,
     seed: int,
 ) -> float:
     """Level of the alarm from the successes, each streamed through a classifier that was not trained on it."""
@@ -234,7 +259,10 @@ def _alarm_level(
     snapshots = snapshots.take(np.flatnonzero(items.y[snapshots.interval] != alarm))
     x = snapshot_features(recordings, snapshots, spec.view, config, thresholds)
     groups = items.trial[snapshots.interval]
-    probability = held_out(machine, *training, x, groups, seed)[:, alarm]
+    probability = held_out(head.machine, *training, x, groups, seed)
+    if head.progress is not None:
+        probability = head.progress(probability, (snapshots.now - snapshots.begin) * config.dt)
+    probability = probability[:, alarm]
     return conformal_threshold(peaks(probability, groups, round(spec.hold * spec.rate) + 1), spec.false_alarms)
 
 

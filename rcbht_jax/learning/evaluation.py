@@ -56,6 +56,7 @@ class EvaluationResult:
     classes: tuple[str, ...]
     items: dict[str, int]  # class -> items
     trials: int
+    tested: int  # of the trials
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
     duration_baseline: dict[str, Any]  # random forest on the length of the interval alone
@@ -163,6 +164,7 @@ def score(
     }
     if protocol.train_on:
         split = _split(items, protocol)
+        tested = len(np.unique(items.trial[split[1]]))
         scores = {
             k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
         }
@@ -177,13 +179,15 @@ def score(
         runs = {k: validation.cross_validate(e, items.y, folds, protocol.seed) for k, e in estimators.items()}
         fold_accuracy = runs["svm"].accuracy.tolist()
         chosen = [choice for repeat in runs["svm"].chosen for choice in repeat]
-        tables = {k: (x.summary(), x.confusion) for k, x in runs.items()}
+        tested = len(np.unique(items.trial))
+        tables = {k: (x.summary(tested), x.confusion) for k, x in runs.items()}
     return EvaluationResult(
         task=task,
         protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
         items=dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
         trials=len(np.unique(items.trial)),
+        tested=tested,
         dropped=items.dropped,
         score=tables["svm"][0],
         duration_baseline=tables["duration"][0],

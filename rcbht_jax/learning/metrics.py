@@ -20,6 +20,7 @@ Ints = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
 
 CERTAINTY_LEVELS = (0.70, 0.75, 0.80, 0.85, 0.90, 0.95)  # the paper's k
+Z = 1.96  # quantile of the normal distribution, for 95 %
 INADMISSIBLE = 0.5  # below this a belief counts for nothing
 
 
@@ -77,6 +78,32 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
     error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
     half = float(stdtrit(scores.size - 1, 0.5 + level / 2) * error)
     return mean, max(0.0, mean - half), min(1.0, mean + half)
+
+
+def wilson(good: float, trials: int, z: float = Z) -> tuple[float, float]:
+    """95 % interval of a share, never of zero width (Wilson 1927).
+
+    Args:
+        good: how many of them; may be a fraction, for a trial some of whose items are right.
+        trials: how many, > 0.
+        z: quantile of the normal distribution.
+
+    >>> [round(end, 3) for end in wilson(35, 35)]
+    [0.901, 1.0]
+    """
+    share, spread = good / trials, z * z / trials
+    middle = (share + spread / 2) / (1 + spread)
+    half = z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
+    return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
+
+
+def rule_of_three(trials: int) -> float:
+    """Largest share of trials with a mistake that is compatible, at 95 %, with none seen in so many.
+
+    >>> round(rule_of_three(35), 3)
+    0.086
+    """
+    return min(1.0, 3 / trials)
 
 
 def overall_pr(probability: Floats, y_true: Ints) -> float:

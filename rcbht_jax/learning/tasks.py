@@ -45,6 +45,7 @@ class TaskSpec:
     outcomes: tuple[str, ...] | None = None  # None = successes of a track if there are some; of a column all
     classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
     complete: bool = False  # only recordings that have every label of the track, each after the one before
+    seconds: float = 0.0  # of every whole recording, from its beginning, shorter ones left out; 0 = to its end
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIn
         found = _of_track(recordings, rows, track, spec, dropped)
     else:
         values, known, _ = _known(recordings, rows, spec)
-        found = _whole(recordings, rows, np.where(known, values, ""))
+        found = _whole(recordings, rows, np.where(known, values, ""), spec, dropped)
     return UnlabelledIntervals(found.rows[:, 0], found.label, _intervals(found, recordings.dt), dict(dropped))
 
 
@@ -106,7 +107,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     """The intervals of a task with their classes: sub-tasks, or whole trials.
 
     Raises:
-        InputError: a filter names an unknown source or session, or fewer than two classes remain.
+        InputError: a filter names an unknown source or session, fewer than two classes remain, or seconds of a track.
 
     Example:
         >>> recordings = Recordings.from_arrays(np.zeros((3, 400, 6)), outcome=["success", "failure", "unknown"])
@@ -124,7 +125,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         values, known, doubtful = _known(recordings, rows, spec)
         _count(dropped, "same record under two names", int(doubtful.sum()))
         _count(dropped, "class not in the list" if spec.classes else "class unknown", int((~known & ~doubtful).sum()))
-        found = _whole(recordings, rows[known], values[known])
+        found = _whole(recordings, rows[known], values[known], spec, dropped)
         order = tuple(sorted(set(found.label.tolist())))
     present = set(found.label.tolist())
     classes = tuple(name for name in spec.classes or order if name in present)
@@ -143,11 +144,15 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     """The track of annotations of a task; "" = it is about whole recordings and their column.
 
     Raises:
-        InputError: there is neither a track nor a column of that name.
+        InputError: there is neither a track nor a column of that name, or it is a track of which seconds are asked for.
     """
     tracks = recordings.annotations.tracks
     for track in (f"{spec.task}-{spec.boundaries}", spec.task):
         if track in tracks:
+            if spec.seconds:
+                raise InputError(
+                    f"the task {spec.task} is a track; only whole recordings can be cut to their first seconds."
+                )
             return track
     if not _column(recordings, spec):
         known = (*tracks, *column_names(recordings))
@@ -366,7 +371,18 @@ def _known(
     return values, known & ~doubtful, doubtful
 
 
-def _whole(recordings: Recordings, rows: NDArray[np.int64], values: NDArray[np.str_]) -> _Found:
-    """Whole records."""
+def _whole(
+    recordings: Recordings, rows: NDArray[np.int64], values: NDArray[np.str_], spec: TaskSpec, dropped: Counter[str]
+) -> _Found:
+    """Whole records, or the same number of seconds of each."""
     end = recordings.length[rows].astype(np.int64)
+    if spec.seconds:
+        samples = round(spec.seconds / recordings.dt) if 0 < spec.seconds < np.inf else 0
+        if samples < 1:
+            raise InputError(
+                f"the first {spec.seconds:g} s of each recording were asked for; expected a sample or more."
+            )
+        long = (end >= samples).all(1)
+        _count(dropped, f"shorter than {spec.seconds:g} s", int((~long).sum()))
+        rows, values, end = rows[long], values[long], np.full_like(end[long], samples)
     return _Found(rows, values, np.zeros_like(rows), end)

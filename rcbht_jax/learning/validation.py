@@ -99,17 +99,23 @@ class CrossValidation:
     confusion: Int[np.ndarray, "true predicted"]  # summed over folds and repeats
     test_to_train: float  # ratio of their sizes
 
-    def summary(self) -> dict[str, Any]:
-        """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals."""
+    def summary(self, trials: int = 0) -> dict[str, Any]:
+        """min / mean / max over the folds of a run (averaged over repeats), and corrected 95% intervals.
+
+        Args:
+            trials: that were tested; where all folds score the same, the interval is Wilson's for so many. 0 = none.
+        """
         return {
-            "accuracy": _interval(self.accuracy, self.test_to_train),
-            "balanced_accuracy": _interval(self.balanced_accuracy, self.test_to_train),
+            "accuracy": _interval(self.accuracy, self.test_to_train, trials),
+            "balanced_accuracy": _interval(self.balanced_accuracy, self.test_to_train, trials),
             "fold_min_mean_max": [float(f(self.accuracy, axis=1).mean()) for f in (np.min, np.mean, np.max)],
         }
 
 
-def _interval(scores: NDArray[np.float64], ratio: float) -> dict[str, float]:
+def _interval(scores: NDArray[np.float64], ratio: float, trials: int) -> dict[str, float]:
     mean, low, high = metrics.corrected_interval(scores, ratio)
+    if trials and not low < high:
+        low, high = metrics.wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high}
 
 
@@ -156,7 +162,7 @@ class HoldoutScore:
 
     accuracy: float
     balanced_accuracy: float
-    low: float  # 95% interval of the accuracy, by resampling the test trials
+    low: float  # 95% interval of the accuracy, by resampling the test trials; Wilson's where all are alike
     high: float
     chosen: dict[str, Any]
     confusion: Int[np.ndarray, "true predicted"]
@@ -183,6 +189,9 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
     predicted, choice = estimator(train, test, 1000 * seed)
     y_true, classes = y[test], int(y.max()) + 1
     low, high = bootstrap(y_true == predicted, groups[test], seed)
+    if not low < high:
+        trials = len(np.unique(groups[test]))
+        low, high = metrics.wilson(metrics.accuracy(y_true, predicted) * trials, trials)
     return HoldoutScore(
         accuracy=metrics.accuracy(y_true, predicted),
         balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),

@@ -15,9 +15,8 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import StreamState, begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
-from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.introspection.model import HeadArrays, IntrospectionModel, head_arrays
 from rcbht_jax.labels import LAYER_SIZES
-from rcbht_jax.learning.probability import SvmArrays, to_arrays
 from rcbht_jax.types import Array
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import LARGEST
@@ -46,7 +45,7 @@ class Senses:
     joints: int
     chain: Chain
     limits: Float[np.ndarray, "axis limit"]
-    machines: tuple[SvmArrays, ...]
+    heads: tuple[HeadArrays, ...]
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -109,7 +108,7 @@ class Senses:
         begins = [state.began if scope == "subtask" else jnp.zeros_like(state.began) for scope in self.chain.scopes]
         stacked = jnp.stack(begins) if begins else jnp.zeros(0, jnp.int32)
         stream, beliefs, published = infer(
-            self.chain, jnp.asarray(self.limits), self.machines, state.stream, window, jnp.int32(len(window)), stacked
+            self.chain, jnp.asarray(self.limits), self.heads, state.stream, window, jnp.int32(len(window)), stacked
         )
         tracks = unpack(published)
         new = jnp.stack([tracks.primitive.label, tracks.mc.label, tracks.llb.label]).astype(jnp.int32)
@@ -144,7 +143,7 @@ def new_senses(config: EnvConfig, axes: int, joints: int, model: IntrospectionMo
     Raises:
         InputError: a model of other axes or another period, or a step that is no multiple of the encoder's window.
     """
-    chain, machines, limits = _chain(model, axes)
+    chain, heads, limits = _chain(model, axes)
     if config.senses_words and config.periods % chain.config.window:
         raise InputError(
             f"A step has {config.periods} control periods; with words it must be a multiple of the encoder's window, "
@@ -155,11 +154,11 @@ def new_senses(config: EnvConfig, axes: int, joints: int, model: IntrospectionMo
             f"The model knows {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
             f"{CONTROL_PERIOD:g} s."
         )
-    return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), machines)
+    return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
 
 
 def _chain(model: IntrospectionModel | None, axes: int) -> tuple[Chain, tuple[Any, ...], Any]:
     if model is not None:
-        return Chain.of(model), tuple(to_arrays(head.machine) for head in model.heads), model.stacked_limits
+        return Chain.of(model), tuple(head_arrays(head) for head in model.heads), model.stacked_limits
     wrists = np.concatenate([np.asarray(preset().limits)] * (axes // 6))
     return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), wrists

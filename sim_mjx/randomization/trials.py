@@ -71,6 +71,8 @@ class DomainRandomization:
     jam_overlap: Range = (1.65e-3, 1.85e-3)  # m, each hook: nearly the tip's radius, which no tab passes; chosen
     wedge_roll: Range = (0.09, 0.20)  # rad, either sign: more than the slots' play allows; chosen
     wedge_tilt: Range = (0.05, 0.12)  # rad, either sign, of the hand at contact; chosen
+    # factor on the hook overlap of the tab of a missing-tab fault: negative = broken off, 0 to 1 = worn; chosen
+    missing_overlap: Range = (-1.0, -1.0)
     moved_by: Range = (0.021, 0.040)  # m, part along x or y: beyond every pose fault; chosen
     stop_at: Range = (0.3, 0.9)  # share of the time to mating after which the robot stops; chosen
 
@@ -82,7 +84,8 @@ LIMITS: dict[str, Range] = {
     "noise": (0.0, 100.0), "force_bias": (-50.0, 50.0), "moment_bias": (-5.0, 5.0), "tare": (0.0, 1.0),
     "mating": (0.1, 600.0), "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0),
     "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
-    "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "moved_by": (0.0, 0.1), "stop_at": (0.01, 1.0),
+    "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "missing_overlap": (-1.0, 1.0), "moved_by": (0.0, 0.1),
+    "stop_at": (0.01, 1.0),
 }  # fmt: skip
 
 
@@ -304,8 +307,10 @@ def _wedging(values: _Values, spec: DomainRandomization, rng: np.random.Generato
 
 
 def _missing_tab(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
-    """One tab has broken off; by convention of PartParams its overlap is negative."""
-    values.overlap[int(rng.integers(len(TABS)))] *= -1.0
+    """One tab has broken off or is worn; by convention of PartParams the overlap of a missing one is negative."""
+    tab, (low, high) = int(rng.integers(len(TABS))), spec.missing_overlap
+    # nothing is drawn where there is nothing to choose, so that later draws do not depend on this range
+    values.overlap[tab] *= low if low == high else _draw(rng, (low, high))
 
 
 def _moved_part(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:

@@ -248,6 +248,33 @@ def test_a_model_remembers_the_rule(tmp_path, capsys):
     assert words == [e for e in plain if e["event"] == "Word"]
 
 
+def test_an_outcome_from_the_same_seconds_of_every_record(tmp_path, capsys):
+    store, out = tmp_path / "s.zarr", tmp_path / "m"
+    rj.write_recordings(store, rj.Recordings.example(), {})
+    learn = [
+        "train-online",
+        str(store),
+        "--task",
+        "outcome",
+        "-o",
+        str(out),
+        "--families",
+        "edges",
+        "offset",
+        "--ranks",
+    ]
+    assert main([*learn, "--first-seconds", "1"]) == 0
+    head = model_files.load(out).heads[0]
+    assert head.view.spec.families == ("edges", "offset")
+    assert head.machine.svm.spec.ranks
+    assert head.progress is not None
+    assert head.progress.planned == 1.0
+    for seconds, part in (("2", "8 (shorter than 2 s)"), ("-1", "expected a sample or more")):
+        capsys.readouterr()
+        assert main([*learn, "--first-seconds", seconds]) == 2
+        assert part in capsys.readouterr().err
+
+
 def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
     for words, part in (
         (["-m", str(model_path), "--robot", "hiro"], "leave out --robot"),

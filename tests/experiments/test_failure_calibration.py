@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from experiments._lib.results_io import committed
-from experiments.online.failure_calibration import QUARTERS, by_progress, errors, one_class, quarter_of, tempered
+from experiments.online.failure_calibration import by_progress, errors, one_class
+from rcbht_jax.learning.progress import PARTS, mixed, part_of
 
 STEPS, CLASSES, FOLDS = 4000, 5, 5
 PLANNED = np.full(FOLDS, 8.0)  # s
+TRIAL = np.arange(STEPS).astype(str)  # a step each
 
 
 @pytest.fixture
@@ -28,10 +30,10 @@ def beliefs() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def test_beliefs_are_calibrated_in_each_quarter(beliefs: tuple[np.ndarray, ...]) -> None:
     p, y, fold, seconds = beliefs
-    quarter, names = quarter_of(seconds / 8), tuple("abcde")
+    quarter, names = part_of(seconds / 8), tuple("abcde")
     before = errors(p, y, quarter, names)
-    after = errors(by_progress(p, y, fold, seconds, PLANNED), y, quarter, names)
-    for part in range(1, QUARTERS + 1):
+    after = errors(by_progress(p, y, fold, seconds, TRIAL, PLANNED), y, quarter, names)
+    for part in range(1, PARTS + 1):
         assert before[f"quarter {part}"]["likeliest"] > 0.25
         assert after[f"quarter {part}"]["likeliest"] < 0.08
         assert after[f"quarter {part}"]["worst class"] < 0.05
@@ -41,7 +43,7 @@ def test_beliefs_are_calibrated_in_each_quarter(beliefs: tuple[np.ndarray, ...])
 def test_calibration_does_not_read_the_trials_that_it_serves(beliefs: tuple[np.ndarray, ...]) -> None:
     p, y, fold, seconds = beliefs
     other = np.where(fold == 2, (y + 1) % CLASSES, y)
-    first, second = (by_progress(p, known, fold, seconds, PLANNED) for known in (y, other))
+    first, second = (by_progress(p, known, fold, seconds, TRIAL, PLANNED) for known in (y, other))
     np.testing.assert_array_equal(first[fold == 2], second[fold == 2])
     assert not np.array_equal(first, second)
 
@@ -50,12 +52,12 @@ def test_the_error_of_one_class_is_that_of_its_bins() -> None:
     p, true = np.array([0.05, 0.05, 0.95, 0.95]), np.array([False, True, True, True])
     assert one_class(p, true) == pytest.approx((abs(0.1 - 1) + abs(1.9 - 2)) / 4)
     prior = np.array([0.5, 0.5])
-    np.testing.assert_allclose(tempered(np.array([[0.9, 0.1]]), 1.0, 0.5, prior), [[0.7, 0.3]])
-    assert quarter_of(np.array([0.0, 0.26, 1.0, 7.0])).tolist() == [0, 1, 3, 3]
+    np.testing.assert_allclose(mixed(np.array([[0.9, 0.1]]), 1.0, 0.5, prior), [[0.7, 0.3]])
+    assert part_of(np.array([0.0, 0.26, 1.0, 7.0])).tolist() == [0, 1, 3, 3]
 
 
 def test_the_committed_errors_are_whole() -> None:
     result = committed("failure_calibration")
     assert result["complete"]
     for row in result["rows"].values():
-        assert all(len(row["by progress"][f"quarter {part}"]["classes"]) == 13 for part in range(1, QUARTERS + 1))
+        assert all(len(row["by progress"][f"quarter {part}"]["classes"]) == 13 for part in range(1, PARTS + 1))

@@ -20,6 +20,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import ABSOLUTE
 from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots
+from rcbht_jax.learning import metrics
 from rcbht_jax.learning.svm import Grid
 from rcbht_jax.types import Recordings
 from tests.support.blank_trials import blank_trials
@@ -121,11 +122,11 @@ def test_the_method_describes_classifies_and_names_its_choice() -> None:
 
 
 def test_intervals_have_a_width() -> None:
-    assert intervals.wilson(8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
+    assert metrics.wilson(8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
     sure = intervals.with_width({"mean": 1.0, "low": 1.0, "high": 1.0}, 35)
     assert (sure["low"], sure["high"]) == (pytest.approx(35 / (35 + 1.96**2)), 1.0)
     assert intervals.with_width({"mean": 0.5, "low": 0.4, "high": 0.6}, 35)["low"] == 0.4
-    assert intervals.rule_of_three(2) == 1
+    assert metrics.rule_of_three(2) == 1
     for name, row in committed("headline")["rows"].items():
         assert row["score"]["low"] < row["score"]["high"], name
         assert ("trials with a mistake, at most" in row) == (row["trials with a mistake"] == 0)

@@ -29,7 +29,7 @@ from rcbht_jax.introspection.alarms import Alarm, Confidence
 from rcbht_jax.introspection.chain import online_features
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.learning.model_io import write_archive
-from tests.support.introspection_models import CONFIG, VIEW, model, trial
+from tests.support.introspection_models import BY_PROGRESS, CONFIG, VIEW, model, trial
 
 
 def story() -> np.ndarray:
@@ -61,11 +61,14 @@ def test_equals_the_batch(rate):
     every = {2.0: 100, 10.0: 20, 100.0: 2, None: 5}[rate]
     now = np.arange(every, len(signal) + 1, every)
     starts = np.array([0, 203, 504])
+    assert [head.progress is not None for head in model().heads] == [False, False, True]
     for head, begin in zip(model().heads, (starts[np.searchsorted(starts, now) - 1], 0 * now, 0 * now), strict=True):
         mine = [b for b in beliefs if b.head == head.name]
         assert [b.sample for b in mine] == now.tolist()
         x = online_features(CONFIG, preset(), VIEW, signal, begin, now)
-        np.testing.assert_allclose([b.probabilities for b in mine], head.machine.probability(x), atol=1e-4)
+        np.testing.assert_allclose(
+            [b.probabilities for b in mine], head.probability(x, (now - begin) * CONFIG.dt), atol=1e-4
+        )
         assert all(b.label == b.classes[int(np.argmax(b.probabilities))] for b in mine)
 
 
@@ -164,6 +167,7 @@ def test_model_file_keeps_everything(tmp_path):
     assert Introspector(back).push(signal) == Introspector(model()).push(signal)
     assert (back.extra, back.data_hash, back.encoder) == (model().extra, "abc", CONFIG)
     assert [h.alarm for h in back.heads] == ["", "failure", ""]
+    assert [h.progress for h in back.heads] == [None, None, BY_PROGRESS]
 
 
 def test_model_files_that_do_not_fit(tmp_path):
@@ -178,6 +182,11 @@ def test_model_files_that_do_not_fit(tmp_path):
             model_files.load(path)
     for wrong in ({"format": "x"}, {"heads": []}, {"heads": 3}, {"encoder": {"window": 0}}, {"encoder": {"a": 1}}):
         write_archive(path, meta | wrong, members)
+        with pytest.raises(InputError):
+            model_files.load(path)
+    for wrong in ({"prior": [1.0]}, {"share": [2.0] * 4}, {"temperature": None}, {"planned": 0}):
+        last = meta["heads"][2] | {"progress": meta["heads"][2]["progress"] | wrong}
+        write_archive(path, meta | {"heads": [*meta["heads"][:2], last]}, members)
         with pytest.raises(InputError):
             model_files.load(path)
     path.write_bytes(b"PK\3\4 nothing")

@@ -14,6 +14,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
+from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
@@ -249,7 +250,9 @@ def test_sessions_can_be_held_out(recordings):
     protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("B",))
     same = evaluate(recordings, tracks, TaskSpec(), FeatureSpec(("histogram",)), protocol)
     other = evaluate(recordings, swapped, TaskSpec(), FeatureSpec(("histogram",)), protocol)
-    assert same.score["accuracy"] == {"mean": 1.0, "low": 1.0, "high": 1.0}
+    low = wilson(10, 10)[0]  # ten trials without a mistake
+    assert same.tested == 10
+    assert same.score["accuracy"] == {"mean": 1.0, "low": low, "high": 1.0}
     assert other.score["accuracy"]["mean"] == 0
     assert np.sum(same.confusion) == 40  # the ten successes of B
     json.dumps(same.to_json(), allow_nan=False)

@@ -12,6 +12,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, fit, gram, grouped_folds, predictions, select, vote
 from rcbht_jax.learning.validation import cross_validate, forest, holdout_score, majority, nested_svm, repeated_folds
 
@@ -184,6 +185,9 @@ def test_cross_validation_counts_by_hand():
     summary = made.summary()
     assert summary["fold_min_mean_max"] == pytest.approx([0.6, 0.6, 0.6])
     assert summary["accuracy"] == pytest.approx({"mean": 0.6, "low": 0.6, "high": 0.6})
+    low, high = wilson(6, 10)
+    assert made.summary(trials=10)["accuracy"] == pytest.approx({"mean": 0.6, "low": low, "high": high})
+    assert made.summary(trials=10)["balanced_accuracy"]["low"] < 0.3
 
 
 def test_fold_extremes_are_those_of_one_run():
@@ -200,7 +204,7 @@ def test_transfer_resamples_trials_not_items():
     groups = np.array([0, 0] + [1] * 20 + [2] * 20)
     made = holdout_score(majority(y), y, groups, (np.array([0, 1]), np.arange(2, 42)))
     assert made.accuracy == 0.5
-    assert (made.low, made.high) == (0.5, 0.5)  # both trials are half right, so no resample differs
+    assert (made.low, made.high) == wilson(1, 2)  # both trials are half right, so no resample differs
     uneven = np.array([0, 1] + [0] * 20 + [1] * 20)
     made = holdout_score(majority(uneven), uneven, groups, (np.array([0, 1]), np.arange(2, 42)))
     assert (made.low, made.accuracy, made.high) == (0.0, 0.5, 1.0)

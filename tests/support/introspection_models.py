@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,10 +16,12 @@ from rcbht_jax.features.online import weights
 from rcbht_jax.introspection.chain import FeatureView, online_features
 from rcbht_jax.introspection.model import Head, IntrospectionModel
 from rcbht_jax.learning.probability import fit_probabilistic
+from rcbht_jax.learning.progress import ProgressCalibration
 from rcbht_jax.learning.svm import SvmSpec
 
 CONFIG, LIMITS = EncoderConfig(), preset()
 FIT, FIT_LIMITS = FitConfig(window=4), FitLimits(LIMITS.limits, np.linspace(0.05, 0.1, 6))
+BY_PROGRESS = ProgressCalibration(3.0, (2.0, 1.5, 1.0, 0.8), (0.9, 0.4, 0.1, 0.0), (0.4, 0.3, 0.3))
 NOW = np.arange(20, 401, 40)
 VIEW = FeatureView(FeatureSpec(families=("histogram", "edges", "parts", "levels"), balance=True))
 
@@ -53,7 +56,7 @@ def model() -> IntrospectionModel:
     heads = (
         head("states", "subtask", ("calm", "push", "shake"), "linear"),
         head("outcome", "trial", ("success", "failure"), "rbf", "failure"),
-        head("failure-type", "trial", ("none", "pushed", "shaken"), "poly"),
+        replace(head("failure-type", "trial", ("none", "pushed", "shaken"), "poly"), progress=BY_PROGRESS),
     )
     return IntrospectionModel(CONFIG, np.asarray(preset().limits), heads, "abc", extra={"made": "up"})
 

@@ -161,6 +161,13 @@ def test_other_faults_do_what_they_are_called() -> None:
     assert all((params.parts.hook_overlap < 0).sum() == 1 for params, _ in drawn("missing-tab"))
     missing = {int(np.argmin(params.parts.hook_overlap)) for params, _ in drawn("missing-tab")}
     assert missing == {0, 1, 2, 3}
+    worn = replace(only("missing-tab"), missing_overlap=(-1.0, 0.5))
+    tabs = [sample(ONE_ARM["A"], 2, i, worn)[0].parts.hook_overlap / nominal.hook_overlap for i in range(60)]
+    least = np.array([tab.min() for tab in tabs])
+    assert 0.4 < (least < 0).mean() < 0.9  # two thirds broken off, the others worn
+    assert all((np.sort(tab)[1:] > 0.9).all() for tab in tabs)
+    with pytest.raises(InputError, match="missing_overlap"):
+        sample(ONE_ARM["A"], 0, 0, replace(worn, missing_overlap=(-2.0, 0.0)))
     for params, fault in drawn("wedging"):
         tilt = params.task.way_rpy[1, 1] - ONE_ARM["A"].task.way_rpy[1, 1]
         assert 0.09 <= abs(fault.deviation[2]) <= 0.20

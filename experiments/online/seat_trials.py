@@ -1,0 +1,117 @@
+"""Simulated trials of which about half of every kind of fault fail: severities drawn finely about the boundary.
+
+The ranges were found with 16 or 32 trials of each kind and session (seeds 77 and 78), so that 20 to 80 % fail; the sets
+that are scored were drawn afterwards. A missing tab is a worn one whose hook has nothing left: a continuous severity,
+of which the half that is below zero fails. The kind "no contact" stands apart: its parts never touch, all of it fails.
+
+Of every record only the first seconds are seen, the same number in all trials of a session, at least one second before
+the planned end of nearly all: neither the length of a record nor what follows says anything about the outcome.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from experiments.online.fault_trials import TAIL
+from rcbht_jax.introspection.fault_monitor import NOMINAL
+from rcbht_jax.io.store import read_recordings, read_simulation
+from rcbht_jax.robots.snap_assembly import RECORDED
+from rcbht_jax.types import Recordings
+from sim_mjx.presets import preset as preset_of
+from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.synthesis.pipeline import synthesise
+from sim_mjx.synthesis.plan import SynthesisConfig
+
+Ranges = dict[str, tuple[float, float]]
+# Session -> kind of fault -> the ranges of the distributions from which its severity is drawn.
+SEVERITIES: dict[str, dict[str, Ranges]] = {
+    "A": {
+        "jamming": {"jam_overlap": (1.15e-3, 1.5e-3), "jam_friction": (2.0, 3.2)},
+        "wedging": {"wedge_roll": (0.01, 0.07), "wedge_tilt": (0.005, 0.035)},
+        "missing-tab": {"missing_overlap": (-1.0, 1.0)},
+        "moved-part": {"moved_by": (0.5e-3, 5e-3)},
+        "early-stop": {"stop_at": (0.88, 1.0)},
+    },
+    "B": {
+        "jamming": {"jam_overlap": (0.85e-3, 1.15e-3), "jam_friction": (1.0, 2.2)},
+        "wedging": {"wedge_roll": (0.01, 0.06), "wedge_tilt": (0.005, 0.04)},
+        "missing-tab": {"missing_overlap": (-1.0, 1.0)},
+        "moved-part": {"moved_by": (1e-3, 5e-3)},
+        "early-stop": {"stop_at": (0.85, 1.0)},
+    },
+}
+KINDS = tuple(SEVERITIES["A"])
+APART = "no contact"
+OUT_OF_REACH: dict[str, Ranges] = {"moved-part": {"moved_by": (0.021, 0.040)}, "early-stop": {"stop_at": (0.2, 0.35)}}
+LENGTH = {"A": 20.7, "B": 30.7}  # s of each record that are seen, by session
+SHARD = 64
+
+
+@dataclass(frozen=True)
+class SeatTrials:
+    """Trials of a session, and how they ended."""
+
+    recordings: Recordings  # longer than ``seconds``
+    seconds: float  # of each that are seen
+    kind: NDArray[np.str_]  # [trial] "none", a fault, or "no contact"
+    failed: NDArray[np.bool_]  # [trial]
+    early: NDArray[np.float64]  # [trial] s between what is seen and the end of the trial as planned
+
+
+def sets(session: str, per_kind: int) -> list[tuple[str, str, Ranges, int]]:
+    """Name of the kind, fault, severities and number of trials of every store of a session."""
+    touching = [(kind, kind, ranges, per_kind) for kind, ranges in SEVERITIES[session].items()]
+    apart = [(APART, fault, ranges, max(1, per_kind // 5)) for fault, ranges in OUT_OF_REACH.items()]
+    return [(NOMINAL, NOMINAL, {}, per_kind), *touching, *apart]
+
+
+def spec_of(fault: str, ranges: Ranges) -> DomainRandomization:
+    """The distributions of a kind of fault."""
+    if fault == NOMINAL:
+        return DomainRandomization(nominal_share=1.0, logs_on=TAIL)
+    return replace(DomainRandomization(nominal_share=0.0, faults=(fault,), logs_on=TAIL), **ranges)
+
+
+def seat_trials(folder: Path, session: str, per_kind: int, seed: int) -> SeatTrials:
+    """Simulate what is not in the folder yet, and read it all; an interrupted run goes on.
+
+    Args:
+        folder: of the stores.
+        session: whose controller, parts and sensor.
+        per_kind: trials of each kind, and without a fault.
+        seed: of the simulation.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lots = []
+    for number, (name, fault, ranges, count) in enumerate(
+        tqdm(sets(session, per_kind), desc=f"simulate {session}", file=sys.stderr, disable=None)
+    ):
+        path = folder / f"seat-{session}-{name.replace(' ', '-')}-{fault}-{count}-{1000 * seed + number}.zarr"
+        if not path.exists():
+            job = SynthesisConfig(session, count, 1000 * seed + number, shard=SHARD, spec=spec_of(fault, ranges))
+            synthesise(path, job)
+        lots.append(_lot(path, session, name))
+    columns = {name: np.concatenate([getattr(lot, name) for lot in lots]) for name in ("kind", "failed", "early")}
+    return SeatTrials(Recordings.join([lot.recordings for lot in lots]), LENGTH[session], **columns)
+
+
+def _lot(path: Path, session: str, kind: str) -> SeatTrials:
+    """One store."""
+    whole, truth, preset = read_recordings(path), read_simulation(path), preset_of(session)
+    whole = replace(whole, trial=np.char.add(f"{path.stem}-", whole.trial.astype(str)))
+    planned = truth["way_time"][:, -1] + preset.mating_begins - preset.task.way_time[-1]
+    mated = whole.starts(RECORDED)[:, 3]
+    end = np.where(np.isfinite(mated), mated, planned) + preset.task.mating_time
+    return SeatTrials(
+        whole,
+        LENGTH[session],
+        np.full(len(whole), kind),
+        np.asarray(whole.outcome == "failure"),
+        end - LENGTH[session],
+    )
