@@ -24,7 +24,7 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import records, shards, tables
+from sim_mjx.synthesis import descriptions, records, shards, tables
 from sim_mjx.synthesis.plan import SynthesisConfig, encoder_config, indices, label_limits, provenance
 from sim_mjx.synthesis.records import Arrays
 
@@ -124,6 +124,7 @@ class Draft:
                     "thresholds": label_limits().tolist(),
                 }
                 label_parts.create_in(empty, self._labels.name, layout, tracks, how, created=CREATED)
+            descriptions.keep(self.folder, empty)
             empty.rename(self.path)
         except OSError:
             if not self.path.exists():  # else another one was first

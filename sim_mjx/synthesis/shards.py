@@ -23,7 +23,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_reader
 from rcbht_jax.io.store_reader import Stored
 from rcbht_jax.io.store_schema import LABELS, open_store
-from sim_mjx.synthesis import claims
+from sim_mjx.synthesis import claims, descriptions
 
 MANIFEST, PARTIAL = "manifest.json", ".*.partial-*"
 _TRIES = 25
@@ -65,6 +65,8 @@ def renew(folder: Path) -> None:
         claims.clear(folder)
         for leftover in [*folder.glob(PARTIAL), *store_of(folder).rglob("*.partial")]:
             shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
+        if not descriptions.are_intact(folder, store_of(folder)):
+            shutil.rmtree(store_of(folder), ignore_errors=True)
         try:
             stored = Stored.of(store_of(folder), open_store(store_of(folder)))
             for shard in finished(folder):

@@ -280,17 +280,30 @@ def test_no_trial_is_drawn_twice(whole: dict[str, bytes], tmp_path: Path, monkey
     assert tree(tmp_path / "t.zarr") == whole
 
 
+def replaced(first: bytes, second: bytes) -> Callable[[Path, bytes], object]:
+    """Damage that no reader notices."""
+    return lambda path, content: path.write_bytes(content.replace(first, second, 1))
+
+
 @pytest.mark.parametrize(
-    "damage", [lambda path: path.write_text("{"), lambda path: path.write_bytes(b"\xa9"), os.mkfifo]
-)
+    "damage",
+    [
+        lambda path, _: path.write_text("{"), lambda path, _: path.write_bytes(b"\xa9"),
+        lambda path, _: os.mkfifo(path),
+        replaced(b'"time"', b'"tine"'), replaced(b"float32", b"float64"), replaced(b"12", b"13"),
+        replaced(b'": ', b'":\n'),
+    ],
+)  # fmt: skip
 def test_a_damaged_description_of_an_array_begins_anew(
-    damage: Callable[[Path], object], whole: dict[str, bytes], tmp_path: Path
+    damage: Callable[[Path, bytes], object], whole: dict[str, bytes], tmp_path: Path
 ) -> None:
     target = tmp_path / "trials.zarr"
     interrupted(target, SMALL)
     metadata = shards.store_of(shards.folder_of(target)) / "wrench" / "zarr.json"
+    content = metadata.read_bytes()
     metadata.unlink()
-    damage(metadata)
+    damage(metadata, content)
+    assert not metadata.is_file() or metadata.read_bytes() != content
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
     assert tree(target) == whole
 

@@ -1,0 +1,39 @@
+"""Descriptions (``zarr.json``) of a growing store, which no checksum covers before the store is complete."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.untrusted import load_json
+
+FILE = "descriptions.json"  # in the work folder
+
+
+def keep(folder: Path, store: Path) -> None:
+    """Note the descriptions of a store in which all parts are missing."""
+    texts = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
+    with atomic_write(folder / FILE) as draft:
+        draft.write_text(json.dumps(texts))
+
+
+def are_intact(folder: Path, store: Path) -> bool:
+    """Whether the descriptions are the noted ones, but for dimensions that have grown."""
+    try:
+        texts = load_json(folder / FILE)
+        return all(_is_grown(text, (store / name).read_text()) for name, text in texts.items())
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
+        return False
+
+
+def _is_grown(noted: str, text: str) -> bool:
+    """Whether a description is the noted one, with dimensions that had no length then."""
+    if text == noted:
+        return True
+    content, shape = json.loads(noted), json.loads(text)["shape"]
+    if len(shape) != len(content["shape"]) or any(
+        not isinstance(new, int) or (old and new != old) for old, new in zip(content["shape"], shape, strict=True)
+    ):
+        return False
+    return text == json.dumps(content | {"shape": shape}, indent=2)  # as ``rcbht_jax.io.parts`` writes it
