@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.untrusted import load_json
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, read_bytes
 
 FILE = "descriptions.json"  # in the work folder
 
@@ -22,7 +22,8 @@ def are_intact(folder: Path, store: Path) -> bool:
     """Whether the descriptions are the noted ones, but for dimensions that have grown."""
     try:
         texts = load_json(folder / FILE)
-        return all(_is_grown(text, (store / name).read_text()) for name, text in texts.items())
+        there = {name: read_bytes(store / name, MAX_JSON_BYTES).decode() for name in texts}
+        return all(_is_grown(text, there[name]) for name, text in texts.items())
     except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
         return False
 
