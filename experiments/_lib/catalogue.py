@@ -79,7 +79,7 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment(
-        "snaps", "words.snaps", 15, needs=("data",), shorter=("--trials", "40"), shorter_minutes=4
+        "snaps", "words.snaps", 15, needs=("data",), shorter=("--trials", "20"), shorter_minutes=1.5
     ),
     Experiment("rate_distortion", "words.rate_distortion", 6, needs=("data", "external", "peers")),
     Experiment("probes", "classification.probes", 3, needs=("data",)),
@@ -116,10 +116,10 @@ EXPERIMENTS = (
     Experiment("fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
-    Experiment("retry", "online.retry", 8, shorter=("--trials", "8", "--attempts", "2"), shorter_minutes=4),
+    Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),
     Experiment(
-        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "16"),
-        shorter_minutes=4,
+        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "8"),
+        shorter_minutes=2.5,
     ),
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),
@@ -130,8 +130,8 @@ EXPERIMENTS = (
         shorter_minutes=2,
     ),
     Experiment(
-        "large_store", "simulation.large_store", 12, ("{work}",), alone=True, shorter_minutes=2,
-        shorter=("--sizes", "10000", "--worked", "4000"),
+        "large_store", "simulation.large_store", 12, ("{work}",), alone=True, shorter_minutes=0.5,
+        shorter=("--sizes", "10000", "--worked", "1000"),
     ),
     Experiment("bench", "simulation.bench", 1, alone=True),
     Experiment(
@@ -139,8 +139,8 @@ EXPERIMENTS = (
         shorter=("--samples", "1000000", "--messages", "200000", "--requests", "2000"),
     ),
     Experiment(
-        "endurance", "online.endurance", 60, alone=True, shorter_minutes=4,
-        shorter=("--hours", "1", "--messages", "50000", "--page-hours", "0.1"),
+        "endurance", "online.endurance", 60, alone=True, shorter_minutes=1.5,
+        shorter=("--hours", "0.1", "--messages", "5000", "--page-hours", "0.1"),
     ),
     Experiment(
         "sim_to_real", "classification.sim_to_real", 60, (SETS,), ("data",), shorter=("--only", "main"),
@@ -157,8 +157,8 @@ EXPERIMENTS = (
     ),
     Experiment("faults_outcome", "online.faults_outcome", 0.1),
     Experiment(
-        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=3,
-        shorter=("--per-kind", "20", "--repeats", "1", "--only", "trials"),
+        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=1,
+        shorter=("--per-kind", "10", "--repeats", "1", "--only", "trials"),
     ),
     Experiment(
         "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=0.5,

@@ -1,4 +1,4 @@
-"""Descriptions (``zarr.json``) of a growing store, which no checksum covers before the store is complete."""
+"""Descriptions (``zarr.json``) of the arrays of a growing store, which have no checksum until it is complete."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ FILE = "descriptions.json"  # in the work folder
 
 def keep(folder: Path, store: Path) -> None:
     """Note the descriptions of a store in which all parts are missing."""
-    texts = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
+    files = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
+    texts = {name: text for name, text in files.items() if json.loads(text)["node_type"] == "array"}
     with atomic_write(folder / FILE) as draft:
         draft.write_text(json.dumps(texts))
 

@@ -89,7 +89,10 @@ def whole(stored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(["train", str(stored), *QUICK, "-o", str(folder / "a.model")]) == 0
     for kind in FORMATS:
         assert main(["export", str(stored), "--format", kind, "-o", str(folder / kind)]) == 0
-    assert main(["report", str(stored), "--trial", "trial-0", "trial-8", "-o", str(folder / "a.html")]) == 0
+    assert (
+        main(["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o", str(folder / "a.html")])
+        == 0
+    )
     return folder
 
 
@@ -144,7 +147,12 @@ def test_examples_run() -> None:
 
 
 def test_a_report_reads_what_it_shows(stored: Path, whole: Path, tmp_path: Path, batched: list[int]) -> None:
-    assert main(["report", str(stored), "--trial", "trial-0", "trial-8", "-o", str(tmp_path / "b.html")]) == 0
+    assert (
+        main(
+            ["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o", str(tmp_path / "b.html")]
+        )
+        == 0
+    )
     assert (tmp_path / "b.html").read_bytes() == (whole / "a.html").read_bytes()
     assert sum(batched) == 2
 

@@ -303,7 +303,7 @@ def test_serve_without_a_model_says_what_it_waits_for(monkeypatch, capsys):
     monkeypatch.setattr(live_page.Broadcast, "tell", lambda b, k, v: (told.append((k, v)), tell(b, k, v))[1])
     assert main(["serve", "-", "--port", "0", "--no-stay", "--speed", "0", "--lead", "1"]) == 0
     assert [value for kind, value in told if kind == "status"] == [
-        "waiting for the first readings", "taking the thresholds from the first 1 s",
+        "waiting for the first readings", "taking the thresholds and tolerances from the first 1 s",
         "compiling the encoder, a few seconds", "",
     ]  # fmt: skip
     [about] = [value for kind, value in told if kind == "about"]

@@ -137,6 +137,8 @@ CELLS = [
      ".2f/1e6 engines_gpu > warp > speed > steps_per_s"),
     ("synthesis", "20,000 trials, two GPUs, command, programs in the cache", "seconds",
      ".0f simulate_gpu > rows > 20,000 trials, two GPUs, command, programs in the cache > seconds"),
+    ("large-store-read", "1,000,000", "`rcbht info`, s", ".2f large_store > read > 1000000 > info_s"),
+    ("large-store-worked", "16,000", "encode, GB", ".2f large_store > worked > 16000 > encode_GB"),
     ("repeatability", "`warp`, again", "same outcome", "d repeatability > engines > warp > again > same_outcome"),
     ("encoder-speed", "8,192 | 5", "billion samples a second",
      ".2f/1e9 encoder_speed > windows > W5 > 8192 > time first > samples_per_s"),

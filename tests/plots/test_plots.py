@@ -323,11 +323,11 @@ def store(recordings: Recordings, tracks: LabelTracks, tmp_path: Path) -> Path:
 def test_commands_write_figures(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = store.with_name("t.png")
     assert main.main(["plot", "trial", str(store), "t2", "-o", str(out)]) == 0
-    assert capsys.readouterr().out == f"{out}: GOOD t2 arm R, labels online-W5\n"
+    assert capsys.readouterr().out == f"{out}: GOOD t2 arm R, labels online-W5-fit\n"
     assert out.is_file()
     out = store.with_name("m.svg")
     assert main.main(["plot", "map", str(store), "-o", str(out), "--source", "GOOD", "--layer", "mc", "--json"]) == 0
-    assert f'"figure": "{out}", "tracks": "online-W5", "layer": "mc", "recordings": 2' in capsys.readouterr().out
+    assert f'"figure": "{out}", "tracks": "online-W5-fit", "layer": "mc", "recordings": 2' in capsys.readouterr().out
     assert out.is_file()
 
 
@@ -361,7 +361,7 @@ def test_commands_ask_for_labels(
     assert main.main(["plot", "map", str(bare), "-o", str(tmp_path / "x.png")]) == 2
     assert f'bare.zarr has no label tracks; run "rcbht encode {bare}" first.' in capsys.readouterr().err
     write_tracks(store, "offline-master", tracks, {})
-    assert main.main(["plot", "map", str(store), "-o", str(tmp_path / "x.png")]) == 2
+    assert main.main(["plot", "map", str(store), "--rule", "paper", "-o", str(tmp_path / "x.png")]) == 2
     assert "choose one with --tracks: offline-master, online-W5." in capsys.readouterr().err
 
 

@@ -81,7 +81,16 @@ def block(data: DataSet) -> Block:
 def report(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     save(folder / "m.model", model())
-    words = ["report", str(store), "-o", str(folder / "report.html"), "--model", str(folder / "m.model")]
+    words = [
+        "report",
+        str(store),
+        "--rule",
+        "paper",
+        "-o",
+        str(folder / "report.html"),
+        "--model",
+        str(folder / "m.model"),
+    ]
     assert main([*words, "--results", str(RESULTS)]) == 0
     return folder / "report.html"
 
