@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
-from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.atomic import atomic_new
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, read_bytes
 
 FILE = "descriptions.json"  # in the work folder
@@ -15,7 +16,7 @@ def keep(folder: Path, store: Path) -> None:
     """Note the descriptions of a store in which all parts are missing."""
     files = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
     texts = {name: text for name, text in files.items() if json.loads(text)["node_type"] == "array"}
-    with atomic_write(folder / FILE) as draft:
+    with suppress(FileExistsError), atomic_new(folder / FILE) as draft:  # all workers would write the same
         draft.write_text(json.dumps(texts))
 
 

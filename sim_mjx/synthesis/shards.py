@@ -67,6 +67,7 @@ def renew(folder: Path) -> None:
             shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
         if not descriptions.are_intact(folder, store_of(folder)):
             shutil.rmtree(store_of(folder), ignore_errors=True)
+            (folder / descriptions.FILE).unlink(missing_ok=True)
         try:
             stored = Stored.of(store_of(folder), open_store(store_of(folder)))
             for shard in finished(folder):
