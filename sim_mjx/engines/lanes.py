@@ -136,9 +136,8 @@ class Lanes:
             more = queue.refilled(wait=False)
             while True:
                 short = more and len(free) < trial.count(None)
-                if not (short or room() or trial.count(None) == lanes):
-                    break
-                if not (whole := done.take(queue.sizes, short)):
+                wanted = short or room() or trial.count(None) == lanes
+                if not wanted or not (whole := done.take(queue.sizes, short)):
                     break
                 yield self._taken_out(whole, logs)
                 free += [one.slot for one in whole]

@@ -47,9 +47,10 @@ class Writers:
 
     def __init__(self, draft: Draft, apart: bool | None = None) -> None:
         cores = os.cpu_count() or 1
-        self.count = max(1, min(MOST, cores, draft.shards))
+        missing = draft.shards - len(shards.finished(draft.folder))  # of a resumed job often few: none is begun in vain
+        self.count = max(1, min(MOST, cores, missing))
         if apart is None:
-            apart = cores >= FEWEST and draft.shards >= FEWEST
+            apart = cores >= FEWEST and missing >= FEWEST
         self._draft, self._idle = draft, SimpleQueue[_Process]()
         self._processes = [_Process(draft.folder) for _ in range(self.count if apart and _shares_memory() else 0)]
         for process in self._processes:
