@@ -11,6 +11,7 @@ centre of pressure, which visits the four corners.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
@@ -75,14 +76,19 @@ def check(params: PartParams) -> None:
     Raises:
         InputError: a value is not finite or out of its range.
     """
-    for field in fields(params):
-        if not np.isfinite(np.asarray(getattr(params, field.name))).all():
-            raise InputError(f"The part's {field.name} holds a value that is not a finite number.")
-    for name in params.positive:
-        if not (np.asarray(getattr(params, name)) > 0).all():
-            raise InputError(f"The part's {name} must be positive.")
+    values = {field.name: np.asarray(getattr(params, field.name)) for field in fields(params)}
+    _each(values, np.isfinite, "holds a value that is not a finite number")
+    _each({name: values[name] for name in params.positive}, lambda numbers: numbers > 0, "must be positive")
     if (np.asarray(params.hook_overlap) >= params.widest).any():
         raise InputError(f"A hook overlap of {params.widest * 1e3:g} mm or more cannot be passed by its tab.")
+
+
+def _each(values: dict[str, NDArray[Any]], holds: Callable[[NDArray[Any]], NDArray[np.bool_]], complaint: str) -> None:
+    """Refuse the first field that is not as it should be; all are looked at together, since every trial is checked."""
+    if holds(np.concatenate([one.ravel() for one in values.values()])).all():
+        return
+    name = next(name for name, one in values.items() if not holds(one).all())
+    raise InputError(f"The part's {name} {complaint}.")
 
 
 def tab_place(index: int) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -126,6 +127,7 @@ def check_common(nominal_share: float, longest: float | None, lag: tuple[int, in
         raise InputError(f"The lag is {lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
 
 
+@lru_cache  # every trial asks
 def check(spec: DomainRandomization) -> None:
     """Refuse distributions that no trial could be drawn from.
 

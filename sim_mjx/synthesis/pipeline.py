@@ -44,6 +44,7 @@ from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
+TOGETHER = 4  # shards that leave a device together: for one the encoder and the copies take nearly as long
 LANES = {"mjx": 8192, "warp": 16384}  # trials that a device steps together, of as many shards as it takes
 
 
@@ -217,7 +218,7 @@ def _work(
         ) -> Iterator[Shard]:
             from sim_mjx.synthesis.in_lanes import simulate_in_lanes  # MJX takes seconds to import
 
-            at_once = min(job.shard, count)
+            at_once = min(TOGETHER * job.shard, count)
             return simulate_in_lanes(
                 scene,
                 batches,
