@@ -191,6 +191,7 @@ EXPERIMENTS = (
     ),
     Experiment("encoder_speed", "words.encoder_speed", 3, elsewhere=GPU),
     Experiment("repeatability", "simulation.repeatability", 2, elsewhere=GPU),
+    Experiment("step_profile", "simulation.step_profile", 2, elsewhere=GPU),
     Experiment(
         "engines_gpu", "simulation.engines_gpu", 10, ("--engine", "warp", "--out", "{work}/engines_gpu.json"),
         elsewhere=GPU,

@@ -142,6 +142,32 @@ def encoder_speed(result: Result) -> str:
     return markdown(head, lines)
 
 
+@table("step", "step_profile")
+def step(result: Result) -> str:
+    """A physics step of Warp by the number of lanes."""
+    lines = [
+        (
+            f"{int(count):,}",
+            f"{row['ms']:.2f}",
+            f"{1e6 * row['ms'] / int(count):.0f}",
+            f"{row['steps_per_s'] / 1e6:.1f}",
+        )
+        for count, row in result["lanes"].items()
+    ]
+    return markdown(("lanes", "a step, ms", "for each lane, ns", "million steps per second"), lines)
+
+
+@table("step-kernels", "step_profile")
+def step_kernels(result: Result) -> str:
+    """Kernels of a physics step by what they do."""
+    rows = result["traced"]["kinds"]
+    total = sum(row["us"] for row in rows.values())
+    lines = [
+        (kind, f"{row['us']:.0f}", f"{row['us'] / total:.0%}", f"{row['launches']:.0f}") for kind, row in rows.items()
+    ]
+    return markdown(("kernels", "microseconds", "share", "launches"), lines)
+
+
 @table("large-store-read", "large_store")
 def large_store_read(result: Result) -> str:
     """Describing a store and reading one of its recordings, by the number of recordings."""

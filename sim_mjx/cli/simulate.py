@@ -57,7 +57,8 @@ class Simulate(Command):
     engine: Literal["native", "mjx", "warp"] = "native"
     """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""
     lanes: int | None = None
-    """Trials that a GPU steps at once; default its share of all, at most 8192 with mjx, 16384 with warp."""
+    """Trials that a GPU steps at once; default and most: its share of all, 8192 with mjx, 32768 with warp, and one
+    for each 2 MB of its memory."""
     window: int | None = None
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None

@@ -48,7 +48,7 @@ class Lanes:
         scene: what is simulated.
         impl: "jax" or "warp".
         count: lanes; rounded up to full vectors.
-        at_once: finished trials that are taken out together, of one or several batches.
+        at_once: finished trials that are taken out together.
         spare: slots for finished trials, beside one of each lane; default as many as lanes, or ``at_once``. With 0
             none is refilled early.
     """
@@ -76,9 +76,8 @@ class Lanes:
     ) -> Iterator[tuple[list[Trial], Outcome]]:
         """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
 
-        A batch stays on the device until all its trials have ended, and as many of others that they are ``at_once``,
-        unless lanes wait for their slots. What is yielded always has ``at_once`` rows, so that what follows is compiled
-        once: those behind the trials mean nothing.
+        A batch stays on the device until all its trials have ended, unless lanes wait for its slots. What is yielded
+        always has ``at_once`` rows, so that what follows is compiled once: those behind the trials mean nothing.
 
         Args:
             batches: (key, parameters of the scene's program), best none larger than the first; one is asked for when
@@ -136,8 +135,9 @@ class Lanes:
                 trial[lane], slot[lane] = None, slots
             more = queue.refilled(wait=False)
             while True:
-                hurry = more and len(free) < trial.count(None) or trial.count(None) == lanes
-                if not (hurry or room()) or not (whole := done.take(queue.sizes, hurry)):
+                short = more and len(free) < trial.count(None)
+                wanted = short or room() or trial.count(None) == lanes
+                if not wanted or not (whole := done.take(queue.sizes, short)):
                     break
                 yield self._taken_out(whole, logs)
                 free += [one.slot for one in whole]
@@ -145,8 +145,7 @@ class Lanes:
     def _fixed(self, queue: _Queue, lanes: int) -> Fixed:
         """The lanes with the first trials of the queue; a spare lane repeats the last of them."""
         model, empty = device.put_scene(self.scene, lanes, self.impl)
-        rows = np.minimum(np.arange(lanes), queue.left - 1)
-        fields, params = jax.tree.map(lambda leaf: leaf[rows], queue.pool)
+        fields, params = _rows(queue.pool, np.minimum(np.arange(lanes), queue.left - 1))
         return Fixed(model, fields, params, empty)
 
     def _taken_out(self, ready: list[_Ended], logs: Logs) -> tuple[list[Trial], Outcome]:
@@ -174,22 +173,18 @@ class _Done:
     def add(self, one: _Ended) -> None:
         self._ended.setdefault(one.trial[0], []).append(one)
 
-    def take(self, sizes: dict[Hashable, int], hurry: bool) -> list[_Ended]:
-        """Trials to take out: ``at_once`` of batches that are complete, or in a hurry what there is of such batches,
-        and if there is none, of the fullest.
-        """
-        keys = [key for key, ended in self._ended.items() if len(ended) == sizes[key]]
-        if not hurry and sum(sizes[key] for key in keys) < self._at_once:
+    def take(self, sizes: dict[Hashable, int], short: bool) -> list[_Ended]:
+        """Up to ``at_once`` trials to take out: of a batch that is complete, or if slots are short of the fullest."""
+        key = next((key for key, ended in self._ended.items() if len(ended) == sizes[key]), None)
+        if key is None and short and self._ended:
+            key = max(self._ended, key=lambda key: len(self._ended[key]))
+        if key is None:
             return []
-        if not keys and self._ended:
-            keys = [max(self._ended, key=lambda key: len(self._ended[key]))]
-        ready = list[_Ended]()
-        for key in keys:
-            ended, place = sorted(self._ended.pop(key), key=lambda one: one.trial[1]), self._at_once - len(ready)
-            ready += ended[:place]
-            sizes[key] -= len(ended[:place])
-            if ended[place:]:
-                self._ended[key] = ended[place:]
+        ready = sorted(self._ended.pop(key), key=lambda one: one.trial[1])
+        ready, rest = ready[: self._at_once], ready[self._at_once :]
+        sizes[key] -= len(ready)
+        if rest:
+            self._ended[key] = rest
         return ready
 
 
@@ -255,6 +250,11 @@ def _programs(backend: str) -> _Programs:
         jit(device.start), jit(device.stretch, donate_argnums=2), jit(device.seated),
         jit(_refill, donate_argnums=2), jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
     )  # fmt: skip
+
+
+@jax.jit  # leaf by leaf it would wait for the thread that draws trials a hundred times
+def _rows(tree: Any, rows: Array) -> Any:
+    return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
 def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:

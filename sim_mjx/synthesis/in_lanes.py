@@ -63,7 +63,7 @@ def simulate_in_lanes(
         batches: (key, batch of trials of the scene's program).
         engine: "mjx" or "warp".
         lanes: trials that are stepped together.
-        at_once: trials that leave the device together, best those of some batches.
+        at_once: trials that leave the device together, best those of a batch.
         config: of the encoder; None = no labels. limits: thresholds, N/s and Nm/s.
         recorded: as for :func:`sim_mjx.synthesis.records.of_trials`.
         ready: whether the next batch is there without waiting.

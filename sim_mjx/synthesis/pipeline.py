@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from rcbht_jax.errors import InputError
@@ -44,8 +45,8 @@ from sim_mjx.synthesis.workers import Labelled, SynthesisProgress, Tally
 Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
-TOGETHER = 4  # shards that leave a device together: for one the encoder and the copies take nearly as long
-LANES = {"mjx": 8192, "warp": 16384}  # trials that a device steps together, of as many shards as it takes
+LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
+LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ def synthesise(
         progress: called at the start and after each shard.
         notice: called with a sentence on what the user should know, such as a batch that was halved.
         helpers: starts other workers of the same job and waits for them; this process does what they leave.
-        lanes: trials that a device steps together, if there are as many; default and at most those of ``LANES``.
+        lanes: trials that a device steps together, if there are as many, its memory allows it and they are no more
+            than those of ``LANES``; default: as many as that.
 
     Raises:
         InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
@@ -209,7 +211,8 @@ def _work(
     """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
     made, job, scenario = 0, draft.job, draft.scenario
     if simulate is None and job.engine in LANES:
-        count = min(LANES[job.engine], job.trials, lanes or job.trials)
+        memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
+        count = balanced(min(lanes or job.trials, job.trials), LANES[job.engine], memory)
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
@@ -218,7 +221,7 @@ def _work(
         ) -> Iterator[Shard]:
             from sim_mjx.synthesis.in_lanes import simulate_in_lanes  # MJX takes seconds to import
 
-            at_once = min(TOGETHER * job.shard, count)
+            at_once = min(job.shard, count)
             return simulate_in_lanes(
                 scene,
                 batches,
@@ -233,6 +236,22 @@ def _work(
 
         made = workers.work_in_lanes(draft, stream, count, tally)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
+
+
+def balanced(trials: int, most: int, memory: int | None) -> int:
+    """Lanes for so many trials, which are of similar length: in each wave of them the same number.
+
+    Args:
+        trials: 1 or more.
+        most: lanes.
+        memory: bytes of the device; ``None`` = enough.
+
+    >>> balanced(10_000, 32_768, None), balanced(100_000, 32_768, None), balanced(100_000, 32_768, 24 << 30)
+    (10000, 25000, 11112)
+    """
+    if memory is not None:
+        most = max(1, min(most, memory // LANE))
+    return -(-trials // -(-trials // most))
 
 
 def _labelled(job: SynthesisConfig, scenario: Scenario, simulate: Simulate | None) -> Callable[[Any], Labelled]:

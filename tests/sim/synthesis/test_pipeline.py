@@ -28,7 +28,7 @@ from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis.pipeline import SynthesisProgress, synthesise
+from sim_mjx.synthesis.pipeline import LANE, SynthesisProgress, balanced, synthesise
 from tests.support.fake_simulation import JOB, SMALL, fake_engine, short
 from tests.support.snaps import deviation
 from tests.support.store_cases import same
@@ -230,3 +230,19 @@ def test_physics_of_a_trial_does_not_depend_on_its_batch() -> None:
             assert np.array_equal(out.joints[place, :samples], reference.joints[row, :samples])
             assert np.array_equal(out.onset[place], reference.onset[row], equal_nan=True)
             assert np.array_equal(out.seated[place], reference.seated[row])
+
+
+@pytest.mark.parametrize(
+    ("trials", "most", "memory", "expected"),
+    [
+        (100, 1000, None, 100),
+        (1001, 1000, None, 501),  # not one wave of 1000 and one of a single trial
+        (3000, 1000, None, 1000),
+        (100, 1000, 10 * LANE, 10),
+        (5, 1000, 1, 1),
+    ],
+)
+def test_waves_are_equally_large_and_fit_into_the_memory(
+    trials: int, most: int, memory: int | None, expected: int
+) -> None:
+    assert balanced(trials, most, memory) == expected

@@ -1,0 +1,119 @@
+"""Where the time of a physics step goes on a GPU: its length by the number of lanes, and its kernels.
+
+Trials of session B move freely meanwhile. A step includes its share of controller, sensor and state machine; nothing
+is stored. Run on a GPU: python -m experiments.simulation.step_profile
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import statistics
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from experiments._lib.results_io import write_result
+from experiments.simulation.engines import SEED, trials_of
+from sim_mjx.assembly.scene import one_arm
+from sim_mjx.engines import device, lanes
+
+COUNTS = (1024, 4096, 8192, 16384, 32768)
+TRACED = 8192  # lanes
+STRETCHES = 14  # of 100 control periods: until shortly before contact
+LONGEST = 25.0  # s
+SHOWN = 70  # kernels, the longest; the others are summed up
+OTHERS = "others"
+KINDS = {  # of kernels, by what their names contain; the first that fits
+    "solver": "gradient|linesearch|update_constraint|solve|cholesky|mul_m|jaref|conditional",
+    "contacts and constraint rows": "narrowphase|broadphase|efc|limit|friction_dof|cfrc_ext_contact",
+    "controller, sensor and copies": "^loop_|^input_|memset|memcpy|copy",
+    "kinematics, dynamics and integration": "",
+}
+
+
+def begun(count: int) -> tuple[Any, ...]:
+    """Compiled programs and the state of lanes in which trials begin."""
+    scene, params = one_arm(), trials_of(count, LONGEST)
+    fixed = device.Fixed(*_arguments(scene, params, count))
+    layout, programs = device.layout_of(scene), lanes._programs(jax.default_backend())
+    return programs.stretch, layout, fixed, programs.start(layout, fixed)
+
+
+def _arguments(scene: Any, params: Any, count: int) -> tuple[Any, ...]:
+    model, empty = device.put_scene(scene, count, "warp")
+    fields = jax.device_put(device.fields_of(scene, params))
+    return model, fields, lanes.as_float32(params), empty
+
+
+def speed(count: int) -> tuple[dict[str, float], tuple[Any, ...]]:
+    """Milliseconds of a step, median over stretches, and what goes on from there."""
+    stretch, layout, fixed, state = begun(count)
+    steps, seconds = device.STRETCH * layout.substeps, []
+    for _ in range(STRETCHES + 1):
+        start = time.perf_counter()
+        state, log = stretch(layout, fixed, state)
+        jax.block_until_ready(log)
+        seconds.append((time.perf_counter() - start) / steps)
+    step = statistics.median(seconds[1:])  # the first one compiles
+    row = {"ms": round(1e3 * step, 4), "steps_per_s": round(count / step)}
+    return row, (stretch, layout, fixed, state)
+
+
+def kernels(stretch: Any, layout: device.Layout, fixed: device.Fixed, state: Any) -> dict[str, Any]:
+    """Microseconds and launches of a step by kernel, from the profiler's trace of one stretch."""
+    with tempfile.TemporaryDirectory() as folder:
+        with jax.profiler.trace(folder):
+            jax.block_until_ready(stretch(layout, fixed, state)[1])
+        (file,) = Path(folder).rglob("*.trace.json.gz")
+        events = json.loads(gzip.decompress(file.read_bytes()))["traceEvents"]
+    names = {(one["pid"], one.get("tid"), one["name"]): one["args"]["name"] for one in events if one.get("ph") == "M"}
+    steps, found = device.STRETCH * layout.substeps, defaultdict[str, list[float]](list)
+    for one in events:
+        place = names.get((one.get("pid"), None, "process_name"), "")
+        stream = names.get((one.get("pid"), one.get("tid"), "thread_name"), "")
+        if one.get("ph") == "X" and "GPU" in place and stream.startswith("Stream"):
+            found[_name(one["name"])].append(one["dur"])
+    rows = {
+        name: {"us": round(sum(took) / steps, 2), "launches": round(len(took) / steps, 2)}
+        for name, took in found.items()
+    }
+    return dict(sorted(rows.items(), key=lambda row: -row[1]["us"]))
+
+
+def _name(kernel: str) -> str:
+    """A kernel without the digest of its source."""
+    return re.sub(r"(__locals__\w+?)?_[0-9a-f]{8}_cuda_kernel_forward$|^_(?=[a-zA-Z])", "", kernel).lstrip("_")
+
+
+def by_kind(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Sums over kernels of a kind; of the longest ones only, since the short ones have names of many kinds."""
+    sums = {kind: {"us": 0.0, "launches": 0.0} for kind in (*KINDS, OTHERS)}
+    for place, (name, row) in enumerate(rows.items()):
+        kind = next(kind for kind, pattern in KINDS.items() if re.search(pattern, name))
+        kind = kind if place < SHOWN else OTHERS
+        for key, value in row.items():
+            sums[kind][key] = round(sums[kind][key] + value, 2)
+    return sums
+
+
+def main() -> None:
+    """Measure and store."""
+    out: dict[str, Any] = {"engine": "warp", "preset": "B", "lanes": {}}
+    for count in COUNTS:
+        out["lanes"][str(count)], at = speed(count)
+        if count == TRACED:
+            rows = kernels(*at)
+            longest = dict(list(rows.items())[:SHOWN])
+            out["traced"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
+    write_result("step_profile", "python -m experiments.simulation.step_profile", out, seed=SEED)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
