@@ -107,12 +107,13 @@ class MonitorWatch(Command):
                 f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
             )
         alarms, snaps = 0, detector_of(self.snap, monitor.rate, 5)
+        columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)
         for row, part in enumerate(series):
             scores = monitor.scores(part)
             above = np.flatnonzero(scores > level)
             about = {"trial": str(recordings.trial[row]), "arm": str(recordings.arm[row])}
             alarms += bool(len(above))
-            for event in [] if snaps is None else _snaps(snaps, recordings.axes, part):
+            for event in [] if snaps is None else _snaps(snaps, columns, part):
                 print(json.dumps(event.to_json() | about, allow_nan=False))
             if len(above):
                 _line("Alarm", about, time=(int(above[0]) + 1) * recordings.dt, score=scores[above[0]], threshold=level)
@@ -161,12 +162,10 @@ class MonitorEvaluate(Command):
         return "\n".join([head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())])
 
 
-def _snaps(detector: SnapDetector, axes: tuple[str, ...], part: NDArray[np.float64]) -> list[Snap]:
+def _snaps(detector: SnapDetector, columns: list[int], part: NDArray[np.float64]) -> list[Snap]:
     """What is seen and published in one recording ``[time, axis]``, time stamps from its beginning."""
-    if missing := [axis for axis in detector.axes if axis not in axes]:
-        raise InputError(f"--snap names {missing[0]}; there are {', '.join(axes)}.")
     detector.reset()
-    return detector.push(part[:, [axes.index(axis) for axis in detector.axes]])
+    return detector.push(part[:, columns])
 
 
 def _row(row: dict[str, Any]) -> str:

@@ -253,7 +253,7 @@ def describe_recording(
         seconds and text, in order of time.
 
     Raises:
-        InputError: a share that is not between 0 and 1.
+        InputError: a share that is not between 0 and 1, or snaps of other axes or of another rate.
 
     Example:
         >>> push = np.interp(np.arange(600) / 200, [0, 1, 1.5, 3], [0, 0, 12, 12])[:, None]
@@ -296,9 +296,7 @@ def _snaps(
         names = [recordings.axes[axis] for axis in forces]
         snaps = SnapDetector(1 / recordings.dt, names, float(least[forces].max()))
     snaps.reset()
-    columns = [recordings.axes.index(axis) for axis in snaps.axes if axis in recordings.axes]
-    if len(columns) < len(snaps.axes):
-        raise InputError(f"Snaps are asked for on {', '.join(snaps.axes)}; there are {', '.join(recordings.axes)}.")
+    columns = snaps.columns(recordings.axes, recordings.dt)
     events = snaps.push(wrench[:, columns], (len(wrench) - 1) * recordings.dt)
     told = []
     for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each

@@ -285,6 +285,23 @@ class SnapDetector:
         """Seconds between samples."""
         return self._words.dt
 
+    def columns(self, axes: Sequence[str], dt: float) -> list[int]:
+        """Where its axes are among those of a signal with ``dt`` s between samples.
+
+        Raises:
+            InputError: an axis is not among them, or the rate is another one.
+
+        Example:
+            >>> SnapDetector(200.0, ["Fz"], least=3.0).columns(("Fx", "Fy", "Fz"), 0.005)
+            [2]
+        """
+        if not set(self.axes) <= set(axes) or not np.isclose(dt, self.dt):
+            raise InputError(
+                f"Snaps are asked for on {', '.join(self.axes)} at {1 / self.dt:g} Hz; there are {', '.join(axes)} "
+                f"at {1 / dt:g} Hz."
+            )
+        return [tuple(axes).index(axis) for axis in self.axes]
+
     def warm_up(self) -> None:
         """Compile the encoder now, not in the first :meth:`push`."""
         encoder = Encoder(self._words, self._limits)

@@ -48,15 +48,7 @@ class Together:
                 f"The stream has {', '.join(words.axes)} at {1 / words.config.dt:g} Hz; the model reads "
                 f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
             )
-        self._columns: list[int] = []
-        if snaps is not None:
-            missing = [axis for axis in snaps.axes if axis not in main.axes]
-            if missing or not np.isclose(snaps.dt, main.config.dt):
-                raise InputError(
-                    f"Snaps are asked for on {', '.join(snaps.axes)} at {1 / snaps.dt:g} Hz; the stream has "
-                    f"{', '.join(main.axes)} at {1 / main.config.dt:g} Hz."
-                )
-            self._columns = [main.axes.index(axis) for axis in snaps.axes]
+        self._columns = [] if snaps is None else snaps.columns(main.axes, main.config.dt)
 
     @property
     def axes(self) -> tuple[str, ...]:

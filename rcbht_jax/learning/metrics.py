@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from rcbht_jax.errors import InputError
 
@@ -74,6 +73,8 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
     """
     if scores.size < 2:
         raise InputError(f"an interval needs at least two scores; there are {scores.size}.")
+    from scipy.special import stdtrit  # a fifth of the time that "rcbht info" takes to start
+
     mean = float(scores.mean())
     error = np.sqrt((1 / scores.size + test_to_train) * scores.var(ddof=1))
     half = float(stdtrit(scores.size - 1, 0.5 + level / 2) * error)

@@ -62,25 +62,25 @@ class Draft:
         """Parameters and faults of the trials of a shard."""
         return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), self.job.spec)
 
-    def write(self, shard: int, drawn: Drawn, arrays: Arrays, tracks: Arrays | None) -> None:
+    def write(self, shard: int, drawn: Drawn, arrays: Arrays, labels: Arrays | None) -> None:
         """Write a shard to its place; the first one creates the store. Any process may write any shard.
 
         Args:
             shard: its number.
             drawn: of :meth:`draw`.
             arrays: of its trials, as of :func:`sim_mjx.synthesis.records.of_trials`.
-            tracks: their labels, as of :func:`sim_mjx.synthesis.records.of_labels`, if the job has a window.
+            labels: theirs, as of :func:`sim_mjx.synthesis.records.of_labels`, if the job has a window.
         """
         (params, faults), index = drawn, np.array(indices(self.job, shard))
         rows = _without(arrays, arrays["diverged"])
         recordings = tables.recordings_of(self.job.preset, self.scenario, rows, rows["wrench"], index, faults)
         recordings = replace(recordings, outcome=np.where(recordings.length == 0, "diverged", recordings.outcome))
         simulation = tables.simulation_of(self.scenario, rows, index, params, faults)
-        labels = None if tracks is None else _labels(tracks, arrays["diverged"])
+        tracks = None if labels is None else _labels(labels, arrays["diverged"])
         if not self.path.exists():
-            self._create(recordings, simulation, labels)
-        if labels is not None:
-            label_parts.write_part(self._labels, shard, labels)
+            self._create(recordings, simulation, tracks)
+        if tracks is not None:
+            label_parts.write_part(self._labels, shard, tracks)
         store_writer.write_part(self.path, shard, recordings, simulation)
 
     def finish(self) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
@@ -219,11 +219,15 @@ def _command(words: Sequence[str]) -> list[str]:
 
 def _ending(status: int, report: Any) -> str:
     """Why a worker ended: its last sentence, or the signal that ended it."""
-    report.seek(0)
-    lines = report.read().decode(errors="replace").strip().splitlines()
     if status < 0:
         return f"it was ended by {signal.Signals(-status).name}."
-    return lines[-1].removeprefix("rcbht: ") if lines else f"exit status {status}."
+    return last_line(report).removeprefix("rcbht: ") or f"exit status {status}."
+
+
+def last_line(report: IO[bytes]) -> str:
+    """What a process said last; "" = nothing."""
+    report.seek(0)
+    return (report.read().decode(errors="replace").strip().splitlines() or [""])[-1]
 
 
 def _stop(workers: Sequence[subprocess.Popen[bytes]]) -> None:

@@ -28,6 +28,7 @@ from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.draft import Draft
+from sim_mjx.synthesis.launch import last_line
 from sim_mjx.synthesis.plan import check, job_of, manifest_of
 from sim_mjx.synthesis.records import Arrays
 
@@ -108,7 +109,9 @@ class _Process:
             except OSError:
                 answer = ""
         if not answer:
-            raise RuntimeError(f"a process that writes shards ended: {self._last_words()}")
+            raise RuntimeError(
+                f"a process that writes shards ended: {last_line(self._report) or 'it did not say why.'}"
+            )
         error = json.loads(answer)
         if error is not None:
             raise _KINDS.get(error["kind"], RuntimeError)(error["reason"])
@@ -124,11 +127,6 @@ class _Process:
         """Wait until it has ended."""
         self._process.wait()
         self._report.close()
-
-    def _last_words(self) -> str:
-        self._report.seek(0)
-        lines = self._report.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it did not say why."
 
 
 def _shares_memory() -> bool:
