@@ -39,7 +39,7 @@ def variants(parts: PartParams) -> dict[str, PartParams]:
         "the preset": parts,
         "seat 0.4 mm higher": replace(parts, seat_depth=parts.seat_depth - 0.4e-3),
         "seat 1 mm higher": replace(parts, seat_depth=parts.seat_depth - 1e-3),
-        "rear hooks a quarter of a millimetre shorter": replace(parts, hook_overlap=parts.hook_overlap - 0.25e-3 * REAR),
+        "rear hooks 1/4 mm shorter": replace(parts, hook_overlap=parts.hook_overlap - 0.25e-3 * REAR),
         "rear lips 0.4 mm higher": replace(parts, rear_rise=parts.rear_rise + np.array([0.4e-3, 0.0])),
     }
 
@@ -64,19 +64,19 @@ def summary(rows: list[list[float] | None]) -> dict[str, Any]:
     return {"trials": len(rows), "seated": len(told), "fall of 7 N in mating": int(falls.sum()), **medians}
 
 
-def main() -> None:
-    changed = variants(SESSION.parts)
-    drawn = [sessions.trials_of(replace(SESSION, parts=parts), placements=CELLS, longest=LONGEST)
+def main(trials: int = len(CELLS)) -> None:
+    changed, cells = variants(SESSION.parts), CELLS[:trials]
+    drawn = [sessions.trials_of(replace(SESSION, parts=parts), placements=cells, longest=LONGEST)
              for parts in changed.values()]  # fmt: skip
     batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
     scene = sessions.scene_of(SESSION)
-    recorder = Recorder(scene, len(CELLS) * len(changed))
+    recorder = Recorder(scene, len(cells) * len(changed))
     run = native.simulate(scene, batch, watch=recorder.watch)
     rows = [
         passes(scene, jax.tree.map(lambda leaf, row=row: leaf[row], batch.parts), run, recorder, row)
         for row in range(len(run.length))
     ]
-    result = {name: summary(rows[i * len(CELLS) : (i + 1) * len(CELLS)]) for i, name in enumerate(changed)}
+    result = {name: summary(rows[i * len(cells) : (i + 1) * len(cells)]) for i, name in enumerate(changed)}
     write_result("snap_needs", "python -m experiments.simulation.snap_needs", {"rows": result}, seed=0)
 
 

@@ -58,7 +58,7 @@ def snap_needs(result: Result) -> str:
     medians = ("s after mating began", "release, N", "fall, N")
     lines = []
     for name, row in result["rows"].items():
-        told = (f"{row[key]:.1f}" if key in row else "–" for key in medians)
+        told = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
         lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *told))
     return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
 

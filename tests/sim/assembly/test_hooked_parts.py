@@ -153,7 +153,8 @@ def test_rear_hooks_snap_unless_the_seat_holds_the_hand_up(pressed: tuple) -> No
     last = free[-1]
     assert last.drop > snaps.DROP[0]
     assert last.time > run.onset[0, 3]
-    assert 0 <= rear[0] - round(last.time / CONTROL_PERIOD) <= 3 * snaps.FALL  # the samples in which a fall is looked for
+    begun = round(last.time / CONTROL_PERIOD)
+    assert 0 <= rear[0] - begun <= 3 * snaps.FALL  # as far as a fall is looked for
     assert not blocked
 
 
