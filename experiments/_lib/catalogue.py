@@ -124,6 +124,7 @@ EXPERIMENTS = (
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
+    Experiment("snap_needs", "simulation.snap_needs", 1, shorter=("--trials", "2"), shorter_minutes=0.3),
     Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment(
         "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),

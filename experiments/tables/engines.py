@@ -52,6 +52,17 @@ def hook_forces(result: Result) -> str:
     return markdown(("", "press, N", "formula for one tab", "pull, N", "formula for one tab "), lines)
 
 
+@table("snap-needs", "snap_needs")
+def snap_needs(result: Result) -> str:
+    """Passes of the rear hooks of hooked-B, with one thing changed at a time."""
+    medians = ("s after mating began", "release, N", "fall, N")
+    lines = []
+    for name, row in result["rows"].items():
+        told = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
+        lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *told))
+    return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
+
+
 GATE = ("coverage", "W1/sd", "DTW/sd", "AUC", "spread", "first impact", "snaps")
 
 

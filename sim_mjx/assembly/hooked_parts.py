@@ -3,8 +3,9 @@
 The scene is that of :mod:`sim_mjx.assembly.parts`; what differs are the tips, the lips and what stops the hand. A tab
 is a cantilever whose rounded tip is deflected by the lead-in of its lip, springs back beneath the edge and is held
 there by the retention face (:mod:`sim_mjx.assembly.hook`). A stop near the tab's root meets the edge of the lip, so
-that a hand that is pushed forward does not carry its rear hooks past theirs. It needs four physics steps per control
-period.
+that a hand that is pushed forward does not carry its rear hooks past theirs. It is upright where it stops: an inclined
+one would press the hand down, and the rear hooks past their lips before the hand does. It needs four physics steps per
+control period.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from sim_mjx.assembly.parts import BLOCK, TAB_SPACING, TABS, TIP_HEIGHT, Fields,
 # The camera's tab from its drawing: a cantilever of ABS; both faces of a lip belong to one wedge of a right angle.
 HOOK = Hook(8540.0, 0.79e-3, np.radians(40.0), np.radians(50.0), friction=0.3)
 ROOT = 0.005  # m, from the body of a tab down to its tip
-STOP_RADIUS, STOP_HEIGHT = 0.003, 0.0016  # m, so round that it stops at any depth of the seat; above the tip
+STOP_RADIUS, STOP_HEIGHT = 0.005, 0.0022  # m, so round that its face is upright at any depth of the seat; above the tip
 LIP_WIDTH = 0.0045  # m, half the width of a slot, in which a tip is beneath its lip
 DEEPEST = 0.012  # m beneath its lip's edge, where the floor of a slot is
 BROKEN_OFF = 0.02  # m, of a tab: what is left of it reaches no lip

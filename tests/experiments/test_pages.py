@@ -131,6 +131,7 @@ CELLS = [
     ("gate", "B: the preset", "spread", ".2f fidelity_gate > rows > B > the preset > checks > spread > value"),
     ("hook-forces", "four tabs, two after two", "press, N",
      ".2f hook_bench > parts > four tabs, two after two > press"),
+    ("snap-needs", "seat 0.4 mm higher", "fall, N", ".2f snap_needs > rows > seat 0.4 mm higher > fall, N"),
     ("solver", "`mjx`, one H200 | 6/4", "million steps per second",
      ".2f/1e6 engines_gpu > mjx > solver > 0 > steps_per_s"),
     ("speed", "`warp`, one H200 | 8,192", "million steps per second",

@@ -21,27 +21,29 @@ from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization import overrides, trials
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
-from sim_mjx.validation import sessions
-from sim_mjx.validation.replay import Recorder
+from sim_mjx.validation import sessions, snaps
+from sim_mjx.validation.passing import moments
+from sim_mjx.validation.replay import Recorder, raw_force, tab_states
 
 HOOKED_B = HOOKED["hooked-B"]
 PULL, HELD_FOR = 20.0, 0.5  # N on the female part, away from the hand; s
 
 
-def run_of(session: SessionPreset, *changes: dict[str, np.ndarray]) -> tuple[Scene, Rollouts, list[np.ndarray], list]:
-    """Nominal placements of a session with changed parts; last positions, and the parts."""
+def run_of(session: SessionPreset, *changes: dict[str, np.ndarray]) -> tuple[Scene, Rollouts, Recorder, list]:
+    """Nominal placements of a session with changed parts; their motions, and the parts."""
     one = jax.tree.map(lambda leaf: leaf[0], sessions.trials_of(session, 1, longest=6.0))
     drawn = [replace(one, parts=replace(one.parts, **change)) for change in changes]
     scene, batch = sessions.scene_of(session), stack(drawn)
     recorder = Recorder(scene, len(drawn))
     run = native.simulate(scene, batch, watch=recorder.watch)
-    return scene, run, [recorder.qpos(row)[-1] for row in range(len(drawn))], [each.parts for each in drawn]
+    return scene, run, recorder, [each.parts for each in drawn]
 
 
 @pytest.fixture(scope="module")
-def pressed() -> tuple[Scene, Rollouts, list[np.ndarray], list]:
+def pressed() -> tuple[Scene, Rollouts, Recorder, list]:
     gone, worn = np.array([0.0, 0.0, 0.02, 0.0]), np.array([0.0, 0.0, 0.0, 1.0e-3])
-    return run_of(HOOKED_B, {}, {"tab_cut": gone}, {"hook_wear": worn})
+    blocked = {"seat_depth": HOOKED_B.parts.seat_depth - 1e-3}
+    return run_of(HOOKED_B, {}, {"tab_cut": gone}, {"hook_wear": worn}, blocked)
 
 
 def test_whole_hooks_catch_and_others_do_not(pressed: tuple) -> None:
@@ -66,11 +68,12 @@ def after_a_pull(scene: Scene, qpos: np.ndarray, part: object) -> np.ndarray:
 
 
 def test_caught_hooks_hold_where_blocks_that_rub_let_go(pressed: tuple) -> None:
-    scene, _, positions, part = pressed
-    front, _ = np.split(after_a_pull(scene, positions[0], part[0]), 2)
+    scene, _, recorder, part = pressed
+    last = recorder.qpos(0)[-1]
+    front, _ = np.split(after_a_pull(scene, last, part[0]), 2)
     assert front.all()  # six seconds into mating the rear ones still lie on their retention faces
     no_lips = replace(part[0], tab_cut=np.full(4, 0.02))
-    assert not after_a_pull(scene, positions[0], no_lips).any()
+    assert not after_a_pull(scene, last, no_lips).any()
 
 
 def test_beneath_is_not_beside_nor_below_the_floor() -> None:
@@ -137,6 +140,22 @@ def test_only_hooks_have_wear() -> None:
     assert overrides.apply_overrides(HOOKED_B.parts, "parts", (("parts.hook_wear[1]", 1e-4),)).hook_wear[1] == 1e-4
     with pytest.raises(InputError, match="only those with hooks"):
         overrides.apply_overrides(ONE_ARM["B"].parts, "parts", (("parts.hook_wear", 1e-4),))
+
+
+def test_rear_hooks_snap_unless_the_seat_holds_the_hand_up(pressed: tuple) -> None:
+    """Pressed in mating, both give way at once; on a seat 1 mm higher the feet carry the hand."""
+    scene, run, recorder, part = pressed
+    past, _ = tab_states(scene, native.model_of(scene, part[0]), recorder.qpos(0))
+    rear = np.array([sample for sample, tab in moments(past) if tab >= 2])
+    assert len(rear) == 2
+    assert np.ptp(rear) <= snaps.FALL
+    free, blocked = (snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in (0, 3))
+    last = free[-1]
+    assert last.drop > snaps.DROP[0]
+    assert last.time > run.onset[0, 3]
+    begun = round(last.time / CONTROL_PERIOD)
+    assert 0 <= rear[0] - begun <= 3 * snaps.FALL  # as far as a fall is looked for
+    assert not blocked
 
 
 def test_time_to_mating_is_the_recorded(pressed: tuple) -> None:
