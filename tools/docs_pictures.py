@@ -77,6 +77,7 @@ def draw(ax: Axes, wrench: NDArray[np.float32], tracks: LabelTracks, layer: str,
     title = f"{name(layer, word['label'])}  {MEANING[layer][word['label'] - 1]}"
     ax.set_title(title, fontsize=10, color=text_color(color), backgroundcolor=color)
     ax.set_xlim(seconds[0], seconds[-1])
+    ax.locator_params(axis="x", nbins=5)
     ax.tick_params(labelsize=7)
 
 
@@ -110,10 +111,11 @@ def main() -> None:
     tracks = encode_batch(CONFIG, limits, wrench, np.full(len(wrench), wrench.shape[1], np.int32))
     for layer in LAYERS:
         found = examples(tracks, layer)
-        rows = -(-len(found) // 3)
+        rows = -(-len(found) // 4) if len(found) < 9 else 3
+        columns = -(-len(found) // rows)
         figure = new_figure((10.0, 2.1 * rows + 0.3), 90)
         for place, example in enumerate(found.values()):
-            draw(figure.add_subplot(rows, 3, place + 1), wrench, tracks, layer, example)
+            draw(figure.add_subplot(rows, columns, place + 1), wrench, tracks, layer, example)
         figure.supxlabel("time, s", fontsize=9)
         figure.supylabel("force, N", fontsize=9)
         figure.tight_layout()

@@ -107,7 +107,7 @@ def grids() -> Figure:
         ax.set_xticks(range(values.shape[1]), [f"{cost:g}" for cost in result["costs"]])
         ax.set_title(name.replace(" | grid | ", ": "), fontsize=9)
         ax.tick_params(labelsize=8)
-    figure.supxlabel("C", fontsize=9)
+    figure.supxlabel("cost C", fontsize=9)
     figure.supylabel("kernel", fontsize=9)
     figure.tight_layout()
     return figure
@@ -200,7 +200,7 @@ PICTURES = {
     "assembly-peg": "rcbht view peg.zarr sim-peg-in-hole-panda-000000",
     "assembly-clip": "rcbht view clip.zarr sim-clip-ur5e-000000",
     "assembly-plug": "rcbht view plug.zarr sim-plug-panda-000000",
-    "view-hooked": "rcbht view hooked.zarr sim-hooked-B-000000",
+    "view-hooked": "rcbht view hooked.zarr sim-hooked-B-000004",
     "view": "rcbht view a.zarr sim-A-000004 --tracks online-W5-fit",
     "labels-primitive": "python -m tools.docs_pictures",
     "labels-mc": "python -m tools.docs_pictures",

@@ -56,13 +56,14 @@ def geometry(ax: Axes, hook: Hook) -> None:
             what, (x * MM - hook.tip_radius * MM, z * MM), (-1.0, z * MM), ha="right", va="center", fontsize=8.5
         )
     ax.annotate("lead-in", (0.75, 0.55), ha="left", fontsize=8.5, color=BLUE)
-    ax.annotate("retention face", (0.75, -0.35), ha="left", fontsize=8.5, color=RED)
+    ax.annotate("retention face", (0.7, -1.0), ha="left", fontsize=8.5, color=RED)
     ax.annotate("", (-3.9, -1.2), (-3.9, 1.4), arrowprops={"arrowstyle": "->", "color": GREY})
     ax.text(-3.8, -1.1, "insertion", fontsize=8.5, color=GREY, va="center")
     ax.set_aspect("equal")
     ax.set_xlim(-4.2, 2.4)
     ax.set_ylim(-2.0, 2.1)
     ax.set_xlabel("mm", fontsize=9)
+    ax.set_ylabel("mm", fontsize=9)
     ax.set_title("A tip, its lip, and three places on the way", fontsize=10)
 
 
@@ -84,7 +85,7 @@ def one_tab(ax: Axes, result: dict[str, Any]) -> None:
     ax.set_xlim(-0.3, 2.95)
     ax.set_xlabel("travel of the hand, mm", fontsize=9)
     ax.set_ylabel("force on the hand, N", fontsize=9)
-    ax.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.74, 0.9))
+    ax.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 0.06))
     ax.set_title("One tab of the camera: rises, gives way, pulls itself in, and holds", fontsize=10)
 
 

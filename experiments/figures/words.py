@@ -57,11 +57,11 @@ def rate_distortion(result: dict[str, Any]) -> Figure:
         ax.set_title(f"{name}, {result['sets'][name]['rate']:.0f} Hz", fontsize=10)
         ax.grid(alpha=0.3)
         plain(ax)
-    figure.supxlabel("words per second and axis", fontsize=9, y=0.085)
+    figure.supxlabel("words per second and axis", fontsize=9, y=0.1)
     figure.supylabel("residual, 1 - R² (mean over axes)", fontsize=9)
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="lower center", ncols=4, frameon=False, fontsize=8)
-    figure.tight_layout(rect=(0.01, 0.1, 1, 1))
+    figure.tight_layout(rect=(0.01, 0.06, 1, 1))
     return figure
 
 

@@ -221,12 +221,7 @@ def scan_stages(
 
 
 def _scan(
-    config: FitConfig,
-    limits: Array,
-    state: EncoderState,
-    samples: Array,
-    count: Array,
-    kept_of: Callable[[list[Segment], Array], Any],
+    config: FitConfig, limits: Array, state: EncoderState, samples: Array, count: Array, kept_of: Callable[..., Any]
 ) -> tuple[EncoderState, Any]:
     """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` tells what to stack."""
     window, kept = config.window, config.kept
@@ -237,14 +232,17 @@ def _scan(
     seen = jnp.stack([line[at : at + windows * window : window] for at in range(kept + window)])
     after = residuals_after(seen, kept + counts)
 
-    def body(state: EncoderState, row: tuple[Array, Array]) -> tuple[EncoderState, Any]:
-        number, count = row
-        recent = jax.lax.dynamic_slice_in_dim(line, number * window, kept + window)
+    def seen_by(number: Array | int) -> tuple[Array, Array]:
         rest = jax.lax.dynamic_index_in_dim(after, number, axis=1, keepdims=False)
-        state, out = advance(config, limits, state, recent, rest, count)
-        return state, kept_of(out, state.time)
+        return jax.lax.dynamic_slice_in_dim(line, number * window, kept + window), rest
 
-    state, out = jax.lax.scan(body, state, (jnp.arange(windows, dtype=jnp.int32), counts))
+    def body(carry: tuple[EncoderState, tuple[Array, Array]], row: tuple[Array, Array]) -> tuple[Any, Any]:
+        state, out = advance(config, limits, carry[0], *carry[1], row[1])
+        return (state, seen_by(row[0])), kept_of(out, state.time)
+
+    # Carried from the step before: a compiler does not vectorize loops that read from a place that they look up.
+    following = jnp.arange(1, windows + 1, dtype=jnp.int32)
+    (state, _), out = jax.lax.scan(body, (state, seen_by(0)), (following, counts))
     return state, out
 
 

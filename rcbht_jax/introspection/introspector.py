@@ -193,6 +193,11 @@ class Introspector:
         return self._config
 
     @property
+    def believed(self) -> AnyConfig:
+        """Options of the encoder whose words the beliefs read: the same."""
+        return self._config
+
+    @property
     def heads(self) -> tuple[Head, ...]:
         """The classifiers."""
         return self.model.heads

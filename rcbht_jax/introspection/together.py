@@ -76,6 +76,11 @@ class Together:
         return self._words.config
 
     @property
+    def believed(self) -> AnyConfig:
+        """Options of the encoder whose words the beliefs read."""
+        return self._main.believed
+
+    @property
     def labels(self) -> Int[np.ndarray, "3 3 axis"]:
         """Latest published label of each layer and axis."""
         return self._words.labels

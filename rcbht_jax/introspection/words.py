@@ -135,6 +135,11 @@ class WordIntrospector:
         self._time: float | None = None
 
     @property
+    def believed(self) -> AnyConfig:
+        """Options of the encoder whose words beliefs would read: the same."""
+        return self.config
+
+    @property
     def received(self) -> int:
         """Samples received so far."""
         return self._received

@@ -1,6 +1,7 @@
 // Buttons, keys and text of the live page.
 
 const BEHAVIOURS = 2, SHORT = 0.2, LONG = KEEP; // index of the layer; limits of the zoom, s
+const RULES = { fit: "fit rule", paper: "published rules" };
 let shownAt = 0;
 
 function text(tag, content, className) {
@@ -81,7 +82,8 @@ function key() {
       node.prepend(swatch(wordColor(layer, i + 1, false)));
       return node;
     });
-  }), text("span", `words by the ${about.rule === "fit" ? "fit rule" : "published rules"}; pale: provisional, may still change`));
+  }), text("span", `words by the ${RULES[about.rule]}; pale: provisional, may still change`));
+  if (about.believed !== about.rule) byId("key").append(text("span", `The beliefs read other words, those by the ${RULES[about.believed]}.`));
 }
 
 function log(event, kind) {

@@ -45,6 +45,7 @@ def description(session: Session) -> dict[str, Any]:
     return {
         "axes": introspector.axes,
         "rule": config_fields(introspector.config)["rule"],
+        "believed": config_fields(introspector.believed)["rule"],
         "units": introspector.units,
         "layers": LAYERS,
         "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},

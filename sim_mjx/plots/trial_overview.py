@@ -25,6 +25,7 @@ XYZ = ("#1b6ca8", "#5aa469", "#d1495b")  # colours of the axes
 TAB_COLORS = ("#1b6ca8", "#6baed6", "#b2182b", "#f4a582")
 TAB_STYLES: tuple[Any, ...] = ("solid", (0, (4, 3)), "solid", (0, (4, 3)))  # right and left tabs often coincide
 LETTERS = "abcdef"
+PLATE = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}  # behind a name that a line may cross
 
 
 def trial_overview(
@@ -45,7 +46,7 @@ def trial_overview(
     figure = new_figure(INCHES, DPI)
     frames = choose(moments)
     grid = figure.add_gridspec(
-        5, 1, left=0.06, right=0.985, top=0.91, bottom=0.092, height_ratios=(3.2, 1.0, 1.5, 1.2, 1.3), hspace=0.1
+        5, 1, left=0.06, right=0.985, top=0.91, bottom=0.078, height_ratios=(3.2, 1.0, 1.5, 1.2, 1.3), hspace=0.1
     )
     strip = grid[0].subgridspec(2, len(frames), hspace=0.04, wspace=0.06)
     for column, (name, seconds) in enumerate(frames.items()):
@@ -64,14 +65,20 @@ def trial_overview(
         for letter, seconds in zip(LETTERS, frames.values(), strict=False):
             panel.axvline(seconds, color="0.25", linewidth=0.8, linestyle=(0, (2, 2)))
             if panel is panels[0]:
-                panel.annotate(letter, (seconds, 0.0), (-3, 4), xycoords=panel.get_xaxis_transform(), ha="right",
-                               textcoords="offset points", fontsize=11, weight="bold")  # fmt: skip
+                _letter(panel, letter, seconds)
         panel.tick_params(labelbottom=panel is panels[-1])
     panels[-1].set_xlabel("time, s", fontsize=11)
     label_legend(figure, "llb", used, (0.06, 0.002), 7)
     title = ", ".join(filter(None, (_title(replay, recordings, row), words)))
     figure.suptitle(title, x=0.06, y=0.988, ha="left", va="top", fontsize=14)
     return figure
+
+
+def _letter(ax: Axes, letter: str, seconds: float) -> None:
+    """Name of a frame beside its line; at the beginning on the right, where no scale is."""
+    side = -1 if seconds > 0.02 * ax.get_xlim()[1] else 1
+    ax.annotate(letter, (seconds, 0.0), (3 * side, 4), xycoords=ax.get_xaxis_transform(), textcoords="offset points",
+                ha="right" if side < 0 else "left", fontsize=11, weight="bold")  # fmt: skip
 
 
 def choose(moments: Mapping[str, float]) -> dict[str, float]:
@@ -123,7 +130,7 @@ def _parts_and_arm(pair: tuple[Axes, Axes], replay: Replay, index: int) -> tuple
         drawing.show(replay.qpos[index], replay.past[index])
     x, y = cut.place("MOUNT")
     _look_at(pair[0], x / 2, y + 0.25, 0.42)
-    _look_closely(pair[1], cut, x, y, 0.03)
+    _look_closely(pair[1], cut, x, y + 0.021, 0.042)
     for ax in pair:
         ax.set(xticks=[], yticks=[])
     return whole, cut
@@ -151,18 +158,18 @@ def _tabs(ax: Axes, replay: Replay) -> None:
             ax.plot(times, replay.height[:, tab] * 1e3, color=color, linestyle=style, linewidth=1.8, label=name)
     if replay.of_parts:
         ax.set_ylabel("part above\nits socket, mm", fontsize=11)
-        _legend(ax, 4)
+        _legend(ax, 4, 0.84)
         return
     ax.axhline(0, color=SEATED, linewidth=1.2)
     ax.annotate("past the lip", (0.002, 0), (0, -4), xycoords=ax.get_yaxis_transform(), textcoords="offset points",
                 va="top", color=SEATED, fontsize=9)  # fmt: skip
     ax.set(ylim=(-5, 12))
     ax.set_ylabel("tips above\ntheir lips, mm", fontsize=11)
-    _legend(ax, 4)
+    _legend(ax, 4, 0.84)
 
 
-def _legend(ax: Axes, columns: int) -> None:
-    ax.legend(loc="upper right", ncols=columns, fontsize=9, frameon=False, bbox_to_anchor=(1.0, 0.95))
+def _legend(ax: Axes, columns: int, top: float) -> None:
+    ax.legend(loc="upper right", ncols=columns, fontsize=9, frameon=False, borderaxespad=0.2, bbox_to_anchor=(1.0, top))
 
 
 def _wrench(ax: Axes, recordings: Recordings, row: int, axes: range, title: str) -> None:
@@ -171,7 +178,9 @@ def _wrench(ax: Axes, recordings: Recordings, row: int, axes: range, title: str)
     for axis, color in zip(axes, XYZ, strict=True):
         ax.plot(times, values[:, axis], color=color, linewidth=1.2, label=AXES[axis])
     ax.set_ylabel(title, fontsize=11)
-    _legend(ax, 3)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.2 * (high - low))  # the legend must not cover a force that lasts
+    _legend(ax, 3, 1.0)
     ax.grid(axis="y", color="0.85", linewidth=0.6)
 
 
@@ -205,7 +214,7 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
         if names:
             where: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
             name, middle = marks.labels[track][state], (onset[state] + end) / 2
-            ax.annotate(name, (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", **where)
+            ax.annotate(name, (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", bbox=PLATE, **where)
 
 
 def _title(replay: Replay, recordings: Recordings, row: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,13 @@ import pytest
 import rcbht_jax as rj
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Malformed, Message, Reset, Sample
 from rcbht_jax.report.live_page import Frames, PageServer
 from tests.io.test_stream_sources import samples_of
 from tests.support.browser import browser
-from tests.support.introspection_models import CONFIG, model, trial
+from tests.support.introspection_models import CONFIG, FIT, FIT_LIMITS, model, trial
 
 # Rows of a canvas that hold anything but the background, as shares of its height, and how many colours it shows.
 SEEN = """
@@ -162,6 +164,23 @@ def test_provisional_words_are_pale_and_no_band_is_empty():
         frames.finish()
         wait_for(driver, f"link.number === {server.broadcast._number} && !dirty")
         assert driver.execute_script(middle, 0.1 / 6)["last"] == [0xBD] * 3
+
+
+@pytest.mark.parametrize("fits", [False, True])
+def test_the_key_says_whose_words_the_beliefs_read(fits):
+    """A model of the published words: beside words by the fit rule one sentence says so, beside its own nothing."""
+    introspector: Introspector | Together = Introspector(model(), words=not fits)
+    if fits:
+        introspector = Together(introspector, WordIntrospector(replace(FIT, window=5), FIT_LIMITS))
+    session = Session(introspector)
+    with PageServer(session, port=0) as server, browser(1000, 900) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, readings(6, 60))
+        wait_for(driver, "about && byId('key').children.length > 0")
+        said = driver.execute_script("return byId('key').textContent")
+    assert ("words by the fit rule;" in said) == fits
+    assert said.endswith("The beliefs read other words, those by the published rules.") == fits
 
 
 def test_what_happens_to_a_stream():
