@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import stat
 import types
 import typing
@@ -81,6 +82,36 @@ def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int
     if status.st_size > most:
         raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
     return status.st_size
+
+
+def check_inside(path: Path, root: Path) -> None:
+    """Refuse what a link leads out of the folder that was given to read: its content belongs to somebody else.
+
+    >>> check_inside(Path("runs/a.csv"), Path("runs"))
+
+    Args:
+        path: a file or a folder, with all that is in it.
+        root: the folder, which may be a link itself: whoever names it means it.
+
+    Raises:
+        InputError: it, or something in it, is a link out of the folder.
+    """
+    within = ((here, name) for here, folders, files in os.walk(path) for name in (*folders, *files))
+    for one in (path, *(Path(here, name) for here, name in within)):
+        if leads_out(one, root):
+            raise InputError(f"{one} is a link out of the folder; copy what it leads to, if it belongs there.")
+
+
+def leads_out(path: Path, root: Path) -> bool:
+    """Whether a path is, or has on its way, a link out of a folder.
+
+    >>> leads_out(Path("runs/../secret"), Path("runs"))
+    True
+    """
+    try:
+        return not path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError):  # a loop of links leads nowhere
+        return False
 
 
 def check_declared(path: Path, declared: int, size: int) -> None:

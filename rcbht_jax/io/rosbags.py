@@ -17,7 +17,7 @@ from jaxtyping import Int
 
 from rcbht_jax._util.atomic import atomic_write, draft_of
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file
+from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file, check_inside
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event, Word
 from rcbht_jax.io.bag_chunks import bound_chunks
@@ -123,10 +123,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     with ExitStack() as stack:
         sources, problems = path, list[str]()
         for part in _files(path):
-            if part.suffix == ".mcap":
-                found, wrong = stack.enter_context(sound(part))
-                sources = found if part == path else sources
-                problems += wrong
+            found, wrong = stack.enter_context(sound(part))  # of what is no MCAP, whatever its name, it says nothing
+            sources = found if part == path else sources
+            problems += wrong
         try:
             reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
@@ -154,9 +153,11 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         check_file(path, MAX_BAG_BYTES)
         return [path]
-    parts = [part for part in sorted(path.iterdir()) if part.suffix in SUFFIXES or part.name == "metadata.yaml"]
+    check_inside(path, path)
+    parts = [part for part in sorted(path.iterdir()) if not part.is_dir()]  # the metadata may name any of them
     for part in parts:
-        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES)
+        known = part.suffix in SUFFIXES or part.name == "metadata.yaml"
+        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES, empty=not known)
     return parts
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from rcbht_jax.io.store import read_attrs
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import claims, plan, shards
+from sim_mjx.synthesis import claims, descriptions, plan, shards
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.synthesis.workers import SynthesisProgress
@@ -304,6 +305,47 @@ def test_a_damaged_description_of_an_array_begins_anew(
     metadata.unlink()
     damage(metadata, content)
     assert not metadata.is_file() or metadata.read_bytes() != content
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
+    assert tree(target) == whole
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A work folder with one shard, with labels."""
+    target = tmp_path_factory.mktemp("growing") / "t.zarr"
+    interrupted(target, replace(SMALL, window=5))
+    return shards.folder_of(target)
+
+
+@pytest.mark.parametrize("group", [".", "columns", "annotations", "simulation", "labels/online-W5", "labels"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        replaced(b'"attributes": {', b'"attributes": {"evil": 1, '), replaced(b'"zarr_format": 3', b'"zarr_format": 2'),
+        lambda path, _: path.write_text("[1]"), lambda path, _: os.mkfifo(path), lambda path, _: None,
+    ],
+)  # fmt: skip
+def test_damaged_descriptions_of_groups_are_noticed(
+    group: str, damage: Callable[[Path, bytes], object], growing: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(growing, tmp_path / growing.name)
+    assert descriptions.are_intact(folder, shards.store_of(folder))
+    metadata = shards.store_of(folder) / group / "zarr.json"
+    content = metadata.read_bytes()
+    metadata.unlink()
+    damage(metadata, content)
+    assert not descriptions.are_intact(folder, shards.store_of(folder))
+
+
+@pytest.mark.parametrize("changed", ['"dt": 0.005', '"rows": 12', '"part_rows": 5', '"created": "undated"'])
+def test_a_store_with_changed_attributes_is_begun_anew(changed: str, whole: dict[str, bytes], tmp_path: Path) -> None:
+    """Readers would believe them; the store would not be the same bytes."""
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL)
+    root = shards.store_of(shards.folder_of(target)) / "zarr.json"
+    text = root.read_text()
+    assert text.count(changed) == 1
+    root.write_text(text.replace(changed, changed[:-1] + "9" + changed[-1:]))
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
     assert tree(target) == whole
 
