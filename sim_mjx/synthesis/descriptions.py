@@ -1,4 +1,4 @@
-"""Descriptions (``zarr.json``) of a growing store, which have no checksum until it is complete."""
+"""What a growing store holds before its parts, and has no checksum yet: descriptions (``zarr.json``), small arrays."""
 
 from __future__ import annotations
 
@@ -18,20 +18,27 @@ _COLLECTED = "consolidated_metadata"
 
 
 def keep(folder: Path, store: Path) -> None:
-    """Note the descriptions of a store in which all parts are missing."""
-    texts = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
+    """Note the files of a store in which all parts are missing."""
+    files = (file for file in sorted(store.rglob("*")) if file.is_file())
+    texts = {str(file.relative_to(store)): _text(file) for file in files}
     with suppress(FileExistsError), atomic_new(folder / FILE) as draft:  # all workers would write the same
         draft.write_text(json.dumps(texts))
 
 
 def are_intact(folder: Path, store: Path) -> bool:
-    """Whether the descriptions are the noted ones, but for what grows: dimensions, and attributes on completion."""
+    """Whether the files are the noted ones, but for what grows: dimensions, and attributes on completion."""
     try:
         texts = load_json(folder / FILE)
-        there = {name: read_bytes(store / name, MAX_JSON_BYTES).decode() for name in texts}
+        there = {name: _text(store / name) for name in texts}
         return all(there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items())
     except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
         return False
+
+
+def _text(file: Path) -> str:
+    """A description as it is; a chunk of an array, which never changes, in a form that is no JSON."""
+    content = read_bytes(file, MAX_JSON_BYTES)
+    return content.decode() if file.name == "zarr.json" else f"bytes {content.hex()}"
 
 
 def _is_grown(noted: dict[str, Any], text: str) -> bool:

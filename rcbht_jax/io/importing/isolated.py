@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.optional import MissingPackage
-from rcbht_jax._util.untrusted import DECODER_PATIENCE, check_file, decoder_limits
+from rcbht_jax._util.untrusted import DECODER_PATIENCE, DECODER_START, check_file, decoder_limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.table import Table
 
@@ -54,7 +54,7 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
     with tempfile.TemporaryDirectory() as folder:
         request = {
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
-            "name": name, "out": folder, "memory": memory, "seconds": seconds,
+            "name": name, "out": folder, "memory": memory,
         }  # fmt: skip
         said = _decoder(os.getpid()).ask(path, request, seconds)
         if "missing" in said:
@@ -62,7 +62,8 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
         if "error" in said:
             raise InputError(said["error"])
         for number, table in enumerate(said["tables"]):
-            columns = {key: np.load(Path(folder, f"{number}-{k}.npy")) for k, key in enumerate(table["columns"])}
+            files = {key: Path(folder, f"{number}-{k}.npy") for k, key in enumerate(table["columns"])}
+            columns = {key: np.load(file, allow_pickle=False) for key, file in files.items()}
             intervals = tuple(map(tuple, table["intervals"]))
             yield Table(**{**table, "columns": columns, "intervals": intervals, "notes": tuple(table["notes"])})
 
@@ -73,6 +74,7 @@ class _Decoder:
     def __init__(self) -> None:
         self._lock = Lock()
         self._child: subprocess.Popen[bytes] | None = None
+        self._known = set[str]()  # what it has decoded before
 
     def ask(self, path: Path, request: dict[str, Any], seconds: float) -> dict[str, Any]:
         """The child's answer.
@@ -84,6 +86,10 @@ class _Decoder:
             child = self._child = self._child or _begun()
             assert child.stdin
             assert child.stdout
+            if request["decode"] not in self._known:
+                self._known.add(request["decode"])
+                seconds += DECODER_START
+            request = {**request, "seconds": seconds}
             timer = Timer(max(DECODER_PATIENCE * seconds, 60), child.kill)
             timer.start()
             try:
@@ -109,6 +115,7 @@ class _Decoder:
 
     def _end(self) -> int:
         child, self._child = self._child, None
+        self._known.clear()
         if child is None:
             return 0
         child.kill()  # nothing, if it has crashed

@@ -204,7 +204,9 @@ def damage(place: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["cut", "flip", "empty"])
-@pytest.mark.parametrize("where", ["wrench/c/1", "length/c/1", "simulation/seated/c/1", "part_sha256/c/1"])
+@pytest.mark.parametrize(
+    "where", [f"{name}/c/1" for name in ("wrench", "length", "simulation/seated", "part_sha256", "part_summary")]
+)
 def test_a_damaged_shard_is_made_again(where: str, how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
@@ -222,12 +224,15 @@ def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
     assert tree(target) == tree(tmp_path / "once.zarr")
 
 
-@pytest.mark.parametrize("how", ["cut", "empty"])
-def test_a_store_whose_metadata_are_lost_is_begun_anew(how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
-    target = tmp_path / "t.zarr"
+@pytest.mark.parametrize(
+    ("where", "how"), [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
+)
+def test_a_store_whose_metadata_are_lost_is_begun_anew(
+    damaged: tuple[str, str], whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    target, (where, how) = tmp_path / "t.zarr", damaged
     interrupted(target, SMALL, after=2)
-    root = shards.store_of(shards.folder_of(target)) / "zarr.json"
-    root.write_bytes(root.read_bytes()[: 40 if how == "cut" else 0])
+    damage(shards.store_of(shards.folder_of(target)) / where, how)
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
     assert tree(target) == whole
 
