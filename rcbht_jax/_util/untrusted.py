@@ -40,13 +40,14 @@ MAX_RATIO = 200  # of bytes that a file declares to its own: far above what meas
 DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
 DECODER_SPEED = 2**26
 DECODER_START = 5.0  # more for the first file of a kind, with which the library is imported
-DECODER_PATIENCE = 10  # times as long by the clock, on a busy machine or a slow disk, and never less than a minute
+DECODER_PATIENCE = 300.0  # s by the clock, or 10 times as long as the processor may take: a busy machine, a slow disk
 DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
 MAX_MEMBERS = 10_000  # arrays of a file
 MAX_COLUMNS = 4096  # of a table
 MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
+MAX_NAME = 1000  # characters of a name in a model
 MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
 
@@ -265,6 +266,34 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
         if not _fits(value, hints[name]):
             raise InputError(f"{name} is {str(value)[:40]!r}, which it cannot be")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def checked_texts(what: str, values: Any, different: bool = False) -> tuple[str, ...]:
+    """Texts of a file that become names: all of them texts that can be written, none absurdly long.
+
+    >>> checked_texts("the classes", ["a", "b"])
+    ('a', 'b')
+
+    Args:
+        what: what the sentence calls them.
+        values: a JSON value.
+        different: whether no two may be equal.
+
+    Raises:
+        InputError: they are not.
+    """
+    if not isinstance(values, list | tuple) or not all(map(_is_name, values)):
+        raise InputError(f"{what} are not texts of at most {MAX_NAME} characters")
+    if different and len(set(values)) < len(values):
+        raise InputError(f"{what} are not all different")
+    return tuple(values)
+
+
+def _is_name(value: Any) -> bool:
+    try:
+        return isinstance(value, str) and len(value) <= MAX_NAME and bool(value.encode() or True)
+    except UnicodeEncodeError:
+        return False
 
 
 def _fits(value: Any, hint: Any) -> bool:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock, Timer
+from threading import Event, Lock, Timer
 from typing import Any
 
 import numpy as np
@@ -90,7 +90,8 @@ class _Decoder:
                 self._known.add(request["decode"])
                 seconds += DECODER_START
             request = {**request, "seconds": seconds}
-            timer = Timer(max(DECODER_PATIENCE * seconds, 60), child.kill)
+            patience, late = max(10 * seconds, DECODER_PATIENCE), Event()
+            timer = Timer(patience, lambda: (late.set(), child.kill()))
             timer.start()
             try:
                 with suppress(BrokenPipeError):
@@ -105,6 +106,8 @@ class _Decoder:
             if line.endswith(b"\n"):
                 return json.loads(line)
             status = self._end()
+            if late.is_set():  # the processor had time left: that says nothing of the file
+                raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")
             how = f"was stopped after {seconds:.0f} s" if status in _STOPPED else f"crashed (status {status})"
             raise InputError(f"{path} is damaged: what decodes such files {how}.")
 
