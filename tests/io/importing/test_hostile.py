@@ -339,6 +339,19 @@ def test_links_out_of_a_folder_that_is_one_thing_are_not_followed(kind: str, tmp
             read_source(copy)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, 3e38])
+def test_an_export_whose_numbers_are_none_is_refused(value: float, tmp_path: Path) -> None:
+    """Parquet has no checksums: a changed value may be one that no store takes."""
+    export(DataSet.of(recordings()), tmp_path / "good", "parquet")
+    table = pq.read_table(tmp_path / "good" / "wrench.parquet")
+    column = table.column("Fz").to_numpy().copy()
+    column[3] = value
+    at = table.column_names.index("Fz")
+    pq.write_table(table.set_column(at, "Fz", pa.array(column)), tmp_path / "good" / "wrench.parquet")
+    with pytest.raises(InputError, match="good is damaged: recording 0"):
+        read_source(tmp_path / "good")
+
+
 class _Opened:
     def __reduce__(self) -> tuple:
         return os.mkdir, ("opened-by-a-pickle",)
