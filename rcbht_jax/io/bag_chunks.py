@@ -16,8 +16,9 @@ from rcbht_jax.errors import InputError
 with needs_extra("stream"):
     import lz4.frame  # comes with rosbags
     from rosbags.rosbag1 import reader as rosbag1
-    from rosbags.rosbag2.reader import zstd
+    from rosbags.rosbag2 import reader as rosbag2
 
+zstd: Any = vars(rosbag2)["zstd"]  # of Python, or the package that stands in for it
 ZSTD = b"\x28\xb5\x2f\xfd"
 _BLOCK = 2**20
 

@@ -91,7 +91,12 @@ class _Decoder:
                 seconds += DECODER_START
             request = {**request, "seconds": seconds}
             patience, late = max(10 * seconds, DECODER_PATIENCE), Event()
-            timer = Timer(patience, lambda: (late.set(), child.kill()))
+
+            def give_up() -> None:
+                late.set()
+                child.kill()
+
+            timer = Timer(patience, give_up)
             timer.start()
             try:
                 with suppress(BrokenPipeError):
