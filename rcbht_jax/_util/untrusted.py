@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import stat
 import types
 import typing
@@ -38,13 +39,15 @@ MAX_RATIO = 200  # of bytes that a file declares to its own: far above what meas
 # Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
 DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
 DECODER_SPEED = 2**26
-DECODER_PATIENCE = 10  # times as long by the clock, on a busy machine or a slow disk, and never less than a minute
+DECODER_START = 5.0  # more for the first file of a kind, with which the library is imported
+DECODER_PATIENCE = 300.0  # s by the clock, or 10 times as long as the processor may take: a busy machine, a slow disk
 DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.
 MAX_FILES = 200_000  # in a folder
 MAX_MEMBERS = 10_000  # arrays of a file
 MAX_COLUMNS = 4096  # of a table
 MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
+MAX_NAME = 1000  # characters of a name in a model
 MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
 
@@ -81,6 +84,36 @@ def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int
     if status.st_size > most:
         raise InputError(f"{path} has {status.st_size} bytes; expected at most {most}. Split it.")
     return status.st_size
+
+
+def check_inside(path: Path, root: Path) -> None:
+    """Refuse what a link leads out of the folder that was given to read: its content belongs to somebody else.
+
+    >>> check_inside(Path("runs/a.csv"), Path("runs"))
+
+    Args:
+        path: a file or a folder, with all that is in it.
+        root: the folder, which may be a link itself: whoever names it means it.
+
+    Raises:
+        InputError: it, or something in it, is a link out of the folder.
+    """
+    within = ((here, name) for here, folders, files in os.walk(path) for name in (*folders, *files))
+    for one in (path, *(Path(here, name) for here, name in within)):
+        if leads_out(one, root):
+            raise InputError(f"{one} is a link out of the folder; copy what it leads to, if it belongs there.")
+
+
+def leads_out(path: Path, root: Path) -> bool:
+    """Whether a path is, or has on its way, a link out of a folder.
+
+    >>> leads_out(Path("runs/../secret"), Path("runs"))
+    True
+    """
+    try:
+        return not path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError):  # a loop of links leads nowhere
+        return False
 
 
 def check_declared(path: Path, declared: int, size: int) -> None:
@@ -233,6 +266,34 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
         if not _fits(value, hints[name]):
             raise InputError(f"{name} is {str(value)[:40]!r}, which it cannot be")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def checked_texts(what: str, values: Any, different: bool = False) -> tuple[str, ...]:
+    """Texts of a file that become names: all of them texts that can be written, none absurdly long.
+
+    >>> checked_texts("the classes", ["a", "b"])
+    ('a', 'b')
+
+    Args:
+        what: what the sentence calls them.
+        values: a JSON value.
+        different: whether no two may be equal.
+
+    Raises:
+        InputError: they are not.
+    """
+    if not isinstance(values, list | tuple) or not all(map(_is_name, values)):
+        raise InputError(f"{what} are not texts of at most {MAX_NAME} characters")
+    if different and len(set(values)) < len(values):
+        raise InputError(f"{what} are not all different")
+    return tuple(values)
+
+
+def _is_name(value: Any) -> bool:
+    try:
+        return isinstance(value, str) and len(value) <= MAX_NAME and bool(value.encode() or True)
+    except UnicodeEncodeError:
+        return False
 
 
 def _fits(value: Any, hint: Any) -> bool:

@@ -255,7 +255,9 @@ def store_reading(wrench: NDArray[np.float32]) -> tuple[tuple[float, str], float
         write_recordings(path, Recordings.from_arrays(some, 1 / DT), {})
         np.save(plain, some)
         timing = interleaved(
-            lambda: read_recordings(path), lambda: hashlib.sha256(np.load(plain).data).hexdigest(), _REPEATS
+            lambda: read_recordings(path),
+            lambda: hashlib.sha256(np.load(plain, allow_pickle=False).data).hexdigest(),
+            _REPEATS,
         )
     return (some.nbytes / timing.seconds, "bytes/s"), timing.ratio
 

@@ -85,6 +85,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     _allow_any_name()
     try:
+        if not __debug__:
+            raise InputError(
+                "Python runs without assertions (-O), which the library of the stores needs; leave out -O."
+            )
         with endings():
             return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except InputError as error:

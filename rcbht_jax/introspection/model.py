@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.untrusted import checked_texts
 from rcbht_jax.encoding.rules import (
     AnyConfig,
     AnyLimits,
@@ -30,7 +31,7 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
 from rcbht_jax.labels import UNIT_OF
-from rcbht_jax.learning.model_io import check_finite, read_svm, reading, svm_members, write_archive
+from rcbht_jax.learning.model_io import check_finite, check_objects, read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm, SvmArrays, to_arrays
 from rcbht_jax.learning.progress import ProgressArrays, ProgressCalibration, progress_arrays
 from rcbht_jax.types import axis_names
@@ -187,6 +188,10 @@ def load(path: Path) -> IntrospectionModel:
         limits = limits_from(config, archive)
         axes = len(checked_limits(config, limits))
         heads = tuple(_read_head(path, head, archive, f"{n}.", axes) for n, head in enumerate(meta["heads"]))
+        check_objects(meta, "extra")
+        checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
+        for name in ("axes", "units"):
+            checked_texts(f"its {name}", meta["extra"].get(name) or [])
         rest = {k: meta[k] for k in ("data_hash", "version", "extra")}
         return IntrospectionModel(config, limits, heads, **rest)
 
@@ -202,9 +207,10 @@ def _read_head(
     check_finite(path, "sigmoid", sigmoid)
     view = FeatureView(spec, bool(meta["sight"]["provisional"]))
     machine = ProbabilisticSvm(svm, sigmoid)
+    name, alarm = checked_texts("a head's name and alarm", [meta["name"], meta["alarm"]])
     # Files older than alarm levels and calibration by progress lack them.
     level, progress = float(meta.get("alarm_level", 0.0)), meta.get("progress")
-    return Head(meta["name"], meta["scope"], view, machine, meta["alarm"], level, progress and _read_progress(progress))
+    return Head(name, meta["scope"], view, machine, alarm, level, progress and _read_progress(progress))
 
 
 def _read_progress(meta: Mapping[str, Any]) -> ProgressCalibration:

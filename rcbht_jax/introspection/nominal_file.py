@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import rcbht_jax
+from rcbht_jax._util.untrusted import checked_texts
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.neighbours import Bank
 from rcbht_jax.introspection.nominal import NominalMonitor
@@ -57,7 +58,7 @@ def load(path: Path) -> MonitorFile:
         numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}
         bank = Bank(**arrays, **numbers)
         monitor = NominalMonitor(**meta["parameters"])
-        axes, peaks = tuple(meta["axes"]), archive["peaks"]
+        axes, peaks = checked_texts("its axes", meta["axes"]), archive["peaks"]
         moments, channels = bank.reference.shape
         if (
             bank.described.ndim != 4
@@ -68,4 +69,4 @@ def load(path: Path) -> MonitorFile:
             or not np.isfinite(peaks).all()
         ):
             raise InputError(f"{path} is damaged: its arrays do not fit each other.")
-        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, tuple(meta["where"]))
+        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, checked_texts("its groups", meta["where"]))

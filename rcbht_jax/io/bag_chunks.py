@@ -1,17 +1,81 @@
-"""Chunks of ROS 1 bags that unpack to far more than they are: refused as a reader unpacks them."""
+"""What in a bag unpacks to far more than it is: chunks of ROS 1, files and messages of ROS 2; it is refused."""
 
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.untrusted import MAX_CHUNK
+from rcbht_jax._util.untrusted import MAX_CHUNK, check_declared, check_file
+from rcbht_jax.errors import InputError
 
 with needs_extra("stream"):
     import lz4.frame  # comes with rosbags
     from rosbags.rosbag1 import reader as rosbag1
+    from rosbags.rosbag2 import reader as rosbag2
+
+zstd: Any = vars(rosbag2)["zstd"]  # of Python, or the package that stands in for it
+ZSTD = b"\x28\xb5\x2f\xfd"
+_BLOCK = 2**20
+
+
+@contextmanager
+def unpacked_file(path: Path) -> Iterator[Path]:
+    """A file of a ROS 2 bag as its reader will see it: unpacked, in a temporary folder, if all of it is packed.
+
+    >>> with unpacked_file(Path("bag/bag_0.db3.zstd")) as path:  # doctest: +SKIP
+    ...     print(path.name)
+    bag_0.db3
+
+    Raises:
+        InputError: it is damaged, or unpacks to far more than it is.
+    """
+    size, total = check_file(path, empty=True), 0
+    with path.open("rb") as file, TemporaryDirectory() as folder:
+        if file.read(len(ZSTD)) != ZSTD:
+            yield path
+            return
+        plain = Path(folder, path.stem)
+        try:
+            with zstd.open(path, "rb") as packed, plain.open("wb") as out:
+                while block := packed.read(_BLOCK):
+                    total += len(block)
+                    check_declared(path, total, size)
+                    out.write(block)
+        except (zstd.ZstdError, EOFError) as error:
+            raise InputError(f"{path} is not a readable bag: {str(error).rstrip('.')}.") from None
+        yield plain
+
+
+def take_packed(reader: Any) -> bool:
+    """Whether the messages of a bag are packed one by one; from now on its reader leaves that to the caller.
+
+    >>> take_packed(reader)  # doctest: +SKIP
+    """
+    stores = [one.storage for one in reader.readers if hasattr(one, "storage")]
+    packed = [one for one in stores if one.metadata.compression_mode == "message"]
+    for one in packed:
+        one.metadata = one.metadata._replace(compression_mode=None)
+    return bool(packed)
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """The content of a packed message.
+
+    >>> unpacked_message(zstd.compress(b"abc"))
+    b'abc'
+
+    Raises:
+        ValueError: it is damaged, or unpacks to more than ``MAX_CHUNK`` bytes.
+    """
+    try:
+        return _unpacked(lambda packed: zstd.ZstdDecompressor().decompress(packed, MAX_CHUNK + 1), data)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from None
 
 
 def bound_chunks(reader: Any) -> None:

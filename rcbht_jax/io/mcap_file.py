@@ -74,7 +74,7 @@ def sound(path: Path) -> Iterator[tuple[Path, list[str]]]:
     Raises:
         InputError: not a regular file, too large, or a chunk or record of it is; nothing is unpacked beyond that.
     """
-    size = check_file(path, MAX_BAG_BYTES)
+    size = check_file(path, MAX_BAG_BYTES, empty=True)
     with path.open("rb") as file:
         # Of what is no MCAP the reader says so.
         problems = _problems(path, file, size) if file.read(len(MAGIC)) == MAGIC else []

@@ -17,10 +17,10 @@ from jaxtyping import Int
 
 from rcbht_jax._util.atomic import atomic_write, draft_of
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file
+from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file, check_inside
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event, Word
-from rcbht_jax.io.bag_chunks import bound_chunks
+from rcbht_jax.io.bag_chunks import bound_chunks, take_packed, unpacked_file, unpacked_message
 from rcbht_jax.io.mcap_file import seal, sound
 from rcbht_jax.io.messages import Malformed, Message, sample_of
 from rcbht_jax.labels import AXES, LAYERS, name
@@ -123,15 +123,16 @@ def open_bag(path: Path) -> Iterator[Bag]:
     with ExitStack() as stack:
         sources, problems = path, list[str]()
         for part in _files(path):
-            if part.suffix == ".mcap":
-                found, wrong = stack.enter_context(sound(part))
-                sources = found if part == path else sources
-                problems += wrong
+            plain = part if part == path else stack.enter_context(unpacked_file(part))
+            found, wrong = stack.enter_context(sound(plain))  # of what is no MCAP, whatever its name, it says nothing
+            sources = found if part == path else sources
+            problems += wrong
         try:
             reader = Bag([sources], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             reader.open()
             stack.callback(reader.close)
             bound_chunks(reader)
+            reader.packed = take_packed(reader)
         except Exception as error:  # a damaged file fails in any way inside the reader
             text = str(error).replace(str(sources), str(path)).rstrip(".") or type(error).__name__
             raise InputError(f"{path} is not a readable bag: {text}.") from error
@@ -140,9 +141,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 class Bag(AnyReader):
-    """A reader that knows what is wrong with its file."""
+    """A reader that knows what is wrong with its file, and whether each message in it is packed."""
 
     problems: tuple[str, ...] = ()
+    packed = False
 
 
 def _files(path: Path) -> list[Path]:
@@ -154,18 +156,20 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         check_file(path, MAX_BAG_BYTES)
         return [path]
-    parts = [part for part in sorted(path.iterdir()) if part.suffix in SUFFIXES or part.name == "metadata.yaml"]
+    check_inside(path, path)
+    parts = [part for part in sorted(path.iterdir()) if not part.is_dir()]  # the metadata may name any of them
     for part in parts:
-        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES)
+        known = part.suffix in SUFFIXES or part.name == "metadata.yaml"
+        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES, empty=not known)
     return parts
 
 
-def messages(reader: AnyReader, connections: Sequence[Any]) -> Iterator[tuple[Any, int, Any] | Malformed]:
+def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int, Any] | Malformed]:
     """Connection, time of receipt (ns) and content of every message of some connections, in order of receipt.
 
     A message that cannot be read becomes :class:`Malformed`, and so does what is wrong with the file.
     """
-    for problem in getattr(reader, "problems", ()):
+    for problem in reader.problems:
         yield Malformed(f"the bag is damaged ({problem}); what is whole of it is read")
     raw_messages = reader.messages(connections=connections)
     while True:
@@ -177,7 +181,8 @@ def messages(reader: AnyReader, connections: Sequence[Any]) -> Iterator[tuple[An
             yield Malformed(f"the bag ends early ({type(error).__name__}: {str(error)[:80]})")
             return
         try:
-            yield connection, received, reader.deserialize(raw, connection.msgtype)
+            plain = unpacked_message(raw) if reader.packed else raw
+            yield connection, received, reader.deserialize(plain, connection.msgtype)
         except Exception as error:
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
 

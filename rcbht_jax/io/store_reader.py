@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import parse_json
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
@@ -31,7 +32,7 @@ from rcbht_jax.io.store_schema import (
     part_digest,
     schema_in,
 )
-from rcbht_jax.io.summary import Summary, merged
+from rcbht_jax.io.summary import Summary, merged, summary_of
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
@@ -165,7 +166,7 @@ def read_summary(stored: Stored) -> Summary:
     with zarr_io.reading(stored.path):
         texts = parts.read(stored.group, SUMMARIES, slice(None), Field("string")).tolist()
         there = [True] * len(texts) if stored.finished else [found is not None for found in parts.digests(stored.group)]
-        return merged(json.loads(text) for text, counts in zip(texts, there, strict=True) if counts)
+        return merged(parse_json(text, finite=False) for text, counts in zip(texts, there, strict=True) if counts)
 
 
 def read_digests(stored: Stored) -> NDArray[np.uint8]:
@@ -201,15 +202,27 @@ def check_whole(stored: Stored) -> None:
 
 
 def check_part(stored: Stored, number: int) -> None:
-    """Read a part, its simulation included, and compare it with its digests.
+    """Read a part, its simulation included, and compare it with its digests, and what is counted in it with its rows.
 
     Raises:
         InputError: it is missing or damaged.
     """
     small, rows = read_small(stored, number), stored.schema.layout.span(number)
     _check_wrench(stored, small, _wrench(stored, rows, int(small["length"].max())))
+    _check_summary(stored, number, small)
     if stored.schema.simulation:
         read_simulation_part(stored, number)
+
+
+def _check_summary(stored: Stored, number: int, small: Arrays) -> None:
+    nothing = np.zeros((len(small["length"]), 0, len(stored.schema.axes)), np.float32)
+    counted = summary_of(_recordings(stored, small, nothing))
+    with zarr_io.reading(stored.path):
+        [text] = parts.read(stored.group, SUMMARIES, slice(number, number + 1), Field("string")).tolist()
+        # As texts: a NaN is not equal to itself.
+        same = json.dumps(parse_json(text, finite=False), sort_keys=True) == json.dumps(counted, sort_keys=True)
+    if not same:
+        raise InputError(f"{stored.path} is damaged: what is counted in part {number} is not in it.")
 
 
 def check_simulation(stored: Stored) -> None:

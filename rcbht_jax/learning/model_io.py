@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.untrusted import checked_fields, parse_json, read_arrays
+from rcbht_jax._util.untrusted import checked_fields, checked_texts, parse_json, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.scaling import KNOTS
@@ -66,10 +66,23 @@ def load(path: Path) -> TrainedModel:
         InputError: the file is missing, damaged, or not a model of this format.
     """
     with reading(path, FORMAT) as (meta, archive):
-        names = tuple(meta["feature_names"])
+        names = checked_texts("its features", meta["feature_names"])
+        check_objects(meta, "task", "encoder", "extra")
+        checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
         svm = read_svm(path, meta, archive, len(names))
         rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
         return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest)
+
+
+def check_objects(meta: Mapping[str, Any], *names: str) -> None:
+    """Refuse values of a model's JSON text that are no objects.
+
+    Raises:
+        InputError: names the first.
+    """
+    for name in names:
+        if not isinstance(meta[name], dict):
+            raise InputError(f"{name} is {str(meta[name])[:40]!r}; expected an object")
 
 
 def svm_members(svm: SvmModel, prefix: str = "") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -91,7 +104,7 @@ def read_svm(
     svm = SvmModel(
         spec=SvmSpec(**checked_fields(SvmSpec, meta["spec"])),
         gamma=float(meta["gamma"]),
-        classes=tuple(meta["classes"]),
+        classes=checked_texts("its classes", meta["classes"], different=True),
         **arrays,
     )
     _check(svm, features, path)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import data_hash
+from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
@@ -64,11 +65,12 @@ def task_of(
         InputError: the model does not say what it was trained for.
     """
     try:
-        trained = model.task["outcomes"]
-        spec = TaskSpec(model.task["task"], model.task["boundaries"], model.task["arms"])
+        known = checked_fields(TaskSpec, {k: v for k, v in model.task.items() if k in TaskSpec.__dataclass_fields__})
+        trained = known["outcomes"]
+        spec = TaskSpec(known["task"], known["boundaries"], known["arms"])
     except (KeyError, TypeError) as error:
         raise InputError(f"the model does not say what it was trained for: {error} is missing.") from error
-    kept = outcomes or (None if trained is None else tuple(trained))
+    kept = outcomes or trained
     return replace(spec, sources=sources, sessions=sessions, outcomes=kept)
 
 
@@ -95,9 +97,11 @@ def check_encoders(model: TrainedModel, made: Mapping[str, Mapping[str, Any]]) -
 def _options(made: Mapping[str, Any]) -> str:
     """Options of ``rcbht encode`` that no store has by itself: those of the fit rule."""
     config = made.get("config", {})
-    if config.get("rule") != "fit":
+    try:
+        given = f" --rule fit --window {config['window']} --tolerance {' '.join(map(repr, config['tolerance']))}"
+    except (KeyError, TypeError):  # the paper's rule, or a damaged file
         return ""
-    return f" --rule fit --window {config['window']} --tolerance {' '.join(map(repr, config['tolerance']))}"
+    return given if config.get("rule") == "fit" else ""
 
 
 def _difference(wanted: Any, items: Any) -> str:

@@ -37,6 +37,7 @@ IDLE = 10.0  # s until a connection that sends no request is closed
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
+_POLICY += "; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 
 def description(session: Session) -> dict[str, Any]:
@@ -234,6 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
         # A page elsewhere must not read this one under a name of its own (DNS rebinding).
         if self.server.local and _host(self.headers.get("Host", "")) not in self.server.names:
             self.send_error(403, "Only this machine may look")
+        elif path != "/" and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
+            self.send_error(403, "Pages of others may not look")  # nor take the places of viewers
         elif path == "/":
             self._send(self.server.document, "text/html; charset=utf-8", body)
         elif path == "/description":

@@ -1,42 +1,68 @@
-"""Descriptions (``zarr.json``) of the arrays of a growing store, which have no checksum until it is complete."""
+"""What a growing store holds before its parts, and has no checksum yet: descriptions (``zarr.json``), small arrays."""
 
 from __future__ import annotations
 
 import json
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from rcbht_jax._util.atomic import atomic_new
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, load_json, read_bytes
+from rcbht_jax.io.store_schema import GAPS, HASH
 
 FILE = "descriptions.json"  # in the work folder
+DIVERGED = "diverged"
+_ADDED = (DIVERGED, GAPS, HASH)  # attributes of a table that is complete, in this order
+_COLLECTED = "consolidated_metadata"
 
 
 def keep(folder: Path, store: Path) -> None:
-    """Note the descriptions of a store in which all parts are missing."""
-    files = {str(file.relative_to(store)): file.read_text() for file in sorted(store.rglob("zarr.json"))}
-    texts = {name: text for name, text in files.items() if json.loads(text)["node_type"] == "array"}
+    """Note the files of a store in which all parts are missing."""
+    files = (file for file in sorted(store.rglob("*")) if file.is_file())
+    texts = {str(file.relative_to(store)): _text(file) for file in files}
     with suppress(FileExistsError), atomic_new(folder / FILE) as draft:  # all workers would write the same
         draft.write_text(json.dumps(texts))
 
 
 def are_intact(folder: Path, store: Path) -> bool:
-    """Whether the descriptions are the noted ones, but for dimensions that have grown."""
+    """Whether the files are the noted ones, but for what grows: dimensions, and attributes on completion."""
     try:
         texts = load_json(folder / FILE)
-        there = {name: read_bytes(store / name, MAX_JSON_BYTES).decode() for name in texts}
-        return all(_is_grown(text, there[name]) for name, text in texts.items())
+        there = {name: _text(store / name) for name in texts}
+        return all(there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items())
     except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
         return False
 
 
-def _is_grown(noted: str, text: str) -> bool:
-    """Whether a description is the noted one, with dimensions that had no length then."""
-    if text == noted:
-        return True
-    content, shape = json.loads(noted), json.loads(text)["shape"]
-    if len(shape) != len(content["shape"]) or any(
-        not isinstance(new, int) or (old and new != old) for old, new in zip(content["shape"], shape, strict=True)
+def _text(file: Path) -> str:
+    """A description as it is; a chunk of an array, which never changes, in a form that is no JSON."""
+    content = read_bytes(file, MAX_JSON_BYTES)
+    return content.decode() if file.name == "zarr.json" else f"bytes {content.hex()}"
+
+
+def _is_grown(noted: dict[str, Any], text: str) -> bool:
+    """Whether a description is the noted one of an array that has grown, or of a table that was completed."""
+    return _is_longer(noted, text) if noted["node_type"] == "array" else _is_completed(noted, json.loads(text))
+
+
+def _is_longer(noted: dict[str, Any], text: str) -> bool:
+    """Whether an array is the noted one, with dimensions that had no length then."""
+    shape = json.loads(text)["shape"]
+    if len(shape) != len(noted["shape"]) or any(
+        not isinstance(new, int) or (old and new != old) for old, new in zip(noted["shape"], shape, strict=True)
     ):
         return False
-    return text == json.dumps(content | {"shape": shape}, indent=2)  # as ``rcbht_jax.io.parts`` writes it
+    return text == json.dumps(noted | {"shape": shape}, indent=2)  # as ``rcbht_jax.io.parts`` writes it
+
+
+def _is_completed(noted: dict[str, Any], found: dict[str, Any]) -> bool:
+    """Whether a group is the noted one of a table, with what completion adds, and will write again.
+
+    Compared as text: the order of attributes is the order of bytes.
+    """
+    attributes = noted["attributes"]
+    added = {name: found["attributes"][name] for name in _ADDED if name in found["attributes"]}
+    wanted = noted | {"attributes": attributes | added}
+    plain = [{key: value for key, value in one.items() if key != _COLLECTED} for one in (wanted, found)]
+    return "part_rows" in attributes and json.dumps(plain[0]) == json.dumps(plain[1])

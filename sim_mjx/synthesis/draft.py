@@ -98,7 +98,7 @@ class Draft:
             )
         if self.job.window is not None:
             label_parts.finish(self._labels)
-        store_writer.finish(self.path, {"diverged": diverged})
+        store_writer.finish(self.path, {descriptions.DIVERGED: diverged})
         flush_tree(self.path)
 
     @property

@@ -32,6 +32,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--attempts", type=int, default=20_000)
     parser.add_argument("--out", type=Path, default=Path("attack.json"))
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--only", type=int, help="repeat one attempt in this process")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -41,15 +42,15 @@ def main() -> int:
             print(*harness.attempt(options.only, options.seed, good))
             return 0
         harness.in_child(lambda: harness.make_good(good))
-        return _run(options.seed, options.attempts, options.out, good)
+        return _run(options.seed, options.attempts, options.out, good, options.processes)
 
 
-def _run(seed: int, attempts: int, out: Path, good: Path) -> int:
+def _run(seed: int, attempts: int, out: Path, good: Path, processes: int) -> int:
     result = _begun(out, seed, attempts)
     start, before = harness.clock(), result["attempts"]
     while result["attempts"] < attempts:
         batch = range(result["attempts"], min(result["attempts"] + BATCH, attempts))
-        for number, name, wrong in harness.in_children(batch, seed, good):
+        for number, name, wrong in harness.in_runners(batch, seed, good, processes):
             result["attempts"] += 1
             counts = Counter(result["outcomes"].get(name, {}))
             counts[wrong if wrong == "refused" else "wrong" if wrong else "done"] += 1

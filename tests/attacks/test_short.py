@@ -64,5 +64,5 @@ def test_what_dies_or_hangs_is_a_defect(good: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(harness, "attempt", hostile)
     monkeypatch.setattr(harness, "PATIENCE", 0.5)
-    outcomes = [wrong for _, _, wrong in harness.in_children(range(5), SEED, good)]
-    assert outcomes == ["", "died by signal 9", "", "waited without end", ""]
+    for found in (harness.in_children(range(5), SEED, good), harness.in_runners(range(5), SEED, good, 2)):
+        assert [wrong for _, _, wrong in found] == ["", "died by signal 9", "", "waited without end", ""]

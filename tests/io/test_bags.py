@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.reader import zstd
 from rosbags.typesys import Stores, get_typestore
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.session import Session
-from rcbht_jax.io.messages import Sample
+from rcbht_jax.io.messages import Malformed, Sample
 from rcbht_jax.io.rosbags import McapWriter, is_bag, read_bag
 from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import model, trial
@@ -25,11 +29,15 @@ ZERO = (0.0,) * 6
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
-def write_bag(path: Path, kind: str, wrench: np.ndarray, topics: tuple[str, ...] = ("/wrench",)) -> Path:
+def write_bag(
+    path: Path, kind: str, wrench: np.ndarray, topics: tuple[str, ...] = ("/wrench",), packed: str = ""
+) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
     vector, types = store.types["geometry_msgs/msg/Vector3"], store.types
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     writer = Writer1(path) if kind == "ros1" else Writer(path, version=9, storage_plugin=plugin)
+    if packed:
+        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     with writer:
         connections = [writer.add_connection(topic, WRENCH, typestore=store) for topic in topics]
         for k, row in enumerate(wrench.tolist()):
@@ -58,6 +66,41 @@ def test_bags(tmp_path, kind):
     events = list(Session(Introspector(model())).run(samples))
     assert not [e for e in events if isinstance(e, Notice)]
     assert max(e.sample for e in events) == 240
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("packed", ["FILE", "MESSAGE"])
+def test_packed_bags(packed, kind, tmp_path):
+    """They are read, and what unpacks to far more than it is costs neither disk nor memory."""
+    if packed == "MESSAGE" and kind == "mcap":
+        pytest.skip("rosbags packs no messages of MCAP files")
+    wrench = trial(1, 60, 50).astype(np.float64)
+    path = write_bag(tmp_path / "b", kind, wrench, packed=packed)
+    np.testing.assert_array_equal([s.wrench for s in read_bag(path)], wrench)
+    bomb = zstd.compress(bytes(300_000_000))
+    if packed == "FILE":
+        [file] = path.glob("*.zstd")
+        file.write_bytes(bomb)
+        with pytest.raises(InputError, match=r"declares arrays of \d+; that is not a recording"):
+            list(read_bag(path))
+        file.write_bytes(bomb[:100])
+        with pytest.raises(InputError, match=r"is not a readable bag"):
+            list(read_bag(path))
+        return
+    with closing(sqlite3.connect(next(path.glob("*.db3")))) as table, table:
+        table.execute("UPDATE messages SET data = ? WHERE id = 3", (bomb,))
+        table.execute("UPDATE messages SET data = ? WHERE id = 5", (b"junk",))
+    found = list(read_bag(path))
+    assert [one.text.split(" (")[0] for one in found if isinstance(one, Malformed)] == ["a message cannot be read"] * 2
+    assert len(found) == 50
+
+
+def test_files_of_a_bag_that_are_none_are_not_waited_for(tmp_path):
+    """Whatever their names, which the metadata may hold."""
+    path = write_bag(tmp_path / "b", "sqlite3", trial(1, 60, 50))
+    os.mkfifo(path / "evil")
+    with pytest.raises(InputError, match="evil is not a regular file"):
+        list(read_bag(path))
 
 
 def test_bags_that_are_none(tmp_path):

@@ -83,6 +83,38 @@ def test_pipes_devices_and_huge_files_are_not_read(tmp_path: Path) -> None:
     assert report.content_sha256 == digest
 
 
+def test_links_out_of_the_folder_are_not_followed(tmp_path: Path) -> None:
+    """Of what they lead to no line appears in a message; links inside the folder, and to the folder, are followed."""
+    secret = tmp_path / "secret"
+    write_table(secret / "set" / "there" / "R_Torques.dat", 9)
+    (secret / "shadow").write_text("root:hash")
+    data = tmp_path / "data" / "set"
+    trial(data / "good", 1)
+    for name in ("R_State.dat", "R_Angles.dat", "R_CartPos.dat"):
+        (trial(data / name, 2 + len(name), "0\n0.5\n0.505\n1.5\n") / name).unlink(missing_ok=True)
+        (data / name / name).symlink_to(secret / "shadow")
+    (data / "table").mkdir()
+    (data / "table" / "R_Torques.dat").symlink_to(secret / "shadow")
+    (data / "folder").symlink_to(secret / "set" / "there")
+    (tmp_path / "data" / "other").symlink_to(secret / "set")
+    (data / "inside").mkdir()
+    write_table(data / "z_hidden" / "table", 5)
+    (data / "inside" / "R_Torques.dat").symlink_to(data / "z_hidden" / "table")
+    digest = importer.read_hiro(tmp_path / "data")[1].content_sha256
+    (secret / "shadow").write_text("root:other")
+    (tmp_path / "link").symlink_to(tmp_path / "data")
+    recordings, report = importer.read_hiro(tmp_path / "link")
+    assert recordings.trial.tolist() == ["R_Angles.dat", "R_CartPos.dat", "R_State.dat", "good", "inside"]
+    told = [path for path, text in report.skipped + report.warnings if "is a link out of" in text]
+    assert sorted(told) == [
+        "other", "set/R_Angles.dat/R_Angles.dat", "set/R_CartPos.dat/R_CartPos.dat", "set/R_State.dat/R_State.dat",
+        "set/folder", "set/table/R_Torques.dat",
+    ]  # fmt: skip
+    assert "root:" not in str(report.to_dict())
+    assert str(tmp_path) not in str(report.to_dict())
+    assert report.content_sha256 == digest
+
+
 def test_exact_copies_are_imported_once(tmp_path: Path) -> None:
     trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "a", 1)
     trial(tmp_path / "SIM_HIRO_TWO_SA_SUCCESS" / "a", 2, None, "L")

@@ -242,10 +242,22 @@ def test_every_lost_cut_or_changed_file_is_found(path: Path) -> None:
                 sentences.append(str(error))
             entry.write_bytes(whole)
     assert [s for s in sentences if not re.search("damaged|incomplete|not a Zarr group", s)] == []
-    # Times and period are read from the attributes, counts are made again of the recordings, and a lost chunk of empty
+    # Times and period are read from the attributes, counts are read where they are told, and a lost chunk of empty
     # strings reads as empty strings.
     unread = {f"{name}/{file}" for name in ("time", "dt", "part_summary") for file in ("zarr.json", "c", "c/0")}
     assert silent <= {*unread, "columns/failure_type/c/0", "note/c/0"}
+
+
+def test_counts_of_other_recordings_are_found(path: Path) -> None:
+    """What "rcbht info" tells is what is in the store."""
+    counts: Any = zarr.open_group(path, mode="r+")["part_summary"]
+    text = str(counts[0])
+    for other in (text.replace("success", "failure"), "{}", "[" * 60_000, "{"):
+        counts[0] = other
+        with pytest.raises(InputError, match="damaged"):
+            store.verify(path)
+    counts[0] = text
+    store.verify(path)
 
 
 def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:

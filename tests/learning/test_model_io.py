@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,9 @@ import pytest
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.model_io import TrainedModel, load, save
+from rcbht_jax.learning.predict import check_encoders, task_of
 from rcbht_jax.learning.svm import SvmSpec, fit
+from rcbht_jax.learning.tasks import TaskSpec
 
 
 @pytest.fixture
@@ -132,3 +134,35 @@ def test_what_cannot_be_written_is_refused(model, tmp_path):
     assert not (tmp_path / "m").exists()
     with pytest.raises(InputError, match="cannot be written"):
         save(tmp_path / "none" / "m", model)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"classes": ["a", "a", "b"]}, {"classes": [1, 2, 3]}, {"classes": [["a"], ["b"], ["c"]]}, {"classes": "abc"},
+        {"classes": [None] * 3}, {"classes": ["a", "b", "\ud800"]}, {"classes": ["a", "b", "x" * 2000]},
+        {"feature_names": [1, 2, 3, 4]}, {"task": None}, {"encoder": []}, {"extra": "x"}, {"version": 1.0},
+    ],
+)  # fmt: skip
+def test_names_in_a_model_are_texts(change, model, tmp_path):
+    """They become labels of beliefs, cells of tables and parts of pages."""
+    path = tmp_path / "m"
+    save(path, model)
+    with np.load(path) as archive:
+        meta = json.loads(str(archive["meta"]))
+    rewritten(path, meta=np.array(json.dumps({**meta, **change})))
+    with pytest.raises(InputError, match="m is damaged"):
+        load(path)
+
+
+@pytest.mark.parametrize("task", [{}, {"outcomes": 5}, {"task": 5}, {"boundaries": None}, {"arms": ["R"]}])
+def test_a_task_that_is_none_is_one_sentence(task, model):
+    whole = asdict(TaskSpec()) | task if task else {}
+    with pytest.raises(InputError):
+        task_of(replace(model, task=whole))
+
+
+def test_damaged_options_of_an_encoder_are_one_sentence(model):
+    for config in ([], {"rule": "fit"}, {"rule": "fit", "window": 5, "tolerance": 1.0}):
+        with pytest.raises(InputError, match="made otherwise"):
+            check_encoders(replace(model, encoder={"config": config, "window": 5}), {"": {}, "online-W5": {}})

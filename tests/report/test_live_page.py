@@ -11,6 +11,7 @@ import threading
 import time
 from html.parser import HTMLParser
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -119,6 +120,18 @@ def test_other_paths_and_names(server):
     assert server.server_address[0] == "127.0.0.1"
     with pytest.raises(InputError, match="cannot be served"):
         PageServer(Session(Introspector(model())), port=server.server_address[1])
+
+
+def test_pages_of_others_neither_look_nor_frame_nor_take_a_place(server):
+    """A browser says which page asks; a link from elsewhere to the page itself is followed."""
+    for site in ("cross-site", "same-site"):
+        assert ask(server, "GET", "/", {"Sec-Fetch-Site": site})[0] == 200
+        for path in ("/frames", "/description"):
+            assert ask(server, "GET", path, {"Sec-Fetch-Site": site})[0] == 403
+    for site in ("same-origin", "none"):
+        assert ask(server, "GET", "/description", {"Sec-Fetch-Site": site})[0] == 200
+    with urlopen(server.url) as answer:
+        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
 
 
 def test_frames_hold_the_stream():

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.digest import files_hash
-from rcbht_jax._util.untrusted import MAX_TEXT_BYTES
+from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.hiro.trial import ArmRecord, Report, data_file, read_trial, with_note
@@ -52,7 +52,7 @@ class ImportReport:
 
 
 def find_trials(directory: Path) -> list[tuple[str, Path]]:
-    """(data set, trial folder) for every folder that can be a trial, sorted.
+    """(data set, trial folder) for every folder that can be a trial, sorted; links out of ``directory`` are none.
 
     Raises:
         InputError: ``directory`` is not a folder, is itself a trial, or holds no trial.
@@ -61,13 +61,13 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
         raise InputError(f"{directory} is not a folder; expected the folder of the data sets or one data set.")
     if _is_trial(directory):
         raise InputError(f"{directory} is a single trial; expected its parent folder, the data set.")
-    children = _folders(directory)
+    children = _folders(directory, directory)
     if any(_is_trial(child) for child in children):
         return [(directory.resolve().name, child) for child in children]
-    sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child))]
+    sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child, directory))]
     if not sets:
         raise InputError(f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such.")
-    return [(child.name, folder) for child in sets for folder in _folders(child)]
+    return [(child.name, folder) for child in sets for folder in _folders(child, directory)]
 
 
 def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, ImportReport]:
@@ -100,13 +100,14 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
     source_of = {folder: source for source, folder in trials}
     skip, warn = into(report.skipped), into(report.warnings)
     read = [read_trial(folder, source_of[folder], skip, warn) for folder in progress(list(source_of))]
+    report.skipped += [(name(link), "is a link out of the folder.") for link in _links_out(directory)]
     records = _without_copies([arms for arms in read if arms], name, report)
     records = _same_time_step(records, name, report)
     if not records:
         first = f" The first reason: {report.skipped[0][1]}" if report.skipped else ""
         raise InputError(f"{directory} holds no usable trial.{first}")
     report.imported = [f"{name(record.folder)}/{record.arm}" for record in records]
-    files = (path for folder in source_of for path in sorted(folder.glob("*.dat")) if _is_table(path))
+    files = (path for folder in source_of for path in sorted(folder.glob("*.dat")) if _is_table(path, directory))
     report.content_sha256 = files_hash(directory, files)  # unreadable files are in the report already
     return _pack(records), report
 
@@ -131,16 +132,24 @@ def import_hiro(directory: Path, path: Path, overwrite: bool = False, progress: 
     return report
 
 
-def _folders(directory: Path) -> list[Path]:
+def _folders(directory: Path, root: Path) -> list[Path]:
     try:
-        return sorted(child for child in directory.iterdir() if child.is_dir())
+        return sorted(child for child in directory.iterdir() if child.is_dir() and not leads_out(child, root))
     except OSError as error:
         raise InputError(f"{directory} cannot be read: {error.strerror}.") from error
 
 
-def _is_table(path: Path) -> bool:
-    """Whether a file may be one: pipes and devices never end, and a film takes long to read."""
-    return path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES
+def _links_out(directory: Path) -> list[Path]:
+    """Folders of trials or data sets that are not in the folder, but somewhere else by a link."""
+    children = sorted(child for child in directory.iterdir() if child.is_dir())
+    inside = [child for child in children if not leads_out(child, directory)]
+    below = [folder for child in inside for folder in sorted(child.iterdir()) if folder.is_dir()]
+    return [folder for folder in (*children, *below) if leads_out(folder, directory)]
+
+
+def _is_table(path: Path, root: Path) -> bool:
+    """Whether a file may be one: pipes and devices never end, a film takes long to read, a link out is not ours."""
+    return path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES and not leads_out(path, root)
 
 
 def _is_trial(folder: Path) -> bool:

@@ -1,6 +1,7 @@
 """One trial folder in HIRO's layout -> one record per arm.
 
-An arm is skipped only if its wrench table is broken; if its state, angle or pose file is, a note says so.
+An arm is skipped only if its wrench table is broken; if its state, angle or pose file is, a note says so. A file that
+is a link out of the data set counts as broken.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rcbht_jax._util.digest import content_hash
+from rcbht_jax._util.untrusted import check_inside
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat, onsets
 from rcbht_jax.io.hiro.names import TrialName, parse_trial
@@ -70,6 +72,7 @@ def read_trial(folder: Path, source: str, skip: Report, warn: Report) -> list[Ar
         if path is None:
             continue
         try:
+            check_inside(path, folder.resolve().parent)
             table = dat.read_timed(path, "wrench")
         except InputError as error:
             skip(path, str(error))
@@ -103,6 +106,7 @@ def _read_signal(folder: Path, arm: str, kind: str, quantity: str, warn: Report)
     if path is None:
         return None
     try:
+        check_inside(path, folder.resolve().parent)
         return dat.read_timed(path, quantity)
     except InputError as error:
         warn(path, str(error))
@@ -131,6 +135,7 @@ def _read_marks(folder: Path, arm: str, warn: Report) -> tuple[Float64[np.ndarra
     if path is None:
         return np.zeros(0), ["state-file-missing"]
     try:
+        check_inside(path, folder.resolve().parent)
         return dat.read_state_times(path), []
     except InputError as error:
         warn(path, str(error))

@@ -17,6 +17,7 @@ from rcbht_jax._util.optional import require
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, check_declared, check_file, read_object
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.checks import validate
 from rcbht_jax.io.importing import columnar
 from rcbht_jax.io.importing.arrays import reading
 from rcbht_jax.io.importing.isolated import isolated
@@ -60,7 +61,12 @@ def read_export(folder: Path) -> Recordings:
             columns[name] = columns[name].astype(np.str_)
     marks = _annotations(folder, about, len(values))
     recordings = Recordings.from_arrays(values, axes=axes, units=units, annotations=marks, **columns)
-    return replace(recordings, dt=dt)  # exact: the reciprocal of a rate need not be
+    recordings = replace(recordings, dt=dt)  # exact: the reciprocal of a rate need not be
+    try:
+        validate(recordings)
+    except InputError as error:  # changed values of files without checksums
+        raise InputError(f"{folder} is damaged: {error}") from None
+    return recordings
 
 
 def _period(folder: Path, about: Mapping[str, Any]) -> float:

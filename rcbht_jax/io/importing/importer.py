@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.untrusted import check_inside, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
 from rcbht_jax.io.importing import arrays, columnar, marks
@@ -133,6 +134,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
 
 
 def _exported(source: Path, item: Item) -> Imported:
+    check_inside(source, source)
     recordings = read_export(source)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
     report = ImportReport(names, remarks=[f"{source.name} was written by rcbht export; read as it is."])
@@ -153,6 +155,8 @@ def _read(
         if item.name in tables:
             continue
         try:
+            if source.is_dir():
+                check_inside(item.path, source)
             for table in read_item(item, base):
                 if item.kind == "csv" and marks.is_intervals(table.columns):
                     beside.append(table)
@@ -218,4 +222,5 @@ def _digest(source: Path, items: Iterable[Item]) -> str:
     """Digest of the files of a source by relative name and content."""
     files = (sorted(item.path.rglob("*")) if item.path.is_dir() else [item.path] for item in items)
     root = source if source.is_dir() else source.parent
-    return files_hash(root, (path for some in files for path in some if path.is_file()))
+    own = (path for some in files for path in some if (path.is_file() and path == source) or not leads_out(path, root))
+    return files_hash(root, own)

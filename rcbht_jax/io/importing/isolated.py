@@ -20,13 +20,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock, Timer
+from threading import Event, Lock, Timer
 from typing import Any
 
 import numpy as np
 
 from rcbht_jax._util.optional import MissingPackage
-from rcbht_jax._util.untrusted import DECODER_PATIENCE, check_file, decoder_limits
+from rcbht_jax._util.untrusted import DECODER_PATIENCE, DECODER_START, check_file, decoder_limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.table import Table
 
@@ -54,7 +54,7 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
     with tempfile.TemporaryDirectory() as folder:
         request = {
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
-            "name": name, "out": folder, "memory": memory, "seconds": seconds,
+            "name": name, "out": folder, "memory": memory,
         }  # fmt: skip
         said = _decoder(os.getpid()).ask(path, request, seconds)
         if "missing" in said:
@@ -62,7 +62,8 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
         if "error" in said:
             raise InputError(said["error"])
         for number, table in enumerate(said["tables"]):
-            columns = {key: np.load(Path(folder, f"{number}-{k}.npy")) for k, key in enumerate(table["columns"])}
+            files = {key: Path(folder, f"{number}-{k}.npy") for k, key in enumerate(table["columns"])}
+            columns = {key: np.load(file, allow_pickle=False) for key, file in files.items()}
             intervals = tuple(map(tuple, table["intervals"]))
             yield Table(**{**table, "columns": columns, "intervals": intervals, "notes": tuple(table["notes"])})
 
@@ -73,6 +74,7 @@ class _Decoder:
     def __init__(self) -> None:
         self._lock = Lock()
         self._child: subprocess.Popen[bytes] | None = None
+        self._known = set[str]()  # what it has decoded before
 
     def ask(self, path: Path, request: dict[str, Any], seconds: float) -> dict[str, Any]:
         """The child's answer.
@@ -84,7 +86,17 @@ class _Decoder:
             child = self._child = self._child or _begun()
             assert child.stdin
             assert child.stdout
-            timer = Timer(max(DECODER_PATIENCE * seconds, 60), child.kill)
+            if request["decode"] not in self._known:
+                self._known.add(request["decode"])
+                seconds += DECODER_START
+            request = {**request, "seconds": seconds}
+            patience, late = max(10 * seconds, DECODER_PATIENCE), Event()
+
+            def give_up() -> None:
+                late.set()
+                child.kill()
+
+            timer = Timer(patience, give_up)
             timer.start()
             try:
                 with suppress(BrokenPipeError):
@@ -99,6 +111,8 @@ class _Decoder:
             if line.endswith(b"\n"):
                 return json.loads(line)
             status = self._end()
+            if late.is_set():  # the processor had time left: that says nothing of the file
+                raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")
             how = f"was stopped after {seconds:.0f} s" if status in _STOPPED else f"crashed (status {status})"
             raise InputError(f"{path} is damaged: what decodes such files {how}.")
 
@@ -109,6 +123,7 @@ class _Decoder:
 
     def _end(self) -> int:
         child, self._child = self._child, None
+        self._known.clear()
         if child is None:
             return 0
         child.kill()  # nothing, if it has crashed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import shutil
 import struct
 import subprocess
 import sys
@@ -26,9 +27,11 @@ from rosbags.rosbag2 import storage_mcap
 from rosbags.typesys import Stores, get_typestore
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.rosbags import McapWriter
+from tests.attacks.folders import recordings
 from tests.io.importing.test_readers import TIME, WRENCH, write_ros1
 
 SECONDS = 2.0
@@ -222,6 +225,7 @@ from pathlib import Path
 import jax, pyarrow.parquet, scipy.io, scipy.signal
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import arrays, columnar
+from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import read_source
 import rcbht_jax.io.importing.bags
 try: import h5py
@@ -297,6 +301,55 @@ def test_pipes_and_devices_are_no_files(tmp_path: Path) -> None:
     (tmp_path / "gone.csv").symlink_to(tmp_path / "nowhere")
     with pytest.raises(InputError, match="gone"):
         read_source(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_links_out_of_the_folder_are_not_followed(suffix: str, tmp_path: Path) -> None:
+    """Nor is a file whose folder is such a link; whoever names a link as the source means it."""
+    (tmp_path / "runs" / "more").mkdir(parents=True)
+    (tmp_path / f"secret{suffix}").write_bytes(VALID.get(suffix, lambda: b"root:hash")())
+    (tmp_path / "runs" / "a.csv").write_bytes(csv())
+    (tmp_path / "runs" / "more" / f"b{suffix}").symlink_to(tmp_path / f"secret{suffix}")
+    (tmp_path / "runs" / "inside.csv").symlink_to("a.csv")
+    (tmp_path / "source").symlink_to("runs")
+    imported = read_source(tmp_path / "source", keep_copies=True)
+    assert imported.recordings.trial.tolist() == ["a", "inside"]
+    [(name, reason)] = imported.report.skipped
+    assert name == f"more/b{suffix}"
+    assert "is a link out of" in reason
+    if suffix in VALID:
+        read_source(tmp_path / "runs" / "more" / f"b{suffix}")
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap", "lerobot", "bag"])
+def test_links_out_of_a_folder_that_is_one_thing_are_not_followed(kind: str, tmp_path: Path) -> None:
+    """An export, a LeRobot data set, a bag of ROS 2: all of it is inside, or nothing is read."""
+    good = tmp_path / "good"
+    if kind == "bag":
+        good.mkdir()
+        (good / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    else:
+        export(DataSet.of(recordings()), good, kind)
+    for number, path in enumerate(sorted(good.rglob("*"))):
+        copy = tmp_path / f"copy-{number}"
+        shutil.copytree(good, copy)
+        (copy / path.relative_to(good)).rename(tmp_path / f"out-{number}")
+        (copy / path.relative_to(good)).symlink_to(tmp_path / f"out-{number}")
+        with pytest.raises(InputError, match="is a link out of"):
+            read_source(copy)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 3e38])
+def test_an_export_whose_numbers_are_none_is_refused(value: float, tmp_path: Path) -> None:
+    """Parquet has no checksums: a changed value may be one that no store takes."""
+    export(DataSet.of(recordings()), tmp_path / "good", "parquet")
+    table = pq.read_table(tmp_path / "good" / "wrench.parquet")
+    column = table.column("Fz").to_numpy().copy()
+    column[3] = value
+    at = table.column_names.index("Fz")
+    pq.write_table(table.set_column(at, "Fz", pa.array(column)), tmp_path / "good" / "wrench.parquet")
+    with pytest.raises(InputError, match="good is damaged: recording 0"):
+        read_source(tmp_path / "good")
 
 
 class _Opened:

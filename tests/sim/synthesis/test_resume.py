@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from rcbht_jax.io.store import read_attrs
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import Scenario
-from sim_mjx.synthesis import claims, plan, shards
+from sim_mjx.synthesis import claims, descriptions, plan, shards
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.synthesis.workers import SynthesisProgress
@@ -203,7 +204,9 @@ def damage(place: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["cut", "flip", "empty"])
-@pytest.mark.parametrize("where", ["wrench/c/1", "length/c/1", "simulation/seated/c/1", "part_sha256/c/1"])
+@pytest.mark.parametrize(
+    "where", [f"{name}/c/1" for name in ("wrench", "length", "simulation/seated", "part_sha256", "part_summary")]
+)
 def test_a_damaged_shard_is_made_again(where: str, how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
     target = tmp_path / "t.zarr"
     interrupted(target, SMALL, after=2)
@@ -221,12 +224,15 @@ def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
     assert tree(target) == tree(tmp_path / "once.zarr")
 
 
-@pytest.mark.parametrize("how", ["cut", "empty"])
-def test_a_store_whose_metadata_are_lost_is_begun_anew(how: str, whole: dict[str, bytes], tmp_path: Path) -> None:
-    target = tmp_path / "t.zarr"
+@pytest.mark.parametrize(
+    ("where", "how"), [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
+)
+def test_a_store_whose_metadata_are_lost_is_begun_anew(
+    damaged: tuple[str, str], whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    target, (where, how) = tmp_path / "t.zarr", damaged
     interrupted(target, SMALL, after=2)
-    root = shards.store_of(shards.folder_of(target)) / "zarr.json"
-    root.write_bytes(root.read_bytes()[: 40 if how == "cut" else 0])
+    damage(shards.store_of(shards.folder_of(target)) / where, how)
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
     assert tree(target) == whole
 
@@ -304,6 +310,47 @@ def test_a_damaged_description_of_an_array_begins_anew(
     metadata.unlink()
     damage(metadata, content)
     assert not metadata.is_file() or metadata.read_bytes() != content
+    assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
+    assert tree(target) == whole
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A work folder with one shard, with labels."""
+    target = tmp_path_factory.mktemp("growing") / "t.zarr"
+    interrupted(target, replace(SMALL, window=5))
+    return shards.folder_of(target)
+
+
+@pytest.mark.parametrize("group", [".", "columns", "annotations", "simulation", "labels/online-W5", "labels"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        replaced(b'"attributes": {', b'"attributes": {"evil": 1, '), replaced(b'"zarr_format": 3', b'"zarr_format": 2'),
+        lambda path, _: path.write_text("[1]"), lambda path, _: os.mkfifo(path), lambda path, _: None,
+    ],
+)  # fmt: skip
+def test_damaged_descriptions_of_groups_are_noticed(
+    group: str, damage: Callable[[Path, bytes], object], growing: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(growing, tmp_path / growing.name)
+    assert descriptions.are_intact(folder, shards.store_of(folder))
+    metadata = shards.store_of(folder) / group / "zarr.json"
+    content = metadata.read_bytes()
+    metadata.unlink()
+    damage(metadata, content)
+    assert not descriptions.are_intact(folder, shards.store_of(folder))
+
+
+@pytest.mark.parametrize("changed", ['"dt": 0.005', '"rows": 12', '"part_rows": 5', '"created": "undated"'])
+def test_a_store_with_changed_attributes_is_begun_anew(changed: str, whole: dict[str, bytes], tmp_path: Path) -> None:
+    """Readers would believe them; the store would not be the same bytes."""
+    target = tmp_path / "t.zarr"
+    interrupted(target, SMALL)
+    root = shards.store_of(shards.folder_of(target)) / "zarr.json"
+    text = root.read_text()
+    assert text.count(changed) == 1
+    root.write_text(text.replace(changed, changed[:-1] + "9" + changed[-1:]))
     assert synthesise(target, SMALL, simulate=fake_engine).resumed == 0
     assert tree(target) == whole
 
