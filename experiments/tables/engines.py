@@ -172,11 +172,8 @@ def step(result: Result) -> str:
 def step_kernels(result: Result) -> str:
     """Kernels of a physics step by what they do."""
     rows = result["traced"]["kinds"]
-    total = sum(row["us"] for row in rows.values())
-    lines = [
-        (kind, f"{row['us']:.0f}", f"{row['us'] / total:.0%}", f"{row['launches']:.0f}") for kind, row in rows.items()
-    ]
-    return markdown(("kernels", "microseconds", "share", "launches"), lines)
+    lines = [(kind, f"{row['us']:.1f}", f"{row['launches']:.0f}") for kind, row in rows.items()]
+    return markdown(("kernels", "microseconds", "launches"), lines)
 
 
 @table("large-store-read", "large_store")
