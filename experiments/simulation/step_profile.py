@@ -100,7 +100,8 @@ def by_kind(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
         kind = kind if place < SHOWN else OTHERS
         for key, value in row.items():
             sums[kind][key] = round(sums[kind][key] + value, 2)
-    return sums
+    total = sum(row["us"] for row in sums.values())
+    return {kind: row | {"share": round(row["us"] / total, 3)} for kind, row in sums.items()}
 
 
 def main() -> None:

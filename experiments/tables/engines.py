@@ -172,8 +172,8 @@ def step(result: Result) -> str:
 def step_kernels(result: Result) -> str:
     """Kernels of a physics step by what they do."""
     rows = result["traced"]["kinds"]
-    lines = [(kind, f"{row['us']:.1f}", f"{row['launches']:.0f}") for kind, row in rows.items()]
-    return markdown(("kernels", "microseconds", "launches"), lines)
+    lines = [(kind, f"{row['us']:.0f}", f"{row['share']:.3f}", f"{row['launches']:.0f}") for kind, row in rows.items()]
+    return markdown(("kernels", "microseconds", "share", "launches"), lines)
 
 
 @table("large-store-read", "large_store")

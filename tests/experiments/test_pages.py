@@ -142,7 +142,7 @@ CELLS = [
     ("large-store-worked", "16,000", "encode, GB", ".2f large_store > worked > 16000 > encode_GB"),
     ("repeatability", "`warp`, again", "same outcome", "d repeatability > engines > warp > again > same_outcome"),
     ("step", "8,192", "a step, ms", ".2f step_profile > lanes > 8192 > ms"),
-    ("step-kernels", "solver", "microseconds", ".1f step_profile > traced > kinds > solver > us"),
+    ("step-kernels", "solver", "share", ".3f step_profile > traced > kinds > solver > share"),
     ("encoder-speed", "8,192 | 5", "billion samples a second",
      ".2f/1e9 encoder_speed > windows > W5 > 8192 > time first > samples_per_s"),
     ("sim-to-real", "main: without preset A", "4 states, A",

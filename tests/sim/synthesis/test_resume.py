@@ -225,7 +225,7 @@ def test_damaged_labels_are_made_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("where", "how"), [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
+    "damaged", [("zarr.json", "cut"), ("zarr.json", "empty"), ("dt/c", "flip"), ("axis/c", "flip")]
 )
 def test_a_store_whose_metadata_are_lost_is_begun_anew(
     damaged: tuple[str, str], whole: dict[str, bytes], tmp_path: Path
