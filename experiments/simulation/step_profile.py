@@ -21,6 +21,7 @@ import tyro
 
 from experiments._lib.results_io import write_result
 from experiments.simulation.engines import SEED, trials_of
+from sim_mjx.assembly.rollout import as_float32
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import device, lanes
 
@@ -41,15 +42,11 @@ KINDS = {  # of kernels, by what their names contain; the first that fits
 def begun(count: int) -> tuple[Any, ...]:
     """Compiled programs and the state of lanes in which trials begin."""
     scene, params = one_arm(), trials_of(count, LONGEST)
-    fixed = device.Fixed(*_arguments(scene, params, count))
+    model, empty = device.put_scene(scene, count, "warp")
+    fields, params = jax.device_put((device.fields_of(scene, params), as_float32(params)))
+    fixed = device.Fixed(model, fields, params, empty)
     layout, programs = device.layout_of(scene), lanes._programs(jax.default_backend())
     return programs.stretch, layout, fixed, programs.start(layout, fixed)
-
-
-def _arguments(scene: Any, params: Any, count: int) -> tuple[Any, ...]:
-    model, empty = device.put_scene(scene, count, "warp")
-    fields = jax.device_put(device.fields_of(scene, params))
-    return model, fields, lanes.as_float32(params), empty
 
 
 def speed(count: int) -> tuple[dict[str, float], tuple[Any, ...]]:
@@ -66,19 +63,24 @@ def speed(count: int) -> tuple[dict[str, float], tuple[Any, ...]]:
     return row, (stretch, layout, fixed, state)
 
 
-def kernels(stretch: Any, layout: device.Layout, fixed: device.Fixed, state: Any) -> dict[str, Any]:
-    """Microseconds and launches of a step by kernel, from the profiler's trace of one stretch."""
+def trace(stretch: Any, layout: device.Layout, fixed: device.Fixed, state: Any) -> list[dict[str, Any]]:
+    """Events of the profiler's trace of one stretch."""
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder):
             jax.block_until_ready(stretch(layout, fixed, state)[1])
         (file,) = Path(folder).rglob("*.trace.json.gz")
-        events = json.loads(gzip.decompress(file.read_bytes()))["traceEvents"]
-    names = {(one["pid"], one.get("tid"), one["name"]): one["args"]["name"] for one in events if one.get("ph") == "M"}
-    steps, found = device.STRETCH * layout.substeps, defaultdict[str, list[float]](list)
-    for one in events:
-        place = names.get((one.get("pid"), None, "process_name"), "")
-        stream = names.get((one.get("pid"), one.get("tid"), "thread_name"), "")
-        if one.get("ph") == "X" and "GPU" in place and stream.startswith("Stream"):
+        events: list[dict[str, Any]] = json.loads(gzip.decompress(file.read_bytes()))["traceEvents"]
+        return events
+
+
+def kernels(events: list[dict[str, Any]], steps: int) -> dict[str, dict[str, float]]:
+    """Microseconds and launches of a step by kernel, the longest first; what the host does is left out."""
+    named = [one for one in events if one.get("ph") == "M" and "name" in one["args"]]
+    places = {one["pid"]: one["args"]["name"] for one in named if one["name"] == "process_name"}
+    streams = {(one["pid"], one["tid"]): one["args"]["name"] for one in named if one["name"] == "thread_name"}
+    found = defaultdict[str, list[float]](list)
+    for one in (one for one in events if one.get("ph") == "X" and "GPU" in places[one["pid"]]):
+        if streams.get((one["pid"], one["tid"]), "").startswith("Stream"):
             found[_name(one["name"])].append(one["dur"])
     rows = {
         name: {"us": round(sum(took) / steps, 2), "launches": round(len(took) / steps, 2)}
@@ -110,7 +112,7 @@ def main() -> None:
     for count in COUNTS:
         out["lanes"][str(count)], at = speed(count)
         if count == TRACED:
-            rows = kernels(*at)
+            rows = kernels(trace(*at), device.STRETCH * at[1].substeps)
             longest = dict(list(rows.items())[:SHOWN])
             out["traced"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
     write_result("step_profile", "python -m experiments.simulation.step_profile", out, seed=SEED)
