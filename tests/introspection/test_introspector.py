@@ -13,6 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.encoding import stream as stream_module
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import (
@@ -112,10 +115,32 @@ def test_wrong_samples_are_refused_and_change_nothing():
     introspector, clean = Introspector(model()), Introspector(model())
     signal = trial(1, 3, 200)
     events, expected = introspector.push(signal[:103]), clean.push(signal[:103])
-    for wrong in (np.zeros(6), np.zeros((3, 5)), np.full((2, 6), np.nan), np.full((1, 6), np.inf)):
+    for wrong in (
+        np.zeros(6),
+        np.zeros((3, 5)),
+        np.full((2, 6), np.nan),
+        np.full((1, 6), np.inf),
+        np.full((1, 6), 3e38),
+    ):
         with pytest.raises(InputError):
             introspector.push(wrong)
     assert events + introspector.push(signal[103:]) == expected + clean.push(signal[103:])
+
+
+@pytest.mark.parametrize("make", [lambda: Introspector(model()), lambda: Encoder(EncoderConfig(), preset())])
+def test_more_samples_than_can_be_counted_are_refused(make, monkeypatch):
+    """Samples are counted in 32 bits; beyond, labels and beliefs would be wrong without a word."""
+    monkeypatch.setattr(stream_module, "MOST_SAMPLES", 150)
+    stream, signal = make(), trial(1, 3, 200)
+    stream.push(signal[:103])
+    with pytest.raises(InputError, match="More than 150 samples"):
+        stream.push(signal[103:151])
+    stream.push(signal[103:150])
+    assert stream.received == 150
+    with pytest.raises(InputError, match="start a new one"):
+        stream.push(signal[150:151])
+    (stream.restart if isinstance(stream, Encoder) else stream.reset)()
+    stream.push(signal[:150])
 
 
 @pytest.mark.parametrize(
