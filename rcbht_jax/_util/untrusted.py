@@ -173,16 +173,21 @@ def parse_json(text: str | bytes, finite: bool = True) -> Any:
     [1, 2.5, 'NaN']
 
     Raises:
-        ValueError: it is not JSON, is nested too deeply, or, where numbers must be ``finite``, one is not.
+        ValueError: it is not JSON, is nested too deeply, holds text that is not valid Unicode, or, where numbers must
+            be ``finite``, one is not.
     """
     try:
-        return (
+        value = (
             json.loads(text, parse_constant=_refused, parse_float=_finite, parse_int=_whole)
             if finite
             else json.loads(text)
         )
+        json.dumps(value, ensure_ascii=False).encode()  # half a surrogate pair could never be written
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+    except UnicodeEncodeError:
+        raise ValueError("it holds text that is not valid Unicode") from None
+    return value
 
 
 def load_json(path: Path, finite: bool = True) -> Any:
