@@ -19,7 +19,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
 
 _unpack = jax.jit(unpack)
-BLOCK = 128  # most windows in one call of a compiled loop
+BLOCK = 64  # most windows in one call of a compiled loop
 
 StraightLines = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]
 
@@ -193,7 +193,7 @@ class Encoder:
             if len(windows):
                 count = len(windows)
                 block = np.concatenate([windows, np.zeros((BLOCK - count, *windows.shape[1:]), windows.dtype)])
-                self._state, out = _lines(config, self._limits, self._state, jnp.array(block), jnp.int32(count))
+                self._state, out = _lines(config, self._limits, self._state, block, np.int32(count))
                 yield jax.tree.map(lambda rows, count=count: np.asarray(rows)[:count], out)
 
     def peek(self) -> LabelTracks:

@@ -153,7 +153,8 @@ def steps(
     """
     new, now = words.t1 > words.t0, running.t1
     lines = _remembered(state.lines, words, new)
-    by_run, by_words = _released(config, dt, sizes, lines.after(running)), _released(config, dt, sizes, lines)
+    by_run = _released(config, dt, sizes, lines.after(running))
+    by_words = _released(config, dt, sizes, lines) if new.any() else by_run
     sure = new & by_words.seen
     rest, first, published, when = _in_turn(config, dt, state, now, sure | by_run.seen, sure)
     said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
