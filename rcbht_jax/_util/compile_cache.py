@@ -21,15 +21,20 @@ def use(folder: Path | None = None) -> None:
     """Store the programs that this process compiles from now on, and load stored ones.
 
     Args:
-        folder: created if it does not exist; default :func:`default_folder`. It may be deleted at any time.
+        folder: created if it does not exist; default :func:`default_folder`, and no cache where that cannot be
+            created. It may be deleted at any time.
 
     Raises:
-        InputError: the folder cannot be created.
+        InputError: the folder that was named cannot be created.
     """
-    folder = default_folder() if folder is None else folder
+    named = folder
     try:
+        folder = named or default_folder()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"The folder {folder} for compiled programs cannot be created: {error.strerror}.") from error
+    except (OSError, RuntimeError) as error:  # RuntimeError: a user without a home
+        if named is None:
+            return
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"The folder {named} for compiled programs cannot be created: {reason}.") from error
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SLOW)

@@ -89,6 +89,8 @@ def check_file(path: Path, most: int = MAX_BYTES, *, empty: bool = False) -> int
 def check_inside(path: Path, root: Path) -> None:
     """Refuse what a link leads out of the folder that was given to read: its content belongs to somebody else.
 
+    A snapshot in a Hugging Face cache is made of links to the blobs of its repository, which belong to it.
+
     >>> check_inside(Path("runs/a.csv"), Path("runs"))
 
     Args:
@@ -105,15 +107,23 @@ def check_inside(path: Path, root: Path) -> None:
 
 
 def leads_out(path: Path, root: Path) -> bool:
-    """Whether a path is, or has on its way, a link out of a folder.
+    """Whether a path is, or has on its way, a link out of a folder, and of the blobs of a Hugging Face cache.
 
     >>> leads_out(Path("runs/../secret"), Path("runs"))
     True
     """
     try:
-        return not path.resolve().is_relative_to(root.resolve())
+        real, given = path.resolve(), root.resolve()
     except (OSError, RuntimeError):  # a loop of links leads nowhere
         return False
+    return not any(real.is_relative_to(place) for place in (given, *_blobs(given)))
+
+
+def _blobs(folder: Path) -> list[Path]:
+    """Where the files of a snapshot are, ``datasets--NAME/snapshots/REVISION``, if the folder is one or in one."""
+    revisions = [one for one in (folder, *folder.parents) if one.parent.name == "snapshots"]
+    repositories = [one.parent.parent for one in revisions]
+    return [one / "blobs" for one in repositories if one.name.startswith(("datasets--", "models--"))]
 
 
 def check_declared(path: Path, declared: int, size: int) -> None:
@@ -163,16 +173,21 @@ def parse_json(text: str | bytes, finite: bool = True) -> Any:
     [1, 2.5, 'NaN']
 
     Raises:
-        ValueError: it is not JSON, is nested too deeply, or, where numbers must be ``finite``, one is not.
+        ValueError: it is not JSON, is nested too deeply, holds text that is not valid Unicode, or, where numbers must
+            be ``finite``, one is not.
     """
     try:
-        return (
+        value = (
             json.loads(text, parse_constant=_refused, parse_float=_finite, parse_int=_whole)
             if finite
             else json.loads(text)
         )
+        json.dumps(value, ensure_ascii=False).encode()  # half a surrogate pair could never be written
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+    except UnicodeEncodeError:
+        raise ValueError("it holds text that is not valid Unicode") from None
+    return value
 
 
 def load_json(path: Path, finite: bool = True) -> Any:

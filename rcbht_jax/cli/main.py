@@ -100,6 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except UnicodeEncodeError as error:  # of somebody's names or remarks, on their way into a file
+        return _fail(f"A text holds {error.object[error.start : error.end]!r}, which is not valid Unicode.", 2)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return _fail(

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
-from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
+from rcbht_jax.encoding.rules import LARGEST, AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, LabelTracks
@@ -128,8 +128,11 @@ def _checked(
     if length.min() < 0 or length.max() > wrench.shape[1]:
         raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
     for index, samples in enumerate(length):
-        if not np.isfinite(wrench[index, :samples]).all():
-            raise InputError(f"Recording {index} holds values that are not finite numbers; remove or interpolate them.")
+        if not (np.abs(wrench[index, :samples]) <= LARGEST).all():  # NaN compares as false
+            raise InputError(
+                f"Recording {index} holds values that are not finite numbers, or beyond {LARGEST:g}; remove or "
+                "interpolate them."
+            )
     limits, axes = checked_limits(config, thresholds), wrench.shape[2]
     width = limits.shape[-1]
     if limits.shape not in ((axes, width), (len(length), axes, width)):

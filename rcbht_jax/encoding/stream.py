@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
-from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
+from rcbht_jax.encoding.rules import LARGEST, AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
+
+MOST_SAMPLES = 2**31 - 2**20  # of a stream without a new start: samples are counted in 32 bits
 
 _unpack = jax.jit(unpack)
 BLOCK = 64  # most windows in one call of a compiled loop
@@ -58,6 +60,7 @@ class WindowBuffer:
     def __init__(self, window: int, axes: int, dtype: type[np.floating]) -> None:
         self.samples: NDArray[np.floating] = np.zeros((window, axes), dtype)
         self.count = 0
+        self.taken = 0  # since the stream began
 
     @property
     def room(self) -> int:
@@ -68,13 +71,20 @@ class WindowBuffer:
         """Samples ``[time, axis]`` in the dtype of the buffer.
 
         Raises:
-            InputError: wrong shape, or a value that is not finite.
+            InputError: wrong shape, a value that is not finite, or beyond ``LARGEST``, or more samples than can be
+                counted.
         """
         chunk, axes = np.asarray(samples, self.samples.dtype), self.samples.shape[1]
         if chunk.ndim != 2 or chunk.shape[1] != axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
-        if not np.isfinite(chunk).all():
-            raise InputError("Samples hold a value that is not a finite number; nothing was consumed.")
+        if not (np.abs(chunk) <= LARGEST).all():  # NaN compares as false
+            raise InputError(
+                f"Samples hold a value that is not a finite number, or beyond {LARGEST:g}; nothing was consumed."
+            )
+        if self.taken + len(chunk) > MOST_SAMPLES:
+            raise InputError(
+                f"More than {MOST_SAMPLES} samples of one stream cannot be counted; start a new one. None was consumed."
+            )
         return chunk
 
     def fill(self, chunk: NDArray[np.floating], most: int) -> NDArray[np.floating]:
@@ -82,6 +92,7 @@ class WindowBuffer:
         part = chunk[: min(most, self.room)]
         self.samples[self.count : self.count + len(part)] = part
         self.count += len(part)
+        self.taken += len(part)
         return chunk[len(part) :]
 
     def complete(self, chunk: NDArray[np.floating], most: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -92,7 +103,7 @@ class WindowBuffer:
             return np.zeros((0, length, axes), self.samples.dtype), self.fill(chunk, length)
         used = whole * length - self.count
         windows = np.concatenate([self.samples[: self.count], chunk[:used]]).reshape(whole, length, axes)
-        self.count = 0
+        self.count, self.taken = 0, self.taken + used
         return windows, chunk[used:]
 
 
@@ -148,7 +159,8 @@ class Encoder:
         """Feed samples ``[time, axis]`` of any number; one entry per window that they complete.
 
         Raises:
-            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         return list(self.windows(samples))
 
@@ -209,4 +221,4 @@ class Encoder:
     def restart(self) -> None:
         """Start a new stream; what is still held is forgotten."""
         self._state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
-        self._buffer.count = 0
+        self._buffer.count = self._buffer.taken = 0

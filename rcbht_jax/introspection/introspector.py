@@ -247,7 +247,8 @@ class Introspector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         chunk = self._buffer.checked(samples)
         events: list[Event] = []

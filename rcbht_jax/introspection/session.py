@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+from rcbht_jax.encoding.stream import MOST_SAMPLES
 from rcbht_jax.events import Event, Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
@@ -15,7 +16,6 @@ from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
-MOST_SAMPLES = 2**31 - 2**20  # without a new start: the encoder counts in 32 bits
 LONGEST_PAUSE = 10.0  # s of waiting: beyond it the source's clock has jumped
 
 

@@ -353,7 +353,8 @@ class SnapDetector:
             time: stamp of the last of them, s; None = samples received x period.
 
         Raises:
-            InputError: wrong shape, or a value that is not finite; then nothing is consumed.
+            InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
+                :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         blocks = self._encoder.lines(samples)
         self._received += len(np.asarray(samples))

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 
+from rcbht_jax.encoding.rules import LARGEST
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 
@@ -15,7 +16,6 @@ VARIABLES: dict[str, str] = {
     "session": "string", "outcome": "string", "note": "string",
 }  # fmt: skip
 SHORTEST, LONGEST = 1e-9, 1e6  # s between samples: beyond these it is another unit
-LARGEST = 1e30  # in any unit: sums over hours stay far from the largest single precision number
 NAME = re.compile(r"[^\W\d][\w.-]*")  # of a column
 
 

@@ -19,6 +19,7 @@ from typing import Any, Protocol, runtime_checkable
 from rcbht_jax._util.untrusted import MAX_LINE
 from rcbht_jax.errors import InputError
 
+LONGEST_SILENCE = 1e9  # s: a thread cannot wait for more than some 9e9
 _AXES = ("x", "y", "z")
 
 
@@ -168,10 +169,12 @@ def read_live(source: LineReader, silent: float = 1.0) -> Iterator[Message]:
     """Messages of ``source``, and :class:`Silence` each time nothing has arrived for ``silent`` seconds.
 
     Raises:
-        InputError: ``silent`` is not positive.
+        InputError: ``silent`` is not positive, or longer than clocks count.
     """
-    if not 0 < silent < float("inf"):
-        raise InputError(f"The silence is {silent} s; expected a positive number of seconds.")
+    if not 0 < silent <= LONGEST_SILENCE:
+        raise InputError(
+            f"The silence is {silent} s; expected a positive number of seconds, at most {LONGEST_SILENCE:g}."
+        )
     ready: queue.Queue[Message | BaseException | None] = queue.Queue(_BACKLOG)
 
     def read() -> None:

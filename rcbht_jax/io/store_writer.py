@@ -37,7 +37,7 @@ from rcbht_jax.io.store_schema import (
     schema_of,
     values_of,
 )
-from rcbht_jax.io.summary import summary_of
+from rcbht_jax.io.summary import COUNTING, summary_of
 from rcbht_jax.types import Recordings
 
 with needs_extra("store"):
@@ -103,7 +103,7 @@ def write_part(
         parts.seal(path / SIMULATION, number, parts.digest_of(simulation, schema.simulation))
     values = values_of(recordings)
     parts.write(path, schema.layout, number, schema.fields, values)
-    text = np.array([json.dumps(summary_of(recordings))])
+    text = np.array([json.dumps({"counting": COUNTING, **summary_of(recordings)})])
     single = parts.Layout(len(schema.layout), 1)
     parts.write_array(zarr_io.open_group(path, "r+"), SUMMARIES, single, number, parts.Field("string"), text)
     parts.seal(path, number, part_digest(values, schema.fields))

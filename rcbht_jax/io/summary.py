@@ -10,6 +10,8 @@ import numpy as np
 
 from rcbht_jax.types import Recordings
 
+# What is counted, noted in "counting" of each part: raise it when that changes. Counts of another number are believed.
+COUNTING = 1
 MOST_TEXTS = 1000  # different ones in a column of one part; beyond, they are not counted
 
 Summary = dict[str, Any]  # of JSON values

@@ -22,7 +22,7 @@ from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.assembly.sensor import SensorParams
+from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
 
 Group = TypeVar("Group", PartParams, SensorParams)
 Physical = tuple[tuple[str, float], ...]  # name, value; hashable
@@ -32,7 +32,7 @@ FORMAT = "rcbht-physical"
 
 
 def check(physical: Physical) -> None:
-    """Refuse a name that means nothing or a value that is no number.
+    """Refuse a name that means nothing, a value that is no number, or a delay that the sensor cannot have.
 
     Raises:
         InputError: which one, and what there is.
@@ -44,6 +44,10 @@ def check(physical: Physical) -> None:
             raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
         if not math.isfinite(value):
             raise InputError(f"The physical parameter {name} is {value}; expected a finite number.")
+        if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped without a word
+            raise InputError(
+                f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."
+            )
 
 
 def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:

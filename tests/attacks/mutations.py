@@ -27,6 +27,7 @@ VALUES: tuple[Any, ...] = (
     [[]],
     {"a": 1},
     "NaN",
+    "\ud800",
     "9" * 400,
     *NUMBERS,
 )

@@ -33,7 +33,9 @@ from rcbht_jax.learning import model_io
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.report.results import SCHEMA, read_results
+from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization import overrides
+from sim_mjx.randomization.trials import DomainRandomization, sample
 from tests.attacks import mutations
 from tests.support.store_cases import simple
 
@@ -84,9 +86,9 @@ def _read_good(reader: Reader, good: Path) -> Any:
 
 
 def numbers_of(value: Any) -> Iterator[float]:
-    """All numbers in nested values."""
+    """All numbers in nested values; a text that could not be written counts as NaN."""
     if isinstance(value, dict):
-        for one in value.values():
+        for one in (*value, *value.values()):
             yield from numbers_of(one)
     elif isinstance(value, list | tuple):
         for one in value:
@@ -96,13 +98,15 @@ def numbers_of(value: Any) -> Iterator[float]:
             yield from value.ravel().tolist()
     elif isinstance(value, float):
         yield value
+    elif isinstance(value, str):
+        yield float("nan") if any("\ud800" <= letter <= "\udfff" for letter in value) else 0.0
     elif hasattr(value, "__dataclass_fields__"):
         yield from numbers_of({name: getattr(value, name) for name in value.__dataclass_fields__})
 
 
 def finite(_: Any, found: Any) -> str:
-    """No number that was read is NaN or infinite."""
-    return "" if np.isfinite(list(numbers_of(found))).all() else "a number is not finite"
+    """No number that was read is NaN or infinite, and no text half a surrogate pair."""
+    return "" if np.isfinite(list(numbers_of(found))).all() else "a number is not finite, or a text not Unicode"
 
 
 def equal(good: Any, found: Any) -> str:
@@ -208,6 +212,14 @@ def _make_dat(path: Path) -> None:
     path.write_text("\n".join("\t".join(f"{value:.6f}" for value in row) for row in _rows()[1].tolist()) + "\n")
 
 
+def _simulated(path: Path) -> Any:
+    """What parameters of a file make of a trial."""
+    physical = overrides.read(path)
+    scenario, _ = sample(preset_of("A"), 0, 0, DomainRandomization(physical=physical))
+    return [list(physical), np.asarray(scenario.sensor.delay)]
+
+
+PHYSICAL = {"parts.tab_stiffness": 1.0, "sensor.delay": 6.0}
 READERS = (
     Reader("model", _make_model, models.load, mutations.damaged_archive, finite),
     Reader("classifier", _make_classifier, model_io.load, mutations.damaged_archive, finite),
@@ -217,8 +229,8 @@ READERS = (
            read_mapping, mutations.damaged_text),
     Reader("checkpoint.json", lambda path: checkpoint.save(path, {"seed": 1}, [1.0, None]),
            lambda path: checkpoint.load(path, {"seed": 1}), mutations.damaged_json_text),
-    Reader("physical.json", lambda path: overrides.write(path, {"parts.tab_stiffness": 1.0}, {}), overrides.read,
-           mutations.damaged_json_text, finite),
+    Reader("physical.json", lambda path: overrides.write(path, PHYSICAL, {}), _simulated, mutations.damaged_json_text,
+           finite),
     Reader("results", _make_results, read_results, None, finite),
     Reader("store.zarr", lambda path: write_recordings(path, simple(3, 30), {}), _store, None, equal),
     Reader("bag.mcap", _make_mcap, lambda path: list(read_bag(path)), mutations.damaged, _told),

@@ -161,3 +161,17 @@ def test_names_that_a_terminal_cannot_show_are_spelled_out(tmp_path: Path) -> No
     assert run.returncode == 2
     assert rb"Gr\xf6\xdfe" in run.stderr
     assert b"Traceback" not in run.stderr
+
+
+def test_text_that_cannot_be_written_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half a surrogate pair in somebody's names, wherever on its way into a file it is noticed."""
+
+    def write(words: list[str]) -> int:
+        "a\ud800b".encode()
+        return 0
+
+    monkeypatch.setattr(main, "_dispatch", write)
+    assert main.main(["info"]) == 2
+    assert capsys.readouterr().err == "rcbht: A text holds '\\ud800', which is not valid Unicode.\n"

@@ -13,6 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.encoding import stream as stream_module
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import (
@@ -28,6 +31,8 @@ from rcbht_jax.introspection import model as model_files
 from rcbht_jax.introspection.alarms import Alarm, Confidence
 from rcbht_jax.introspection.chain import online_features
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.snaps import SnapDetector
+from rcbht_jax.labels import AXES
 from rcbht_jax.learning.model_io import write_archive
 from tests.support.introspection_models import BY_PROGRESS, CONFIG, VIEW, model, trial
 
@@ -112,10 +117,38 @@ def test_wrong_samples_are_refused_and_change_nothing():
     introspector, clean = Introspector(model()), Introspector(model())
     signal = trial(1, 3, 200)
     events, expected = introspector.push(signal[:103]), clean.push(signal[:103])
-    for wrong in (np.zeros(6), np.zeros((3, 5)), np.full((2, 6), np.nan), np.full((1, 6), np.inf)):
+    for wrong in (
+        np.zeros(6),
+        np.zeros((3, 5)),
+        np.full((2, 6), np.nan),
+        np.full((1, 6), np.inf),
+        np.full((1, 6), 3e38),
+    ):
         with pytest.raises(InputError):
             introspector.push(wrong)
     assert events + introspector.push(signal[103:]) == expected + clean.push(signal[103:])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Introspector(model()),
+        lambda: Encoder(EncoderConfig(), preset()),
+        lambda: SnapDetector(200.0, AXES, 5.0, tolerance=[0.1] * 6),
+    ],
+)
+def test_more_samples_than_can_be_counted_are_refused(make, monkeypatch):
+    """Samples are counted in 32 bits; beyond, labels and beliefs would be wrong without a word."""
+    monkeypatch.setattr(stream_module, "MOST_SAMPLES", 150)
+    stream, signal = make(), trial(1, 3, 200)
+    stream.push(signal[:103])
+    with pytest.raises(InputError, match="More than 150 samples"):
+        stream.push(signal[103:151])
+    stream.push(signal[103:150])
+    with pytest.raises(InputError, match="start a new one"):
+        stream.push(signal[150:151])
+    (stream.restart if isinstance(stream, Encoder) else stream.reset)()
+    stream.push(signal[:150])
 
 
 @pytest.mark.parametrize(

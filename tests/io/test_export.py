@@ -275,6 +275,14 @@ def test_lerobot_refuses_a_broken_rate(tmp_path: Path) -> None:
     folder_is_clean(tmp_path)
 
 
+@pytest.mark.parametrize("field", ["attrs", "tracks_attrs"])
+def test_an_origin_that_cannot_be_written_is_one_sentence(field: str, tmp_path: Path) -> None:
+    odd = dataclasses.replace(DataSet.of(simple()), **{field: {"note": "half a pair: \ud800"}})
+    with pytest.raises(InputError, match="not valid Unicode"):
+        export(odd, tmp_path / "out", "csv")
+    folder_is_clean(tmp_path)
+
+
 @pytest.mark.parametrize("kind", FORMATS)
 def test_nothing_is_replaced_and_nothing_is_half_written(
     kind: str, data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

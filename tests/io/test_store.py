@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import shutil
@@ -23,8 +24,9 @@ from hypothesis import given
 
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import parts, store
+from rcbht_jax.io import parts, store, store_reader
 from rcbht_jax.io import zarr as zarr_io
+from rcbht_jax.io.summary import COUNTING
 from rcbht_jax.labels import AXES
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
@@ -189,7 +191,7 @@ import os, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from tests.io.test_store import simple
-from rcbht_jax.io import parts, store
+from rcbht_jax.io import parts, store, store_reader
 real, count = parts.write_array, []
 def dying(*args):
     count.append(1)
@@ -258,6 +260,21 @@ def test_counts_of_other_recordings_are_found(path: Path) -> None:
             store.verify(path)
     counts[0] = text
     store.verify(path)
+
+
+def test_counts_of_another_version_are_not_compared(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A later program that counts something else finds no damage; the first stores said nothing of what they count."""
+    counts: Any = zarr.open_group(path, mode="r+")["part_summary"]
+    first = json.loads(str(counts[0]))
+    assert first.pop("counting") == COUNTING
+    counts[0] = json.dumps(first)
+    store.verify(path)
+    monkeypatch.setattr(store_reader, "COUNTING", COUNTING + 1)
+    monkeypatch.setattr(store_reader, "summary_of", lambda recordings: {"other": 1})
+    store.verify(path)
+    counts[0] = json.dumps({"counting": COUNTING + 1, **first})
+    with pytest.raises(InputError, match="what is counted in part 0"):
+        store.verify(path)
 
 
 def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:

@@ -18,7 +18,17 @@ from rcbht_jax.introspection import session as session_module
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.session import Session, paced
-from rcbht_jax.io.messages import Begin, Malformed, Reset, Sample, Silence, parse, read_lines, read_live
+from rcbht_jax.io.messages import (
+    LONGEST_SILENCE,
+    Begin,
+    Malformed,
+    Reset,
+    Sample,
+    Silence,
+    parse,
+    read_lines,
+    read_live,
+)
 from rcbht_jax.io.playback import read_folder, read_store
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from tests.support.introspection_models import model, trial
@@ -276,8 +286,10 @@ def test_silence_of_a_live_source():
     said = list(read_live(Slow(), 0.1))
     assert [type(m) for m in said if not isinstance(m, Silence)] == [Begin, Reset]
     assert 1 <= said.count(Silence(0.1)) <= 2
-    with pytest.raises(InputError):
-        list(read_live(Slow(), 0.0))
+    assert len(list(read_live(Slow(), LONGEST_SILENCE))) == 2
+    for seconds in (0.0, math.nan, math.inf, 1e300):
+        with pytest.raises(InputError, match="The silence is"):
+            list(read_live(Slow(), seconds))
 
 
 # --- recordings ------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
 from rcbht_jax._util import compile_cache
@@ -41,6 +42,19 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be created"):
         compile_cache.use(tmp_path / "file" / "cache")
+
+
+@pytest.mark.parametrize("home", ["file", ""])
+def test_without_a_writable_home_there_is_no_cache(home: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    (tmp_path / "file").write_text("")
+    before = jax.config.jax_compilation_cache_dir
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / home) if home else "")
+    monkeypatch.setattr(Path, "home", homeless)
+    compile_cache.use()
+    assert jax.config.jax_compilation_cache_dir == before
 
 
 def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

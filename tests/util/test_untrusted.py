@@ -16,6 +16,12 @@ def test_json_of_unknown_origin(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(ValueError, match=r"."):
             load_json(path)
+    for content in (b'["\\ud800"]', b'{"\\udc00": 1}', b'["\xed\xa0\x80"]'):  # half a pair, escaped or not
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="not valid Unicode"):
+            load_json(path)
+    path.write_text('["\\ud83d\\ude00"]')
+    assert load_json(path) == ["\U0001f600"]
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match=r"."):
         load_json(path)

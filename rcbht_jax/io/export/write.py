@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -78,6 +79,10 @@ def _check_names(data: DataSet) -> None:
                 str(text).encode()
             except UnicodeEncodeError:
                 raise InputError(f"The {field} of recording {row} is {text!r}, which is not valid Unicode.") from None
+    try:
+        json.dumps([dict(data.attrs), dict(data.tracks_attrs)], ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise InputError("What the store says of its origin is not valid Unicode.") from None
 
 
 def _parquet(data: DataSet, folder: Path, progress: Progress) -> None:

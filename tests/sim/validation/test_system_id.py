@@ -154,6 +154,9 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
         (("parts.hook_overlap[2:2]", 1.0), "does not exist"),
         (("parts.friction", float("nan")), "finite number"),
         (("parts.friction", -1.0), "friction must be positive"),
+        (("sensor.delay", 1e18), "expected 0 to 11 control periods"),
+        (("sensor.delay", 12.0), "expected 0 to 11 control periods"),
+        (("sensor.delay", -1.0), "expected 0 to 11 control periods"),
     ],
 )
 def test_wrong_parameters_are_one_sentence(pair: tuple[str, float], sentence: str) -> None:
