@@ -14,10 +14,10 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
-from rcbht_jax.encoding.rules import LARGEST, AnyConfig, AnyLimits, checked_limits, rule_of
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import Array, LabelTrack, LabelTracks
+from rcbht_jax.types import LARGEST, Array, LabelTrack, LabelTracks
 
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
 _MOST_SLOTS = 128

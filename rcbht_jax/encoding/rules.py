@@ -23,7 +23,6 @@ AnyConfig = EncoderConfig | FitConfig
 AnyLimits = Thresholds | FitLimits
 
 RULES = ("paper", "fit")
-LARGEST = 1e30  # of a sample in any unit: sums over hours stay far from the largest single precision number
 AUTO = "auto"  # a tolerance that recordings tell
 
 

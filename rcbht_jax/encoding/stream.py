@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
-from rcbht_jax.encoding.rules import LARGEST, AnyConfig, AnyLimits, checked_limits, rule_of
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import Array, LabelTracks
+from rcbht_jax.types import LARGEST, Array, LabelTracks
 
 MOST_SAMPLES = 2**31 - 2**20  # of a stream without a new start: samples are counted in 32 bits
 

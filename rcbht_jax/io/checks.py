@@ -6,9 +6,8 @@ import re
 
 import numpy as np
 
-from rcbht_jax.encoding.rules import LARGEST
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import Recordings
+from rcbht_jax.types import LARGEST, Recordings
 
 # Variable of the store, which is the field of Recordings -> dtype.
 VARIABLES: dict[str, str] = {
