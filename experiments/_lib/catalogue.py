@@ -125,6 +125,10 @@ EXPERIMENTS = (
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
     Experiment("snap_needs", "simulation.snap_needs", 1, shorter=("--trials", "2"), shorter_minutes=0.3),
+    Experiment(
+        "snap_creep", "simulation.snap_creep", 9, needs=("data",), shorter_minutes=1.5,
+        shorter=("--trials", "1", "--seeds", "1", "--only", "the preset"),
+    ),
     Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment(
         "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),
