@@ -38,8 +38,9 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a process t
 def targets(paths: Iterable[Path]) -> Iterator[None]:
     """Note what is at some targets now: nothing that comes there during the block is replaced by the block.
 
-    >>> with targets([Path("states.model")]):  # doctest: +SKIP
-    ...     train_for_an_hour()  # ends with atomic_write(Path("states.model"))
+    >>> with targets([Path("states.model")]), atomic_write(Path("states.model")) as draft:  # after an hour of training
+    ...     draft.write_bytes(b"states")
+    6
     """
     token = _BEFORE.set({path: _identity(path) for path in map(_followed, paths)})
     try:
@@ -55,8 +56,9 @@ def atomic_write(path: Path, *, keep: bool = False) -> Iterator[Path]:
     Behind a link the file that it points to is replaced, so that the link stays. What is written to a device or a
     pipe is written elsewhere first, and copied there on success.
 
-    >>> with atomic_write(Path("limits.json")) as draft:  # doctest: +SKIP
+    >>> with atomic_write(Path("empty.json")) as draft:
     ...     draft.write_text("{}")
+    2
 
     Args:
         path: file to create or replace.
@@ -96,8 +98,9 @@ def atomic_lines(path: Path) -> Iterator[TextIO]:
 
     A device or a pipe gets every line at once.
 
-    >>> with atomic_lines(Path("events.jsonl")) as out:  # doctest: +SKIP
+    >>> with atomic_lines(Path("events.jsonl")) as out:
     ...     out.write("{}" + chr(10))
+    3
 
     Raises:
         InputError: as :func:`atomic_write`.
@@ -119,8 +122,9 @@ def atomic_lines(path: Path) -> Iterator[TextIO]:
 def atomic_new(path: Path) -> Iterator[Path]:
     """As :func:`atomic_write` for a file that must not exist: of several processes only one makes it.
 
-    >>> with atomic_new(Path("manifest.json")) as draft:  # doctest: +SKIP
+    >>> with atomic_new(Path("manifest.json")) as draft:
     ...     draft.write_text("{}")
+    2
 
     Raises:
         FileExistsError: ``path`` exists; it is left as it is.

@@ -44,7 +44,7 @@ def spectrum(
 ) -> Float[np.ndarray, "*batch 4"]:
     """Four limits, equally spaced from the impulse limit down to the constant one.
 
-    >>> spectrum(np.array([30.0]), np.array([3.0])).tolist()
+    >>> spectrum(np.array([30.0]), np.array([3.0])).round(6).tolist()
     [[30.0, 21.0, 12.0, 3.0]]
     """
     share = np.arange(4) / 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +13,15 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
-from rcbht_jax.encoding.fit import FitConfig, running
+from rcbht_jax.encoding.fit import FitConfig, running, step
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTracks
 
 _unpack = jax.jit(unpack)
+BLOCK = 128  # most windows in one call of a compiled loop
+
+StraightLines = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -31,9 +35,21 @@ def _flush(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, c
 
 
 @partial(jax.jit, static_argnums=0)
-def _run(config: FitConfig, state: EncoderState) -> tuple[Array, ...]:
-    t0, t1, line, _ = running(config, state)
-    return t0, t1, line.mean, line.slope
+def _lines(
+    config: FitConfig, limits: Array, state: EncoderState, windows: Float[Array, "block window axis"], count: Array
+) -> tuple[EncoderState, Any]:
+    """The first ``count`` windows: of each the word and the run as t0, t1, mean and slope ``[block, axis]``."""
+
+    def one(number: Array, carry: tuple[EncoderState, Any]) -> tuple[EncoderState, Any]:
+        state, packed = step(config, limits, carry[0], windows[number])
+        word = unpack(packed).primitive
+        t0, t1, line, _ = running(config, state)
+        now = (word.t0, word.t1, word.avg, word.grad * config.dt), (t0, t1, line.mean, line.slope)
+        return state, jax.tree.map(lambda rows, row: rows.at[number].set(row), carry[1], now)
+
+    shape = windows.shape[0], windows.shape[2]
+    whole, real = jnp.zeros(shape, jnp.int32), jnp.zeros(shape, windows.dtype)
+    return jax.lax.fori_loop(0, count, one, (state, ((whole, whole, real, real),) * 2))
 
 
 class WindowBuffer:
@@ -67,6 +83,17 @@ class WindowBuffer:
         self.samples[self.count : self.count + len(part)] = part
         self.count += len(part)
         return chunk[len(part) :]
+
+    def complete(self, chunk: NDArray[np.floating], most: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """The windows ``[window, sample, axis]`` that a chunk completes, at most so many, and the rest of it."""
+        length, axes = self.samples.shape
+        whole = min(most, (self.count + len(chunk)) // length)
+        if not whole:
+            return np.zeros((0, length, axes), self.samples.dtype), self.fill(chunk, length)
+        used = whole * length - self.count
+        windows = np.concatenate([self.samples[: self.count], chunk[:used]]).reshape(whole, length, axes)
+        self.count = 0
+        return windows, chunk[used:]
 
 
 def held(
@@ -135,16 +162,39 @@ class Encoder:
                 self._state, packed = _step(self._config, self._limits, self._state, window)
                 yield jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed))
 
-    def run(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]:
-        """Of each axis, the run that goes on: first sample, end, mean and slope per sample of its line.
+    def lines(self, samples: ArrayLike) -> Iterator[tuple[StraightLines, StraightLines]]:
+        """As :meth:`windows`, many windows at a time: the lines of their primitives, and those of the runs that go on.
+
+        Args:
+            samples: ``[time, axis]``; they are consumed while the result is iterated over.
+
+        Returns:
+            of several windows the words and the runs, each as first sample, end, mean and slope per sample
+            ``[window, axis]``; a window that published no word has one without samples.
 
         Raises:
-            InputError: the stream does not follow the fit rule, the only one with runs.
+            InputError: the stream does not follow the fit rule, the only one with runs; wrong shape, or a value that
+                is not finite.
+
+        Example:
+            >>> from rcbht_jax.encoding.tolerance import FitLimits
+            >>> encoder = Encoder(FitConfig(), FitLimits(np.array([[4.0, 3, 2, 1]]), np.array([0.1])))
+            >>> ((words, runs),) = encoder.lines(np.r_[np.zeros(20), np.arange(20)][:, None])
+            >>> words[1][:, 0].tolist(), runs[0][:, 0].tolist()
+            ([0, 0, 0, 0, 20, 0, 0, 0], [0, 0, 0, 0, 20, 20, 20, 20])
         """
         if not isinstance(self._config, FitConfig):
             raise InputError('Only words of the fit rule have a running line; choose rule="fit".')
-        t0, t1, mean, slope = jax.tree.map(np.asarray, _run(self._config, self._state))
-        return t0, t1, mean, slope
+        return self._blocks(self._config, self._buffer.checked(samples))
+
+    def _blocks(self, config: FitConfig, chunk: NDArray[np.floating]) -> Iterator[tuple[StraightLines, StraightLines]]:
+        while len(chunk):
+            windows, chunk = self._buffer.complete(chunk, BLOCK)
+            if len(windows):
+                count = len(windows)
+                block = np.concatenate([windows, np.zeros((BLOCK - count, *windows.shape[1:]), windows.dtype)])
+                self._state, out = _lines(config, self._limits, self._state, jnp.array(block), jnp.int32(count))
+                yield jax.tree.map(lambda rows, count=count: np.asarray(rows)[:count], out)
 
     def peek(self) -> LabelTracks:
         """Provisional labels as if the stream ended now; nothing changes."""

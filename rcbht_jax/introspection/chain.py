@@ -142,9 +142,9 @@ def online_features(
     >>> from rcbht_jax.encoding.thresholds import preset
     >>> view = FeatureView(FeatureSpec(("elapsed",)))
     >>> wrench = np.zeros((100, 6), np.float32)
-    >>> online_features(EncoderConfig(dt=0.01), preset(), view, wrench, np.array([0, 40]), np.array([20, 90]))
-    array([[0.2],
-           [0.5]], dtype=float32)
+    >>> begin, now = np.array([0, 40]), np.array([16, 88])
+    >>> online_features(EncoderConfig(dt=1 / 64), preset(), view, wrench, begin, now).tolist()
+    [[0.25], [0.75]]
     """
     check_online(view.spec)
     _check(wrench, begin, now)

@@ -1,7 +1,7 @@
 """Snaps on words: a force that was built up slowly and is released within a fraction of a second, as when a tab passes.
 
 Reads the lines of the fit rule's primitives, published ones and the running one, once for each window. :func:`init` and
-:func:`step` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A snap is seen as
+:func:`steps` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A snap is seen as
 soon as the running line tells of it, and published when the published words alone do. :class:`SnapDetector` is these
 functions for people.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -26,6 +26,8 @@ from rcbht_jax.events import Snap
 Reals = Float64[np.ndarray, "*lanes"]
 Counts = Int64[np.ndarray, "*lanes"]
 Flags = Bool[np.ndarray, "*lanes"]
+AllCounts = Int64[np.ndarray, "window *lanes"]
+AllFlags = Bool[np.ndarray, "window *lanes"]
 
 LOAD = np.array([1.0, -1.0])  # ways in which an axis can be loaded
 NEVER = -(2**40)  # a sample long before the first one
@@ -35,7 +37,7 @@ NOTHING = -1e30  # the highest value where no line is: finite, so that differenc
 
 @dataclass(frozen=True)
 class SnapConfig:
-    """What counts as a snap; sizes are those of :func:`step`.
+    """What counts as a snap; sizes are those of :func:`steps`.
 
     Attributes:
         within: seconds in which the force falls.
@@ -96,7 +98,7 @@ class SnapState(NamedTuple):
 
 
 class Snaps(NamedTuple):
-    """What one window says of every lane; the numbers mean nothing where there is no snap."""
+    """What windows say of every lane; the numbers mean nothing where there is no snap."""
 
     seen: Flags  # a snap is seen for the first time
     published: Flags  # it will not change any more
@@ -120,51 +122,81 @@ def init(config: SnapConfig, dt: float, window: int, lanes: tuple[int, ...]) -> 
     return SnapState(lines, never, np.zeros(lanes, bool))
 
 
-def step(
+def steps(
     config: SnapConfig,
     dt: float,
     sizes: SnapSizes,
     state: SnapState,
-    word: Lines,
+    words: Lines,
     running: Lines,
 ) -> tuple[SnapState, Snaps]:
-    """What one more window tells of every lane.
+    """What the next windows tell of every lane; the same however they are divided among calls.
 
     Args:
         config: what counts as a snap.
         dt: s between samples.
         sizes: of the lanes' axes.
         state: of the same lanes.
-        word: the line that this window published ``[*lanes]``; no samples where none.
-        running: the line of the run that goes on ``[*lanes]``, up to the latest sample.
+        words: the line that each window published ``[window, *lanes]``; no samples where none.
+        running: the line of the run that went on after it ``[window, *lanes]``, up to its latest sample.
 
     Returns:
-        the new state, and what is seen or published now.
+        the new state, and what is seen or published at the end of each window ``[window, *lanes]``.
 
     Example:
         >>> config, sizes = SnapConfig(), SnapSizes(*np.array([3.0, 99, 0, 99]))
-        >>> none = Lines(*np.zeros((2, 1), int), *np.zeros((2, 1)))
-        >>> line = lambda *ends: Lines(*np.array(ends[:2])[:, None], *np.array(ends[2:], float)[:, None])
-        >>> state = init(config, 0.005, 5, (1,))
-        >>> state, said = step(config, 0.005, sizes, state, line(0, 100, 0, 8), line(100, 105, 8, 5))
-        >>> state, said = step(config, 0.005, sizes, state, none, line(100, 110, 8, 2))
-        >>> said.seen.tolist(), said.start.tolist(), said.fall.tolist()
-        ([True], [100], [6.0])
+        >>> words = Lines(*np.array([[[0], [0]], [[100], [0]]]), *np.array([[[0.0], [0]], [[8.0], [0]]]))
+        >>> running = Lines(*np.array([[[100], [100]], [[105], [110]]]), *np.array([[[8.0], [8]], [[5.0], [2]]]))
+        >>> state, said = steps(config, 0.005, sizes, init(config, 0.005, 5, (1,)), words, running)
+        >>> said.seen[:, 0].tolist(), said.start[1].tolist(), said.fall[1].tolist()
+        ([True, False], [100], [6.0])
     """
-    new = word.t1 > word.t0
-    known = state.lines.after(word)
-    lines = Lines(*(np.where(new, after[1:], before) for after, before in zip(known, state.lines, strict=True)))
-    now = running.t1
-    by_run = _released(config, dt, sizes, lines.after(running))
-    by_words = _released(config, dt, sizes, lines) if new.any() else by_run
+    new, now = words.t1 > words.t0, running.t1
+    lines = _remembered(state.lines, words, new)
+    by_run, by_words = _released(config, dt, sizes, lines.after(running)), _released(config, dt, sizes, lines)
     sure = new & by_words.seen
-    first = ~state.open & (now - state.seen > round(config.apart / dt)) & (sure | by_run.seen)
-    published = sure & (first | state.open)
+    rest, first, published, when = _in_turn(config, dt, state, now, sure | by_run.seen, sure)
     said = _Released(first, *(np.where(published, a, b) for a, b in zip(by_words[1:], by_run[1:], strict=True)))
-    seen = np.where(first, now, state.seen)
-    forgotten = now - seen > round((config.within + config.apart) / dt)  # the words tell of another fall than the run
-    state = SnapState(lines, seen, (state.open | first) & ~published & ~forgotten)
-    return state, Snaps(first, published, *said[1:], seen)
+    return SnapState(Lines(*(field[:, -1] for field in lines)), *rest), Snaps(first, published, *said[1:], when)
+
+
+def _remembered(old: Lines, words: Lines, new: AllFlags) -> Lines:
+    """The latest published lines after each window ``[line, window, *lanes]``."""
+    order, lines = np.argsort(~new, 0, kind="stable"), len(old.t0)
+    which = np.arange(lines).reshape(-1, *[1] * new.ndim) + np.cumsum(new, 0)
+
+    def latest(before: NDArray[Any], then: NDArray[Any]) -> NDArray[Any]:
+        line = np.concatenate([before, np.take_along_axis(then, order, 0)])
+        return np.take_along_axis(line, which.reshape(-1, *line.shape[1:]), 0).reshape(which.shape)
+
+    return Lines(*(latest(before, then) for before, then in zip(old, words, strict=True)))
+
+
+def _in_turn(
+    config: SnapConfig,
+    dt: float,
+    state: SnapState,
+    now: AllCounts,
+    told: AllFlags,
+    sure: AllFlags,
+) -> tuple[tuple[Counts, Flags], AllFlags, AllFlags, AllCounts]:
+    """Which of the releases are new, and which are published ones; few windows tell of any.
+
+    Returns:
+        of the state what is no line; of every window what is seen, what is published, and the samples received when
+        the latest was seen.
+    """
+    apart, forget = round(config.apart / dt), round((config.within + config.apart) / dt)
+    seen, waiting = state.seen, state.open
+    first, published, when = np.zeros_like(told), np.zeros_like(told), np.zeros_like(now)
+    for row in np.flatnonzero(told.any(tuple(range(1, told.ndim)))):
+        if row:  # later, the words tell of another fall than the run
+            waiting = waiting & (now[row - 1] - seen <= forget)
+        first[row] = told[row] & ~waiting & (now[row] - seen > apart)
+        published[row] = sure[row] & (first[row] | waiting)
+        seen = when[row] = np.where(first[row], now[row], seen)
+        waiting = (waiting | first[row]) & ~published[row]
+    return (seen, waiting & (now[-1] - seen <= forget)), first, published, when
 
 
 class _Released(NamedTuple):
@@ -304,14 +336,12 @@ class SnapDetector:
 
     def warm_up(self) -> None:
         """Compile the encoder now, not in the first :meth:`push`."""
-        encoder = Encoder(self._words, self._limits)
-        encoder.push(np.zeros((self._words.window, len(self.axes))))
-        encoder.run()
+        list(Encoder(self._words, self._limits).lines(np.zeros((self._words.window, len(self.axes)))))
 
     def reset(self) -> None:
         """Start a new stream."""
         self._encoder.restart()
-        self._received = self._complete = 0
+        self._received = 0
         self._state = init(self.config, self.dt, self._words.window, (len(self.axes),))
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Snap]:
@@ -324,29 +354,27 @@ class SnapDetector:
         Raises:
             InputError: wrong shape, or a value that is not finite; then nothing is consumed.
         """
-        said: list[tuple[int, Snaps]] = []
-        for tracks in self._encoder.windows(samples):
-            self._complete += self._words.window
-            word = (np.asarray(getattr(tracks.primitive, name))[:, 0] for name in ("t0", "t1", "avg", "grad"))
-            t0, t1, mean, slope = word
-            lines = line_of(t0, t1, mean, slope * self.dt), line_of(*self._encoder.run())
-            self._state, now = step(self.config, self.dt, self.sizes, self._state, *lines)
-            said.append((self._complete, now))
+        blocks = self._encoder.lines(samples)
         self._received += len(np.asarray(samples))
         stamp = self._received * self.dt if time is None else time
-        return [event for sample, now in said for event in self._events(now, sample, stamp)]
+        events = []
+        for block in blocks:
+            words, running = (line_of(*lines) for lines in block)
+            self._state, said = steps(self.config, self.dt, self.sizes, self._state, words, running)
+            events += self._events(said, running.t1, stamp)
+        return events
 
-    def _events(self, now: Snaps, sample: int, stamp: float) -> list[Snap]:
+    def _events(self, said: Snaps, samples: NDArray[np.integer], stamp: float) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
             return round(stamp - (self._received - count) * self.dt, 9)
 
         found = []
-        for axis in np.flatnonzero(now.seen | now.published).tolist():
-            begin, release, fall = int(now.start[axis]), float(now.release[axis]), float(now.fall[axis])
-            published = at(sample) if now.published[axis] else None
-            about = (self.axes[axis], begin, at(begin + 1), release, fall, at(int(now.when[axis])))
-            found.append(Snap(sample, at(sample), *about, published))
+        for which in zip(*np.nonzero(said.seen | said.published), strict=True):
+            sample, begin, release, fall = int(samples[which]), said.start[which], said.release[which], said.fall[which]
+            published = at(sample) if said.published[which] else None
+            about = int(begin), at(int(begin) + 1), float(release), float(fall), at(int(said.when[which]))
+            found.append(Snap(sample, at(sample), self.axes[which[1]], *about, published))
         return found
 
 

@@ -33,7 +33,10 @@ def write_tracks(
 ) -> None:
     """Add a set of label tracks to a store, atomically.
 
-    >>> write_tracks(Path("trials.zarr"), "online-W5", tracks, {"window": 5})  # doctest: +SKIP
+    >>> import rcbht_jax as rj
+    >>> from rcbht_jax.io.store import read_recordings
+    >>> tracks = rj.encode(read_recordings(Path("trials.zarr")).wrench, window=5)
+    >>> write_tracks(Path("trials.zarr"), "words", tracks, {"window": 5})
 
     Args:
         path: an existing store.
@@ -57,8 +60,10 @@ def write_batches(
 ) -> None:
     """Add a set of label tracks that is made in batches, of which one at a time is in memory.
 
-    >>> tracks = (encode(batch.wrench, batch.length) for batch in read_batches(path))  # doctest: +SKIP
-    >>> write_batches(path, "online-W5", tracks, {"window": 5})  # doctest: +SKIP
+    >>> import rcbht_jax as rj
+    >>> from rcbht_jax.io import store
+    >>> tracks = (rj.encode(batch.wrench, window=5) for batch in store.read_batches(Path("trials.zarr")))
+    >>> write_batches(Path("trials.zarr"), "words-in-batches", tracks, {"window": 5})
 
     Args:
         path: an existing store.
@@ -94,7 +99,9 @@ def write_batches(
 def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     """Read a set of label tracks ``[recording, axis, slot]`` and its attributes.
 
-    >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")  # doctest: +SKIP
+    >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")
+    >>> tracks.primitive.label.shape[:2]  # [recording, axis]
+    (4, 6)
 
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
@@ -108,8 +115,9 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
 def read_batches(path: Path, name: str, sizes: Iterable[int]) -> Iterator[LabelTracks]:
     """Label tracks of consecutive recordings in batches of the given sizes, which add up to all recordings.
 
-    >>> counts = [100] * 10  # of a store of 1000 recordings
-    >>> batches = read_batches(Path("trials.zarr"), "online-W5", counts)  # doctest: +SKIP
+    >>> batches = read_batches(Path("trials.zarr"), "online-W5", [3, 1])  # of a store of 4 recordings
+    >>> [len(batch.mc.label) for batch in batches]
+    [3, 1]
 
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
@@ -135,7 +143,9 @@ def read_rows(path: Path, name: str, numbers: NDArray[np.int64]) -> LabelTracks:
 def track_batches(path: Path, names: Mapping[str, str]) -> TrackBatches:
     """Label tracks of a store for what goes through them in batches.
 
-    >>> batches = track_batches(Path("trials.zarr"), {"W5": "online-W5"})  # doctest: +SKIP
+    >>> batches = track_batches(Path("trials.zarr"), {"W5": "online-W5"})
+    >>> [list(batch) for batch in batches.read()]
+    [['W5']]
 
     Args:
         path: the store.

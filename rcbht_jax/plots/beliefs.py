@@ -15,8 +15,8 @@ from rcbht_jax.plots.canvas import new_figure
 def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] = ()) -> Figure:
     """Probability of every class at every belief: a panel per classifier, a row per class.
 
-    >>> introspector = Introspector(model)  # doctest: +SKIP
-    >>> figure = belief_map(introspector.feed(wrench), "trial 1")  # doctest: +SKIP
+    >>> belief = Belief(200, 1.0, "state", "seated", 0.9, "certain", 0.1, ("searching", "seated"), (0.1, 0.9))
+    >>> figure = belief_map([SubtaskStarted(100, 0.5, 99, True), belief], "trial 1")
 
     Args:
         events: of one trial, from an introspector; lines mark the starts of sub-tasks, dashed where detected.

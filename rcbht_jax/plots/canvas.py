@@ -81,7 +81,7 @@ def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
 
-    >>> save(trial_figure(recordings, tracks, 0), Path("trial.png"))  # doctest: +SKIP
+    >>> save(new_figure((4.0, 3.0), 100), Path("empty.png"))
 
     Raises:
         InputError: the suffix is unknown, the folder does not exist, or the file cannot be written.

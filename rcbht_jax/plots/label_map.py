@@ -47,7 +47,9 @@ def label_map(
     normalised within each interval of a track of annotations (``by="state"``). White: after the last label of a
     recording, a missing interval, or a time without a label.
 
-    >>> figure = label_map(recordings, tracks, "llb", by="state")  # doctest: +SKIP
+    >>> import rcbht_jax as rj
+    >>> recordings = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 400, 6)).cumsum(1), 200.0)
+    >>> figure = label_map(recordings, rj.encode(recordings.wrench), "llb")
 
     Args:
         recordings: data set.

@@ -62,7 +62,9 @@ def trial_figure(
 ) -> Figure:
     """Wrench, fitted lines, labels and state boundaries of one recording.
 
-    >>> figure = trial_figure(recordings, tracks, 0, window=5)  # doctest: +SKIP
+    >>> import rcbht_jax as rj
+    >>> recordings = Recordings.from_arrays(np.random.default_rng(0).normal(size=(3, 400, 6)).cumsum(1), 200.0)
+    >>> figure = trial_figure(recordings, rj.encode(recordings.wrench, window=5), 0, window=5)
 
     Args:
         recordings: data set.

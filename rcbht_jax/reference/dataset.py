@@ -34,7 +34,9 @@ def encode_dataset(
 ) -> LabelTracks:
     """Offline labels of every recording.
 
-    >>> tracks = encode_dataset(read_recordings(Path("hiro.zarr")))  # doctest: +SKIP
+    >>> push = np.linspace(0, 20, 400)[:, None] * np.ones(6)
+    >>> encode_dataset(Recordings.from_arrays([push], 200.0)).primitive.label.shape[:2]
+    (1, 6)
 
     Args:
         recordings: data set; a recording without start times is treated as one state.

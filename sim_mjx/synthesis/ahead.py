@@ -26,8 +26,8 @@ class Ahead(Generic[Item]):
         most: how many items are asked for ahead from then on, 1 or more; called when one is taken.
 
     >>> with Ahead(iter("abc"), first=2, most=lambda: 1) as letters:
-    ...     list(letters), letters.ready()
-    (['a', 'b', 'c'], True)
+    ...     list(letters)
+    ['a', 'b', 'c']
     """
 
     def __init__(self, items: Iterable[Item], first: int, most: Callable[[], int]) -> None:

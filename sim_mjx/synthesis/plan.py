@@ -119,8 +119,8 @@ def processor() -> str:
 
     MuJoCo, NumPy and XLA choose vector instructions when they run; of those that NumPy has found, the widest is told.
 
-    >>> processor()  # doctest: +SKIP
-    'Linux x86_64 with AVX-512'
+    >>> processor().startswith(platform.system())  # Linux x86_64 with AVX-512, for example
+    True
     """
     extensions: Any = np.show_config(mode="dicts")
     found = {name for names in ("baseline", "found") for name in extensions["SIMD Extensions"].get(names, ())}

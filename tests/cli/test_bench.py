@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -75,7 +74,6 @@ def test_a_fall_is_an_exit_status(
 
 def test_a_ratio_that_is_gone_is_told() -> None:
     assert ratios.fallen({"a": 1.0, "new": 1.0}, {"a": 1.2, "b": 1.0}) == ["The ratio b is no longer measured."]
-    assert doctest.testmod(ratios).failed == 0
 
 
 def test_the_two_calls_take_turns() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.objective import SCORES
 from rcbht_jax.cli.calibrate import Calibrate
 from rcbht_jax.cli.main import main
-from rcbht_jax.io import label_parts, label_store, store, store_reader
-from rcbht_jax.io.export import FORMATS, dataset
+from rcbht_jax.io import label_parts, store, store_reader
+from rcbht_jax.io.export import FORMATS
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.types import Recordings
 from tests.support.parted_stores import tree
@@ -140,10 +139,6 @@ def test_labels_of_an_export_are_made_batch_by_batch(
     request.getfixturevalue("batched")
     assert main([*words, str(tmp_path / "many")]) == 0
     assert tree(tmp_path / "many") == tree(tmp_path / "one")
-
-
-def test_examples_run() -> None:
-    assert doctest.testmod(dataset).failed + doctest.testmod(label_store).failed == 0
 
 
 def test_a_report_reads_what_it_shows(stored: Path, whole: Path, tmp_path: Path, batched: list[int]) -> None:

@@ -128,6 +128,25 @@ def test_any_chunking_equals_the_batch_bit_for_bit(
             assert published(other, (axis,)) == published(one, (0, axis))
 
 
+@settings(max_examples=5)
+@given(seed=st.integers(0, 5), cuts=st.lists(st.integers(0, 700), max_size=4))
+def test_lines_are_those_of_the_words_and_of_what_would_end_now(seed: int, cuts: list[int]) -> None:
+    wrench, start, blocks = wrench_of(seed, "rough"), 0, []
+    by_lines, by_window = (Encoder(FitConfig(), LIMITS) for _ in range(2))
+    for stop in [*sorted(cuts), len(wrench)]:
+        blocks += list(by_lines.lines(wrench[start:stop]))
+        start = max(start, stop)
+    words, runs = jax.tree.map(lambda *rows: np.concatenate(rows), *blocks)
+    for number, tracks in enumerate(by_window.windows(wrench)):
+        for (t0, t1, mean, slope), p, at in ((words, tracks.primitive, 0), (runs, by_window.peek().primitive, 1)):
+            assert_trees_equal((t0[number], t1[number]), (p.t0[:, at], p.t1[:, at]))
+            np.testing.assert_allclose(mean[number], p.avg[:, at], rtol=1e-6)
+            np.testing.assert_allclose(slope[number], p.grad[:, at] * np.float32(0.005), rtol=1e-5, atol=1e-7)
+    assert number + 1 == len(words[0]) == len(wrench) // 5
+    with pytest.raises(InputError, match="rule"):
+        Encoder(EncoderConfig(), preset()).lines(wrench)
+
+
 def test_a_step_maps_over_arms() -> None:
     windows = jnp.asarray(wrench_of(0, "ramps")[:300], jnp.float32).reshape(60, 5, 3)
     limits = jnp.asarray(LIMITS.stacked(), jnp.float32)

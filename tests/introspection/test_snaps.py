@@ -57,12 +57,11 @@ def by_brute_force(samples: NDArray[np.floating], config: SnapConfig, high: floa
     subject = detector(load=(0.0, high), config=config)
     encoder = Encoder(subject._words, subject._limits)
     rows: list[list[tuple[Line | None, Line]]] = [[] for _ in AXES]
-    for tracks in encoder.windows(samples):
-        t0, t1, mean, slope = encoder.run()
-        for axis, row in enumerate(rows):
-            p = [np.asarray(getattr(tracks.primitive, name))[axis, 0] for name in ("label", "t0", "t1", "avg", "grad")]
-            word = _line(int(p[1]), int(p[2]), float(p[3]), float(p[4] * subject.dt)) if p[0] else None
-            row.append((word, _line(int(t0[axis]), int(t1[axis]), float(mean[axis]), float(slope[axis]))))
+    for words, runs in encoder.lines(samples):
+        for number in range(len(words[0])):
+            for axis, row in enumerate(rows):
+                word, run = (_line(*(field[number, axis].item() for field in lines)) for lines in (words, runs))
+                row.append((word if word[1] else None, run))
     return [list(snaps(config, subject.dt, (LEAST, np.inf, 0.0, high), row)) for row in rows]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 import sys
 import uuid
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from rcbht_jax._util import url_path
 from rcbht_jax._util.url_path import UrlPath, as_path, url_of
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
@@ -121,4 +119,3 @@ def test_urls_are_told_from_folders() -> None:
     for plain in ("x.zarr", "/s3:/b", "./a:/b", "C:/b", "a b://c", "s3:"):
         assert url_of(Path(plain)) is None, plain
     assert as_path("x.zarr") == Path("x.zarr")
-    assert doctest.testmod(url_path).failed == 0

@@ -374,12 +374,8 @@ def test_mouse_words_and_print(report: Path, data: DataSet, block: Block) -> Non
         assert 2 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= most
 
 
-def test_a_hundred_long_trials_open_within_two_seconds(
-    data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hundred_long_trials_open_within_two_seconds(data: DataSet, tmp_path: Path) -> None:
     """33 s each, as long as the longest recorded session, of noise that hardly deflates."""
-    once = functools.cache(lambda same: describe_recording(few.recordings, same))  # four trials are repeated
-    monkeypatch.setattr("rcbht_jax.report.pack.describe_recording", lambda _, row: once(row % 4))
     long = marked(signals(6600), data.recordings.starts(RECORDED), data.recordings.starts(RECORDED))
     write_recordings(tmp_path / "long.zarr", long, {})
     [few] = load(tmp_path / "long.zarr", window=5).blocks()

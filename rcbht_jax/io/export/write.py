@@ -37,8 +37,8 @@ _TABLES = """* `trials.{0}`: one row per recording: names, outcome, further colu
 def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: None) -> None:
     """Write a data set as a new folder, atomically.
 
-    >>> data = load(Path("hiro.zarr"), window=5)  # doctest: +SKIP
-    >>> export(data, Path("hiro-parquet"), "parquet")  # doctest: +SKIP
+    >>> from rcbht_jax.io.export import load
+    >>> export(load(Path("trials.zarr"), window=5), Path("trials-csv"), "csv")
 
     Args:
         data: made by :func:`rcbht_jax.io.export.load`.

@@ -35,7 +35,10 @@ def read_export(folder: Path) -> Recordings:
 
     Text and numbers of further columns are told apart by ``column_types`` of ``dataset.json``, else by their look.
 
-    >>> read_export(Path("hiro-csv"))  # doctest: +SKIP
+    >>> from rcbht_jax.io.export import export, load
+    >>> export(load(Path("trials.zarr"), window=5), Path("exported"), "csv")
+    >>> len(read_export(Path("exported")))
+    4
 
     Raises:
         InputError: a file is missing or damaged, or the files contradict each other.
@@ -109,7 +112,8 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
 def exported_tables(path: Path, name: str) -> Iterator[Table]:
     """A Parquet table of an export, its columns of the types that they were written with.
 
-    >>> list(exported_tables(Path("hiro-parquet/trials.parquet"), "trials"))  # doctest: +SKIP
+    >>> [table.columns["Fz"].shape for table in exported_tables(Path("run.parquet"), "run")]
+    [(400,)]
 
     Raises:
         InputError: damaged.

@@ -50,8 +50,9 @@ def read_source(
 ) -> Imported:
     """Read a file, or every file below a folder; a broken one is reported and does not stop the import.
 
-    >>> imported = read_source(Path("runs"), "csv")  # doctest: +SKIP
-    >>> imported.recordings, imported.report.skipped  # doctest: +SKIP
+    >>> imported = read_source(Path("runs"), "csv")
+    >>> len(imported.recordings), imported.report.skipped
+    (1, [])
 
     Args:
         source: a file or a folder.
@@ -101,7 +102,8 @@ def import_source(
 ) -> Imported:
     """Read a file or a folder as :func:`read_source` does, and write it as a store at ``path``.
 
-    >>> imported = import_source(Path("runs"), Path("runs.zarr"), "csv")  # doctest: +SKIP
+    >>> import_source(Path("runs"), Path("runs.zarr"), "csv").recordings.axes
+    ('Fz',)
 
     Raises:
         InputError: as :func:`read_source`, or ``path`` exists and ``overwrite`` is false.
@@ -117,7 +119,8 @@ def import_source(
 def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     """The tables of a file, or of a folder that is one recording.
 
-    >>> list(read_item(Item("a.csv", Path("a.csv"), "csv"), Mapping()))  # doctest: +SKIP
+    >>> [table.name for table in read_item(Item("a.csv", Path("runs/a.csv"), "csv"), Mapping())]
+    ['a.csv']
 
     Raises:
         InputError: it cannot be read.

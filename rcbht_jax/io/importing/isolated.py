@@ -40,7 +40,8 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
     """Tables that a function makes of a file, made in another process with limits of memory and time.
 
     >>> from rcbht_jax.io.importing.arrays import hdf5_tables
-    >>> list(isolated(hdf5_tables, Path("demo.h5"), "demo.h5"))  # doctest: +SKIP
+    >>> [table.name for table in isolated(hdf5_tables, Path("run.h5"), "run.h5")]
+    ['run.h5']
 
     Args:
         decode: a function of a module, of the arguments that follow.

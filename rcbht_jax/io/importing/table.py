@@ -39,7 +39,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iter
     ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
     ``[recording]`` beside it are facts. Scalars called dt or rate state the sampling, other scalars are facts.
 
-    >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.float64(0.01)})
+    >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
     >>> list(table.columns), table.rate
     (['wrench_0', 'wrench_1'], 100.0)
 
