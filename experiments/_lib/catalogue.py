@@ -113,7 +113,10 @@ EXPERIMENTS = (
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
     Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),
-    Experiment("fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",)),
+    Experiment(
+        "fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",), shorter=("--session", "hooked-B"),
+        shorter_minutes=1.5,
+    ),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
     Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),
