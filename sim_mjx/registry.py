@@ -89,9 +89,9 @@ def get_scenario(name: str) -> Scenario:
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
         return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample, TWO_ARM_PARAMETERS)
-    if isinstance(constants.parts, HookedParams):
-        return Scenario(constants, ("R",), hooked, trials.sample, HOOKED_PARAMETERS)
-    return Scenario(constants, ("R",), one_arm, trials.sample, PARAMETERS)
+    hooks = isinstance(constants.parts, HookedParams)
+    make = partial(hooked if hooks else one_arm, impratio=constants.impratio)
+    return Scenario(constants, ("R",), make, trials.sample, HOOKED_PARAMETERS if hooks else PARAMETERS)
 
 
 @cache

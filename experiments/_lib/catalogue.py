@@ -113,7 +113,10 @@ EXPERIMENTS = (
     Experiment("two_arm", "classification.two_arm", 2, needs=("data",)),
     Experiment("two_arm_states", "classification.two_arm_states", 2, needs=("data",)),
     Experiment("sim_sessions", "simulation.sessions", 1, needs=("golden",)),
-    Experiment("fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",)),
+    Experiment(
+        "fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",), shorter=("--session", "hooked-B"),
+        shorter_minutes=1.5,
+    ),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
     Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),
@@ -125,6 +128,10 @@ EXPERIMENTS = (
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
     Experiment("snap_needs", "simulation.snap_needs", 1, shorter=("--trials", "2"), shorter_minutes=0.3),
+    Experiment(
+        "snap_creep", "simulation.snap_creep", 9, needs=("data",), shorter_minutes=1.5,
+        shorter=("--trials", "1", "--seeds", "1", "--only", "the preset"),
+    ),
     Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment(
         "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),

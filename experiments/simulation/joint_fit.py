@@ -18,7 +18,6 @@ from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.scene import hooked
 from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
 from sim_mjx.validation import sessions, system_id
@@ -108,7 +107,12 @@ def main(
             raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
     how = search(tuple(seen), population, generations, spread, seed)
-    best = system_id.fit(JointObjective(hooked(), seen, engine, seed), how, checkpoint=checkpoint, progress=progress)
+    best = system_id.fit(
+        JointObjective(sessions.scene_of(HOOKED[session[0]]), seen, engine, seed),
+        how,
+        checkpoint=checkpoint,
+        progress=progress,
+    )
     at_bound = [
         name for name, bound in how.bounds.items() if min(abs(best.values[name] - end) for end in bound[:2]) < 1e-9
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.tables.cells import markdown, table
+from experiments.tables.cells import NONE, markdown, table
 
 WORDS_SAME = "same primitive / composition / behaviour, % of time"
 DEVICES = ("engines_gpu", "engines")
@@ -61,6 +61,38 @@ def snap_needs(result: Result) -> str:
         told = (f"{row[key]:.2f}" if key in row else "–" for key in medians)
         lines.append((name, str(row["trials"]), str(row["seated"]), str(row["fall of 7 N in mating"]), *told))
     return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
+
+
+@table("snap-creep", "snap_creep")
+def snap_creep(result: Result) -> str:
+    """Rear hooks of hooked-B by how little contacts creep and how far they reach: how long they hold out."""
+    overlaps = tuple(next(iter(result["sweep"].values())))
+    lines = []
+    for impratio, row in result["sweep"].items():
+        lines.append((impratio, *(_waits(row[overlap]) for overlap in overlaps)))
+    return markdown(("`impratio`", *(f"{overlap} mm" for overlap in overlaps)), lines)
+
+
+def _waits(row: Result) -> str:
+    seconds = f"{row['s after mating began']:.2f} s" if row["seated"] else "–"
+    return f"{seconds} ({row['seated']} of {row['trials']})"
+
+
+@table("snap-holds", "snap_creep")
+def snap_holds(result: Result) -> str:
+    """Gate, outcomes and last snaps of hooked-B with contacts that creep less, means over seeds."""
+    measures = ("coverage", "W1/sd", "DTW/sd", "snaps")
+    head = ("", *measures, "lowest and highest share of snaps", "outcomes as recorded", "last snap, s, quartiles")
+    lines = []
+    for name, row in result["gate"].items():
+        means = [f"{row[each]['mean']:.3f}" for each in measures]
+        ends = f"{row['snaps']['lowest']:.2f}, {row['snaps']['highest']:.2f}"
+        lines.append((name, *means, ends, f"{row['outcomes as recorded']['mean']:.2f}", _quartiles(row)))
+    return markdown(head, [*lines, ("recorded", *[NONE] * 6, _quartiles(result["recorded"]))])
+
+
+def _quartiles(row: Result) -> str:
+    return ", ".join(f"{time:.2f}" for time in row["last snap, s, quartiles"]) or NONE
 
 
 GATE = ("coverage", "W1/sd", "DTW/sd", "AUC", "spread", "first impact", "snaps")

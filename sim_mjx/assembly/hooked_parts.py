@@ -43,9 +43,10 @@ class HookedParams(PartParams):
     hook_wear: Float[Array, "*batch 4"]  # m, rubbed off each hook's head, which then reaches less far
     tab_cut: Float[Array, "*batch 4"]  # m, broken off each tab's end; more than the depth of the seat = no hook is left
     stop_play: Float[Array, "*batch"]  # m, between the stop of a whole hook and the edge of its lip
+    lip_impedance: Float[Array, "*batch 4"]  # least one of a tip on its lip; the nearer to 1, the less it creeps
 
     widest: ClassVar[float] = 2.8e-3  # m, width of a lip's lead-in
-    positive: ClassVar[tuple[str, ...]] = (*PartParams.positive, "hook_overlap", "stop_play")
+    positive: ClassVar[tuple[str, ...]] = (*PartParams.positive, "hook_overlap", "stop_play", "lip_impedance")
 
     def with_overlap(self, overlap: Float64[np.ndarray, "*batch 4"]) -> HookedParams:
         """As of any parts; a tab that is missing has broken off at its root."""
@@ -99,6 +100,9 @@ def model_fields(model: mujoco.MjModel, params: HookedParams, arm: str = "R") ->
         geoms |= {f"{arm}TIP_{name}": _tip(index, params), f"{arm}STOP_{name}": _stop(index, params)}
         for geom, place in geoms.items():
             out["geom_pos"][..., model.geom(geom).id, :] = place
+        least, lip = params.lip_impedance[..., index], model.pair(f"{arm}TIP_{name}:LIP_{name}").id
+        # under load a third of the compliance is left, as in the nominal hook
+        out["pair_solimp"][..., lip, :2] = placed(least, 1 - (1 - least) / 3)
     return out
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.scene import IMPRATIO
 from sim_mjx.assembly.sensor import SensorParams
 from sim_mjx.assembly.task import TaskParams
 
@@ -46,6 +47,7 @@ class SessionPreset:
     parts: PartParams  # effective values from a search on the recorded wrenches
     sensor: SensorParams
     mating_begins: float  # s, median of the recordings
+    impratio: float = IMPRATIO  # of the scene; see ``sim_mjx.assembly.scene.one_arm``
     real: bool = True  # a robot, whose servos lag and whose sensor drifts; False = the OpenHRP simulation
     across: Plane = field(default_factory=_x_and_y)  # world directions of the part's x and y
     turns: Plane = field(default_factory=_x_and_y)  # roll, pitch, yaw per radian of the hand's turn and of its tilt

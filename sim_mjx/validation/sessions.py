@@ -84,7 +84,8 @@ def trials_of(
 
 def scene_of(session: SessionPreset) -> Scene:
     """The scene of a session of one arm."""
-    return hooked() if isinstance(session.parts, HookedParams) else one_arm()
+    make = hooked if isinstance(session.parts, HookedParams) else one_arm
+    return make(impratio=session.impratio)
 
 
 def _moved(trial: TrialParams, dx: float, dy: float) -> TrialParams:

@@ -136,6 +136,16 @@ def test_one_part_in_three_sessions() -> None:
     assert get_scenario("hooked-A").scene().substeps == 4
 
 
+def test_friction_and_lips_hold_as_the_preset_and_the_part_say() -> None:
+    held = replace(HOOKED_B.parts, lip_impedance=np.array([0.97, 0.97, 0.99, 0.99]))
+    scene = sessions.scene_of(replace(HOOKED_B, impratio=10.0, parts=held))
+    assert scene.model.opt.impratio == 10.0
+    assert get_scenario("hooked-B").scene().model.opt.impratio == get_scenario("B").scene().model.opt.impratio == 1.0
+    model = native.model_of(scene, held)
+    front, rear = (model.pair(f"RTIP_{tab}:LIP_{tab}").solimp[:2] for tab in ("FR", "RR"))
+    np.testing.assert_allclose([front, rear], [[0.97, 0.99], [0.99, 0.99667]], atol=1e-5)
+
+
 def test_only_hooks_have_wear() -> None:
     assert overrides.apply_overrides(HOOKED_B.parts, "parts", (("parts.hook_wear[1]", 1e-4),)).hook_wear[1] == 1e-4
     with pytest.raises(InputError, match="only those with hooks"):

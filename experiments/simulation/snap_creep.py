@@ -1,0 +1,136 @@
+"""How long hooks hold out: hooked-B with contacts that creep less, and rear hooks that reach less far.
+
+A resting contact of MuJoCo creeps under a tangential force. The option ``impratio`` divides that in all contacts, the
+impedance of a pair in one. Of every ``impratio`` and overlap of the rear hooks: their passes on six placements, as in
+``snap_needs``. Then the gate over all placements and several seeds, with the last snap of each trial that seated, and
+the same of the recordings. The preset itself stays as it is.
+Run: python -m experiments.simulation.snap_creep
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments._lib.benchmarks import recorded
+from experiments._lib.results_io import write_result
+from experiments.simulation.fidelity_gate import row
+from experiments.simulation.snap_needs import CELLS, REAR, SESSION, passes, summary
+from rcbht_jax.robots.snap_assembly import RECORDED
+from rcbht_jax.types import Recordings
+from sim_mjx.engines import native
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.presets.session_a import SESSION_A
+from sim_mjx.validation import sessions, snaps
+from sim_mjx.validation.dynamics import dynamics
+from sim_mjx.validation.fidelity import snap_shares
+from sim_mjx.validation.replay import Recorder, raw_force, seated_snaps
+
+IMPRATIOS = (1.0, 3.0, 10.0, 30.0)
+OVERLAPS = (0.85, 0.9, 0.95, 1.02)  # mm, of the rear hooks; the last is the preset's
+LONGEST = 12.0  # s of mating
+AT_ONCE = -0.1  # s from the start of mating, when a push may already let hooks go
+HELD = 0.99  # impedance of the rear lips' contacts, in place of 0.97
+MEASURES = ("coverage", "W1/sd", "DTW/sd", "wrong signs", "snaps")  # of the gate
+
+
+def changed(impratio: float = 1.0, overlap: float = 1.02, held: float = 0.97, **parts: Any) -> SessionPreset:
+    """The preset with another ``impratio``, rear hooks that reach ``overlap`` mm and whose contacts hold harder."""
+    own = SESSION.parts
+    reach = np.where(REAR > 0, overlap * 1e-3, own.hook_overlap)
+    impedance = np.where(REAR > 0, held, own.lip_impedance)
+    return replace(SESSION, impratio=impratio, parts=replace(own, hook_overlap=reach, lip_impedance=impedance, **parts))
+
+
+def candidates() -> dict[str, SessionPreset]:
+    """What the gate is asked about."""
+    further = {
+        "stop_play": np.array(0.25e-3), "seat_depth": np.array(4e-3), "rear_rise": np.array([-1.6e-3, 0.0]),
+        "position": SESSION.parts.position * [1, 0, 1] + np.array([0.0, -1.2e-3, 0.0]),
+    }  # fmt: skip
+    return {
+        "the preset": changed(),
+        "impratio 3": changed(3.0),
+        "impratio 10, rear hooks 0.9 mm": changed(10.0, 0.9),
+        "rear lips hold": changed(held=HELD),
+        "rear lips hold, hand deeper": changed(1.0, 1.1, HELD, **further),
+    }
+
+
+def sweep(impratio: float, cells: tuple[tuple[int, int], ...]) -> dict[str, Any]:
+    """Passes of the rear hooks on a few placements, overlap by overlap."""
+    each = [sessions.trials_of(changed(impratio, overlap), placements=cells, longest=LONGEST) for overlap in OVERLAPS]
+    batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *each)
+    scene = sessions.scene_of(changed(impratio))
+    recorder = Recorder(scene, len(batch.command_delay))
+    run = native.simulate(scene, batch, watch=recorder.watch)
+    parts = [jax.tree.map(lambda leaf, at=at: leaf[at], batch.parts) for at in range(len(run.length))]
+    told = [passes(scene, part, run, recorder, at) for at, part in enumerate(parts)]
+    count = len(cells)
+    return {f"{overlap:g}": summary(told[at * count : (at + 1) * count]) for at, overlap in enumerate(OVERLAPS)}
+
+
+def last_snaps(found: list[list[snaps.Snap]], mating: NDArray[np.float64]) -> list[float]:
+    """When the last snap of each trial comes, s after the start of mating; without one in mating there is no time."""
+    times = [[snap.time - start for snap in each if snap.time - start > AT_ONCE]
+             for each, start in zip(found, mating.tolist(), strict=True)]  # fmt: skip
+    return [max(each) for each in times if each]
+
+
+def gated(session: SessionPreset, target: sessions.Target, seed: int) -> tuple[dict[str, float], list[float]]:
+    """What the gate says of whole trials on all placements, and the last snaps of those that seated."""
+    scene, recorder = sessions.scene_of(session), Recorder(sessions.scene_of(session), len(session.placements))
+    run = native.simulate(scene, sessions.trials_of(session, seed=seed), watch=recorder.watch)
+    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    pair = None if target.dynamics is None else (target.dynamics, events)
+    shares = snap_shares(target, seated_snaps(run, recorder))
+    checks = row(session, target.profiles, sessions.profiles(run), pair, shares)["checks"]
+    rows = np.flatnonzero(run.seated.all(1))
+    found = [snaps.find(raw_force(recorder, run, at)[:, 2], float(run.onset[at, 1])) for at in rows.tolist()]
+    told = {name: checks[name]["value"] for name in MEASURES}
+    told |= {"outcomes as recorded": sessions.agreement(session, run)}
+    return told, last_snaps(found, run.onset[rows, 3])
+
+
+def over_seeds(session: SessionPreset, target: sessions.Target, seeds: int) -> dict[str, Any]:
+    """Means over seeds, their lowest and highest values, and quartiles of the last snaps of all."""
+    told = [gated(session, target, seed) for seed in range(seeds)]
+    out: dict[str, Any] = {}
+    for name in told[0][0]:
+        values = [float(row[name]) for row, _ in told]
+        out[name] = {"mean": float(np.mean(values)), "lowest": min(values), "highest": max(values)}
+    return out | quartiles([time for _, times in told for time in times])
+
+
+def quartiles(last: list[float]) -> dict[str, Any]:
+    """How many trials have a snap in mating, and when the last one comes."""
+    times = np.round(np.percentile(last, (25, 50, 75)), 2).tolist() if last else []
+    return {"with a snap in mating": len(last), "last snap, s, quartiles": times}
+
+
+def as_recorded(recordings: Recordings) -> dict[str, Any]:
+    """The last snaps of the recorded trials that seated."""
+    rows = sessions.recorded_rows(recordings, SESSION.name)
+    rows = rows[(np.char.find(recordings.note[rows], "off-seat") < 0) & (recordings.outcome[rows] == "success")]
+    starts = recordings.starts(RECORDED)[rows]
+    forces = [snaps.unfiltered(recordings.wrench[at, : recordings.length[at], 2], SESSION_A.sensor) for at in rows]
+    found = [snaps.find(force, touch) for force, touch in zip(forces, starts[:, 1].tolist(), strict=True)]
+    return {"trials": len(rows)} | quartiles(last_snaps(found, starts[:, 3]))
+
+
+def main(trials: int = len(CELLS), seeds: int = 3, only: tuple[str, ...] = tuple(candidates())) -> None:
+    recordings = recorded()
+    target = sessions.recorded(recordings, SESSION.name)
+    swept = {f"{impratio:g}": sweep(impratio, CELLS[:trials]) for impratio in IMPRATIOS}
+    rows = {name: over_seeds(session, target, seeds) for name, session in candidates().items() if name in only}
+    result = {"sweep": swept, "gate": rows, "seeds": seeds, "recorded": as_recorded(recordings)}
+    write_result("snap_creep", "python -m experiments.simulation.snap_creep", result, seed=0)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)
