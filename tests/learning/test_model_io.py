@@ -151,7 +151,7 @@ def test_names_in_a_model_are_texts(change, model, tmp_path):
     with np.load(path) as archive:
         meta = json.loads(str(archive["meta"]))
     rewritten(path, meta=np.array(json.dumps({**meta, **change})))
-    with pytest.raises(InputError, match="m is damaged"):
+    with pytest.raises(InputError, match=r"m is (damaged|.* not valid Unicode)"):
         load(path)
 
 
