@@ -186,10 +186,14 @@ def _lerobot(folder: Path, axes: tuple[str, ...]) -> tuple[list[NDArray[np.float
     return values, {name: np.array([fact.get(name, "") for fact in facts]) for name in (facts[0] if facts else ())}
 
 
+def _are_texts(names: Any) -> bool:
+    return isinstance(names, list) and all(isinstance(name, str) for name in names)
+
+
 def _annotations(folder: Path, about: Mapping[str, Any], count: int) -> Annotations:
     labels = about.get("annotations", {})
-    if not isinstance(labels, dict) or not all(isinstance(names, list) for names in labels.values()):
-        raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists.")
+    if not isinstance(labels, dict) or not all(_are_texts(names) for names in labels.values()):
+        raise InputError(f"{folder}/dataset.json: the labels of the annotations are no table of lists of texts.")
     table = _table(
         folder, "annotations", {"column_types": {"recording": "int32", "start": "float64", "end": "float64"}}
     )

@@ -75,6 +75,8 @@ def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
         ({"dt": "x"}, "dt is 'x'"),
         ({"axes": None}, "names no axes"),
         ({"axes": {"Qx": "N"}}, "Qx|no topic"),
+        ({"annotations": {"phase": [["free"]]}}, "no table of lists of texts"),
+        ({"annotations": {"phase": {"free": 0}}}, "no table of lists of texts"),
     ):
         (exported / "dataset.json").write_text(json.dumps(about | change))
         with pytest.raises(InputError, match=sentence):
