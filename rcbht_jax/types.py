@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pandas  # type: ignore[import-untyped]
     import xarray
 
-LARGEST = 1e30  # of a sample in any unit: sums over hours stay far from the largest single precision number
 Array = Any  # jax.Array or numpy.ndarray: host and device code share these containers
 
 

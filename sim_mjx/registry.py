@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Assembly, draw, scene
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.rollout import stack
-from sim_mjx.assembly.scene import Scene, hooked, one_arm
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
 from sim_mjx.presets import preset
@@ -89,9 +89,8 @@ def get_scenario(name: str) -> Scenario:
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
         return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample, TWO_ARM_PARAMETERS)
-    hooks = isinstance(constants.parts, HookedParams)
-    make = partial(hooked if hooks else one_arm, impratio=constants.impratio)
-    return Scenario(constants, ("R",), make, trials.sample, HOOKED_PARAMETERS if hooks else PARAMETERS)
+    names = HOOKED_PARAMETERS if isinstance(constants.parts, HookedParams) else PARAMETERS
+    return Scenario(constants, ("R",), constants.scene, trials.sample, names)
 
 
 @cache

@@ -108,7 +108,7 @@ def main(
 
     how = search(tuple(seen), population, generations, spread, seed)
     best = system_id.fit(
-        JointObjective(sessions.scene_of(HOOKED[session[0]]), seen, engine, seed),
+        JointObjective(HOOKED[session[0]].scene(), seen, engine, seed),
         how,
         checkpoint=checkpoint,
         progress=progress,

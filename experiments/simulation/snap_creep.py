@@ -25,11 +25,10 @@ from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.engines import native
 from sim_mjx.presets.session import SessionPreset
-from sim_mjx.presets.session_a import SESSION_A
 from sim_mjx.validation import sessions, snaps
 from sim_mjx.validation.dynamics import dynamics
 from sim_mjx.validation.fidelity import snap_shares
-from sim_mjx.validation.replay import Recorder, raw_force, seated_snaps
+from sim_mjx.validation.replay import Recorder, find_snaps
 
 IMPRATIOS = (1.0, 3.0, 10.0, 30.0)
 OVERLAPS = (0.85, 0.9, 0.95, 1.02)  # mm, of the rear hooks; the last is the preset's
@@ -39,12 +38,16 @@ HELD = 0.99  # impedance of the rear lips' contacts, in place of 0.97
 MEASURES = ("coverage", "W1/sd", "DTW/sd", "wrong signs", "snaps")  # of the gate
 
 
-def changed(impratio: float = 1.0, overlap: float = 1.02, held: float = 0.97, **parts: Any) -> SessionPreset:
+def changed(
+    impratio: float = SESSION.impratio, overlap: float | None = None, held: float | None = None, **parts: Any
+) -> SessionPreset:
     """The preset with another ``impratio``, rear hooks that reach ``overlap`` mm and whose contacts hold harder."""
     own = SESSION.parts
-    reach = np.where(REAR > 0, overlap * 1e-3, own.hook_overlap)
-    impedance = np.where(REAR > 0, held, own.lip_impedance)
-    return replace(SESSION, impratio=impratio, parts=replace(own, hook_overlap=reach, lip_impedance=impedance, **parts))
+    if overlap is not None:
+        parts["hook_overlap"] = np.where(REAR > 0, overlap * 1e-3, own.hook_overlap)
+    if held is not None:
+        parts["lip_impedance"] = np.where(REAR > 0, held, own.lip_impedance)
+    return replace(SESSION, impratio=impratio, parts=replace(own, **parts))
 
 
 def candidates() -> dict[str, SessionPreset]:
@@ -58,7 +61,7 @@ def candidates() -> dict[str, SessionPreset]:
         "impratio 3": changed(3.0),
         "impratio 10, rear hooks 0.9 mm": changed(10.0, 0.9),
         "rear lips hold": changed(held=HELD),
-        "rear lips hold, hand deeper": changed(1.0, 1.1, HELD, **further),
+        "rear lips hold, hand deeper": changed(overlap=1.1, held=HELD, **further),
     }
 
 
@@ -66,7 +69,7 @@ def sweep(impratio: float, cells: tuple[tuple[int, int], ...]) -> dict[str, Any]
     """Passes of the rear hooks on a few placements, overlap by overlap."""
     each = [sessions.trials_of(changed(impratio, overlap), placements=cells, longest=LONGEST) for overlap in OVERLAPS]
     batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *each)
-    scene = sessions.scene_of(changed(impratio))
+    scene = changed(impratio).scene()
     recorder = Recorder(scene, len(batch.command_delay))
     run = native.simulate(scene, batch, watch=recorder.watch)
     parts = [jax.tree.map(lambda leaf, at=at: leaf[at], batch.parts) for at in range(len(run.length))]
@@ -75,26 +78,26 @@ def sweep(impratio: float, cells: tuple[tuple[int, int], ...]) -> dict[str, Any]
     return {f"{overlap:g}": summary(told[at * count : (at + 1) * count]) for at, overlap in enumerate(OVERLAPS)}
 
 
-def last_snaps(found: list[list[snaps.Snap]], mating: NDArray[np.float64]) -> list[float]:
+def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) -> list[float]:
     """When the last snap of each trial comes, s after the start of mating; without one in mating there is no time."""
-    times = [[snap.time - start for snap in each if snap.time - start > AT_ONCE]
-             for each, start in zip(found, mating.tolist(), strict=True)]  # fmt: skip
+    starts = {row: float(mating[row]) for row in found}
+    times = [[s.time - starts[row] for s in each if s.time - starts[row] > AT_ONCE] for row, each in found.items()]
     return [max(each) for each in times if each]
 
 
 def gated(session: SessionPreset, target: sessions.Target, seed: int) -> tuple[dict[str, float], list[float]]:
     """What the gate says of whole trials on all placements, and the last snaps of those that seated."""
-    scene, recorder = sessions.scene_of(session), Recorder(sessions.scene_of(session), len(session.placements))
+    scene = session.scene()
+    recorder = Recorder(scene, len(session.placements))
     run = native.simulate(scene, sessions.trials_of(session, seed=seed), watch=recorder.watch)
     events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
     pair = None if target.dynamics is None else (target.dynamics, events)
-    shares = snap_shares(target, seated_snaps(run, recorder))
+    found = find_snaps(run, recorder)
+    shares = snap_shares(target, snaps.summary(list(found.values())))
     checks = row(session, target.profiles, sessions.profiles(run), pair, shares)["checks"]
-    rows = np.flatnonzero(run.seated.all(1))
-    found = [snaps.find(raw_force(recorder, run, at)[:, 2], float(run.onset[at, 1])) for at in rows.tolist()]
     told = {name: checks[name]["value"] for name in MEASURES}
     told |= {"outcomes as recorded": sessions.agreement(session, run)}
-    return told, last_snaps(found, run.onset[rows, 3])
+    return told, last_snaps(found, run.onset[:, 3])
 
 
 def over_seeds(session: SessionPreset, target: sessions.Target, seeds: int) -> dict[str, Any]:
@@ -115,12 +118,8 @@ def quartiles(last: list[float]) -> dict[str, Any]:
 
 def as_recorded(recordings: Recordings) -> dict[str, Any]:
     """The last snaps of the recorded trials that seated."""
-    rows = sessions.recorded_rows(recordings, SESSION.name)
-    rows = rows[(np.char.find(recordings.note[rows], "off-seat") < 0) & (recordings.outcome[rows] == "success")]
-    starts = recordings.starts(RECORDED)[rows]
-    forces = [snaps.unfiltered(recordings.wrench[at, : recordings.length[at], 2], SESSION_A.sensor) for at in rows]
-    found = [snaps.find(force, touch) for force, touch in zip(forces, starts[:, 1].tolist(), strict=True)]
-    return {"trials": len(rows)} | quartiles(last_snaps(found, starts[:, 3]))
+    found = sessions.recorded_snaps(recordings, sessions.recorded_rows(recordings, SESSION.name))
+    return {"trials": len(found)} | quartiles(last_snaps(found, recordings.starts(RECORDED)[:, 3]))
 
 
 def main(trials: int = len(CELLS), seeds: int = 3, only: tuple[str, ...] = tuple(candidates())) -> None:

@@ -69,7 +69,7 @@ def main(trials: int = len(CELLS)) -> None:
     drawn = [sessions.trials_of(replace(SESSION, parts=parts), placements=cells, longest=LONGEST)
              for parts in changed.values()]  # fmt: skip
     batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *drawn)
-    scene = sessions.scene_of(SESSION)
+    scene = SESSION.scene()
     recorder = Recorder(scene, len(cells) * len(changed))
     run = native.simulate(scene, batch, watch=recorder.watch)
     rows = [

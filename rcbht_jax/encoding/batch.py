@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LARGEST, Array, LabelTrack, LabelTracks
+from rcbht_jax.types import Array, LabelTrack, LabelTracks
 
 _FIELDS = tuple(f.name for f in fields(LabelTrack))
 _MOST_SLOTS = 128
@@ -128,7 +129,7 @@ def _checked(
     if length.min() < 0 or length.max() > wrench.shape[1]:
         raise InputError(f"A length is outside 0 ... {wrench.shape[1]} samples.")
     for index, samples in enumerate(length):
-        if not (np.abs(wrench[index, :samples]) <= LARGEST).all():  # NaN compares as false
+        if not usable(wrench[index, :samples]):
             raise InputError(
                 f"Recording {index} holds values that are not finite numbers, or beyond {LARGEST:g}; remove or "
                 "interpolate them."

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LARGEST, Array, LabelTracks
+from rcbht_jax.types import Array, LabelTracks
 
 MOST_SAMPLES = 2**31 - 2**20  # of a stream without a new start: samples are counted in 32 bits
 
@@ -77,7 +78,7 @@ class WindowBuffer:
         chunk, axes = np.asarray(samples, self.samples.dtype), self.samples.shape[1]
         if chunk.ndim != 2 or chunk.shape[1] != axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
-        if not (np.abs(chunk) <= LARGEST).all():  # NaN compares as false
+        if not usable(chunk):
             raise InputError(
                 f"Samples hold a value that is not a finite number, or beyond {LARGEST:g}; nothing was consumed."
             )
@@ -153,7 +154,7 @@ class Encoder:
     @property
     def received(self) -> int:
         """Samples received so far."""
-        return int(self._state.time[0]) + self._buffer.count
+        return self._buffer.taken
 
     def push(self, samples: ArrayLike) -> list[LabelTracks]:
         """Feed samples ``[time, axis]`` of any number; one entry per window that they complete.

@@ -167,7 +167,6 @@ class Introspector:
     def _restart(self) -> None:
         self._state: StreamState = _begin(self._config, self._chain.views, self.labels.shape[2])
         self._buffer = WindowBuffer(self._config.window, self.labels.shape[2], np.float32)
-        self._complete = 0  # samples in complete windows
         self._begins: NDArray[np.int32] = np.zeros(len(self._chain.scopes), np.int32)
         self._time: float | None = None
         self.labels = np.zeros_like(self.labels)
@@ -175,7 +174,7 @@ class Introspector:
     @property
     def received(self) -> int:
         """Samples received so far."""
-        return self._complete + self._buffer.count
+        return self._buffer.taken
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -280,8 +279,7 @@ class Introspector:
         state, probabilities, published = self._call()
         events = self._answer([np.asarray(p) for p in probabilities]) if asked else []
         if complete:
-            self._state = state
-            self._complete, self._buffer.count = self._complete + self._config.window, 0
+            self._state, self._buffer.count = state, 0
             new = np.asarray(published.ints).reshape(3, 3, -1)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             if self._words:

@@ -342,7 +342,6 @@ class SnapDetector:
     def reset(self) -> None:
         """Start a new stream."""
         self._encoder.restart()
-        self._received = 0
         self._state = init(self.config, self.dt, self._words.window, (len(self.axes),))
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Snap]:
@@ -357,19 +356,19 @@ class SnapDetector:
                 :mod:`rcbht_jax.encoding.stream`); then nothing is consumed.
         """
         blocks = self._encoder.lines(samples)
-        self._received += len(np.asarray(samples))
-        stamp = self._received * self.dt if time is None else time
+        end = self._encoder.received + len(np.asarray(samples))
+        stamp = end * self.dt if time is None else time
         events = []
         for block in blocks:
             words, running = (line_of(*lines) for lines in block)
             self._state, said = steps(self.config, self.dt, self.sizes, self._state, words, running)
-            events += self._events(said, running.t1, stamp)
+            events += self._events(said, running.t1, end, stamp)
         return events
 
-    def _events(self, said: Snaps, samples: NDArray[np.integer], stamp: float) -> list[Snap]:
+    def _events(self, said: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
-            return round(stamp - (self._received - count) * self.dt, 9)
+            return round(stamp - (end - count) * self.dt, 9)
 
         found = []
         for which in zip(*np.nonzero(said.seen | said.published), strict=True):

@@ -129,7 +129,6 @@ class WordIntrospector:
             )
         self._limits = thresholds
         self._encoder = Encoder(config, thresholds)
-        self._received = 0  # counted here: the encoder's own count is on the device
         # Latest published label of each layer and axis: [layer, (code, first sample, end), axis]; code 0 = none yet.
         self.labels: NDArray[np.int32] = np.zeros((3, 3, len(self.axes)), np.int32)
         self._time: float | None = None
@@ -142,7 +141,7 @@ class WordIntrospector:
     @property
     def received(self) -> int:
         """Samples received so far."""
-        return self._received
+        return self._encoder.received
 
     def warm_up(self) -> None:
         """Compile the encoder now, which takes a second or two, not in the first :meth:`push`."""
@@ -156,7 +155,6 @@ class WordIntrospector:
     def reset(self) -> None:
         """Start a new trial: forget everything received."""
         self._encoder.restart()
-        self._received = 0
         self.labels, self._time = np.zeros_like(self.labels), None
 
     def push(self, samples: ArrayLike, time: float | None = None) -> list[Event]:
@@ -172,7 +170,6 @@ class WordIntrospector:
         """
         complete = self.received // self.config.window
         published = self._encoder.push(samples)
-        self._received += len(np.asarray(samples))
         self._time = time
         events: list[Event] = []
         for number, tracks in enumerate(published, complete + 1):

@@ -6,8 +6,9 @@ import re
 
 import numpy as np
 
+from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LARGEST, Recordings
+from rcbht_jax.types import Recordings
 
 # Variable of the store, which is the field of Recordings -> dtype.
 VARIABLES: dict[str, str] = {
@@ -44,7 +45,7 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         where = f"recording {row} ({recordings.trial[row]})"
         if not (0 if gaps else 1) <= samples <= wrench.shape[1]:
             raise InputError(f"{where}: length is {samples}; expected 1 to {wrench.shape[1]} samples.")
-        if not (np.abs(wrench[row, :samples]) <= LARGEST).all():  # NaN compares as false
+        if not usable(wrench[row, :samples]):
             raise InputError(
                 f"{where}: the wrench is not finite everywhere, or beyond {LARGEST:g}; expected numbers whose sums are "
                 "finite in single precision."

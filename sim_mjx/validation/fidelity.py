@@ -196,7 +196,7 @@ def session(target: Target, count: int | None = None, seed: int = 0) -> tuple[di
 def rerun(session: SessionPreset, count: int | None = None, seed: int = 0) -> tuple[Rollouts, Dynamics, dict[str, Any]]:
     """A session simulated as it was done, its quick events, and the snaps of its seated trials."""
     params = sessions.trials_of(session, count, seed=seed)
-    scene = sessions.scene_of(session)
+    scene = session.scene()
     recorder = Recorder(scene, len(params.command_delay))
     run = native.simulate(scene, params, watch=recorder.watch)
     events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])

@@ -87,11 +87,16 @@ def raw_force(recorder: Recorder, run: Rollouts, trial: int) -> Float64[np.ndarr
     return ((force - force[0])[:, None, :] * rotation).sum(-1)
 
 
-def seated_snaps(run: Rollouts, recorder: Recorder, among: slice = slice(None)) -> dict[str, Any]:
-    """Snaps in the force before the sensor, of the trials that seated; see ``snaps.summary``."""
+def find_snaps(run: Rollouts, recorder: Recorder, among: slice = slice(None)) -> dict[int, list[snaps.Snap]]:
+    """Snaps in the force before the sensor, of the trials that seated, by row."""
     mated = run.seated.all(1) & np.isfinite(run.onset[:, 3])
     rows = [row for row in np.arange(len(mated))[among].tolist() if mated[row]]
-    return snaps.summary([snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in rows])
+    return {row: snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in rows}
+
+
+def seated_snaps(run: Rollouts, recorder: Recorder, among: slice = slice(None)) -> dict[str, Any]:
+    """What :func:`find_snaps` finds, counted; see ``snaps.summary``."""
+    return snaps.summary(list(find_snaps(run, recorder, among).values()))
 
 
 def simulated(path: Path, recordings: Recordings, row: int) -> Replay:

@@ -19,9 +19,7 @@ from rcbht_jax.io.hiro import onsets
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
-from sim_mjx.assembly.scene import Scene, hooked, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
@@ -80,12 +78,6 @@ def trials_of(
         drawn = [_moved(one, dx * 1e-3, dy * 1e-3) for one, (dx, dy) in zip(drawn, cells, strict=False)]
     drawn = [replace(one, task=replace(one.task, mating_time=np.array(mating))) for one in drawn]
     return stack(drawn)
-
-
-def scene_of(session: SessionPreset) -> Scene:
-    """The scene of a session of one arm."""
-    make = hooked if isinstance(session.parts, HookedParams) else one_arm
-    return make(impratio=session.impratio)
 
 
 def _moved(trial: TrialParams, dx: float, dy: float) -> TrialParams:
@@ -160,7 +152,8 @@ def recorded(recordings: Recordings, session: str, rows: Rows = None) -> Target:
     onset = np.median(recordings.starts(HARMONISED)[rows, 1:], axis=0)
     starts = recordings.starts(RECORDED)[rows]
     events = dynamics(recordings.wrench[rows, :, 2], recordings.length[rows], starts[:, 1], starts[:, 3])
-    summary = _snaps(recordings, rows) if constants.real else None  # the parts of OpenHRP have no tabs
+    # The parts of OpenHRP have no tabs.
+    summary = snaps.summary(list(recorded_snaps(recordings, rows).values())) if constants.real else None
     return Target(constants, signature.profiles(recordings, rows), onset, events, summary)
 
 
@@ -177,12 +170,13 @@ def recorded_rows(recordings: Recordings, session: str) -> Int[np.ndarray, " row
     return rows
 
 
-def _snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[str, Any]:
-    """Snaps of the recorded trials that seated."""
+def recorded_snaps(recordings: Recordings, rows: NDArray[np.integer]) -> dict[int, list[snaps.Snap]]:
+    """Snaps in the unfiltered force of those recordings of a robot that seated, by row."""
     seated = rows[(np.char.find(recordings.note[rows], "off-seat") < 0) & (recordings.outcome[rows] == "success")]
     forces = [snaps.unfiltered(recordings.wrench[row, : recordings.length[row], 2], SESSION_A.sensor) for row in seated]
     starts = recordings.starts(RECORDED)[seated, 1].tolist()
-    return snaps.summary([snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)])
+    found = [snaps.find(force, begin) for force, begin in zip(forces, starts, strict=True)]
+    return dict(zip(seated.tolist(), found, strict=True))
 
 
 # Weights of the terms of the loss; cells of the metric's tables are clipped at WORST_CELL sd.
@@ -246,7 +240,7 @@ class SessionObjective:
                 continue  # impossible parts: the worst loss
         if not batches:
             return losses
-        scene = scene_of(session)
+        scene = session.scene()
         recorder = Recorder(scene, len(batches) * self.count)
         together = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
         run = native.simulate(scene, together, watch=recorder.watch if self.snaps else None)

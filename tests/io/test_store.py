@@ -191,7 +191,7 @@ import os, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from tests.io.test_store import simple
-from rcbht_jax.io import parts, store, store_reader
+from rcbht_jax.io import parts, store
 real, count = parts.write_array, []
 def dying(*args):
     count.append(1)

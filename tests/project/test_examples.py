@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import doctest
 import importlib
-import importlib.util
 import re
 import shutil
 from pathlib import Path
@@ -21,7 +20,6 @@ from rcbht_jax.io.store import write_recordings
 from rcbht_jax.types import Recordings
 
 ROOT = Path(__file__).parents[2]
-OPTIONAL = {"rcbht_jax.learning.aeon_estimators": "aeon"}  # tried in an environment of its own
 RUNS = re.compile(r">>> (?!.*\+SKIP)")
 
 
@@ -55,8 +53,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_examples_print_what_they_say(
     name: str, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if name in OPTIONAL and importlib.util.find_spec(OPTIONAL[name]) is None:
-        pytest.skip(f"{OPTIONAL[name]} is not installed here")
     monkeypatch.chdir(shutil.copytree(files, tmp_path / "work"))  # an example may write files
     found = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert found.attempted > 0

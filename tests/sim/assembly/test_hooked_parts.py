@@ -33,7 +33,7 @@ def run_of(session: SessionPreset, *changes: dict[str, np.ndarray]) -> tuple[Sce
     """Nominal placements of a session with changed parts; their motions, and the parts."""
     one = jax.tree.map(lambda leaf: leaf[0], sessions.trials_of(session, 1, longest=6.0))
     drawn = [replace(one, parts=replace(one.parts, **change)) for change in changes]
-    scene, batch = sessions.scene_of(session), stack(drawn)
+    scene, batch = session.scene(), stack(drawn)
     recorder = Recorder(scene, len(drawn))
     run = native.simulate(scene, batch, watch=recorder.watch)
     return scene, run, recorder, [each.parts for each in drawn]
@@ -138,7 +138,7 @@ def test_one_part_in_three_sessions() -> None:
 
 def test_friction_and_lips_hold_as_the_preset_and_the_part_say() -> None:
     held = replace(HOOKED_B.parts, lip_impedance=np.array([0.97, 0.97, 0.99, 0.99]))
-    scene = sessions.scene_of(replace(HOOKED_B, impratio=10.0, parts=held))
+    scene = replace(HOOKED_B, impratio=10.0, parts=held).scene()
     assert scene.model.opt.impratio == 10.0
     assert get_scenario("hooked-B").scene().model.opt.impratio == get_scenario("B").scene().model.opt.impratio == 1.0
     model = native.model_of(scene, held)

@@ -1,0 +1,17 @@
+"""Which numbers can be data."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST = 1e30  # of a sample in any unit: sums over hours stay far from the largest single precision number
+
+
+def usable(samples: NDArray[np.floating]) -> bool:
+    """Whether all samples are finite numbers, and none is beyond ``LARGEST``.
+
+    >>> usable(np.array([0.0, -5.0])), usable(np.array([0.0, np.nan])), usable(np.array([3e38]))
+    (True, False, False)
+    """
+    return bool((np.abs(samples) <= LARGEST).all())  # NaN compares as false
