@@ -39,7 +39,6 @@ MAX_RATIO = 200  # of bytes that a file declares to its own: far above what meas
 # Of a process that decodes what other libraries read (HDF5, MATLAB, Parquet).
 DECODER_SECONDS = 2.0  # of a processor, and one more for every DECODER_SPEED bytes that the file may unpack to
 DECODER_SPEED = 2**26
-DECODER_START = 5.0  # more for the first file of a kind, with which the library is imported
 DECODER_PATIENCE = 300.0  # s by the clock, or 10 times as long as the processor may take: a busy machine, a slow disk
 DECODER_MEMORY = 2**30  # bytes beyond those of its arrays, of which it may hold three copies
 # Counts.

@@ -80,7 +80,7 @@ def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or h5py is missing.
     """
-    yield from isolated(hdf5_tables, path, name)
+    yield from isolated(hdf5_tables, path, name, "h5py")
 
 
 def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
@@ -161,7 +161,7 @@ def read_matlab(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares arrays too large for it, or scipy or h5py is missing.
     """
-    yield from isolated(matlab_tables, path, name)
+    yield from isolated(matlab_tables, path, name, "scipy.io", "h5py")
 
 
 def matlab_tables(path: Path, name: str) -> Iterator[Table]:

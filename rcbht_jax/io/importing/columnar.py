@@ -17,6 +17,7 @@ from rcbht_jax.io.importing.isolated import isolated
 from rcbht_jax.io.importing.table import Table
 
 EPISODE = "episode_index"
+LIBRARIES = ("pyarrow.parquet", "pandas")  # of those that read Parquet; pyarrow imports pandas with its first column
 _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
 _BOOKKEEPING = ("data/", "videos/", "meta/", "stats/", "dataset_from_index", "dataset_to_index", "length", "tasks")
 
@@ -30,7 +31,7 @@ def read_parquet(path: Path, name: str) -> Iterator[Table]:
     Raises:
         InputError: not a regular file, damaged, declares a table too large for it, or pyarrow is missing.
     """
-    yield from isolated(parquet_tables, path, name)
+    yield from isolated(parquet_tables, path, name, *LIBRARIES)
 
 
 def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
@@ -42,7 +43,7 @@ def read_columns(path: Path) -> Mapping[str, NDArray[Any]]:
     Raises:
         InputError: as :func:`read_parquet`.
     """
-    [table] = isolated(parquet_tables, path, "")
+    [table] = isolated(parquet_tables, path, "", *LIBRARIES)
     return table.columns
 
 
@@ -176,7 +177,8 @@ def _element_names(info: Mapping[str, Any]) -> dict[str, str]:
 def _episodes(folder: Path) -> dict[int, dict[str, str | float]]:
     """Facts of each episode."""
     files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
-    return {int(table.name): dict(table.facts) for path in files for table in isolated(episode_tables, path, "")}
+    tables = (table for path in files for table in isolated(episode_tables, path, "", *LIBRARIES))
+    return {int(table.name): dict(table.facts) for table in tables}
 
 
 def episode_tables(path: Path, _: str) -> Iterator[Table]:

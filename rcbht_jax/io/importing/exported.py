@@ -89,7 +89,7 @@ def _axes(folder: Path, about: Mapping[str, Any]) -> tuple[tuple[str, ...], tupl
 def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     """A table with a row per recording or interval, from CSV or Parquet; empty if there is none."""
     if (path := folder / f"{name}.parquet").is_file():
-        [table] = isolated(exported_tables, path, name)
+        [table] = isolated(exported_tables, path, name, *columnar.LIBRARIES)
         return dict(table.columns)
     if not (path := folder / f"{name}.csv").is_file():
         return {}

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.optional import MissingPackage
-from rcbht_jax._util.untrusted import DECODER_PATIENCE, DECODER_START, check_file, decoder_limits
+from rcbht_jax._util.untrusted import DECODER_PATIENCE, check_file, decoder_limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.table import Table
 
@@ -36,17 +36,18 @@ _STOPPED = (-signal.SIGKILL, -getattr(signal, "SIGXCPU", signal.SIGKILL))
 Decode = Callable[[Path, str], Iterable[Table]]
 
 
-def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
+def isolated(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator[Table]:
     """Tables that a function makes of a file, made in another process with limits of memory and time.
 
     >>> from rcbht_jax.io.importing.arrays import hdf5_tables
-    >>> [table.name for table in isolated(hdf5_tables, Path("run.h5"), "run.h5")]
+    >>> [table.name for table in isolated(hdf5_tables, Path("run.h5"), "run.h5", "h5py")]
     ['run.h5']
 
     Args:
         decode: a function of a module, of the arguments that follow.
         path: the file.
         name: relative to the source.
+        libraries: what it may import, such as "h5py": importing them takes none of the file's time and memory.
 
     Raises:
         InputError: that of ``decode``; or it crashed, took too long, or wanted more memory than the file can hold.
@@ -55,7 +56,7 @@ def isolated(decode: Decode, path: Path, name: str) -> Iterator[Table]:
     with tempfile.TemporaryDirectory() as folder:
         request = {
             "decode": f"{decode.__module__}:{decode.__qualname__}", "path": os.path.abspath(path), "shown": str(path),
-            "name": name, "out": folder, "memory": memory,
+            "name": name, "out": folder, "libraries": libraries, "memory": memory, "seconds": seconds,
         }  # fmt: skip
         said = _decoder(os.getpid()).ask(path, request, seconds)
         if "missing" in said:
@@ -75,7 +76,6 @@ class _Decoder:
     def __init__(self) -> None:
         self._lock = Lock()
         self._child: subprocess.Popen[bytes] | None = None
-        self._known = set[str]()  # what it has decoded before
 
     def ask(self, path: Path, request: dict[str, Any], seconds: float) -> dict[str, Any]:
         """The child's answer.
@@ -87,10 +87,6 @@ class _Decoder:
             child = self._child = self._child or _begun()
             assert child.stdin
             assert child.stdout
-            if request["decode"] not in self._known:
-                self._known.add(request["decode"])
-                seconds += DECODER_START
-            request = {**request, "seconds": seconds}
             patience, late = max(10 * seconds, DECODER_PATIENCE), Event()
 
             def give_up() -> None:
@@ -124,7 +120,6 @@ class _Decoder:
 
     def _end(self) -> int:
         child, self._child = self._child, None
-        self._known.clear()
         if child is None:
             return 0
         child.kill()  # nothing, if it has crashed
@@ -165,7 +160,11 @@ def serve() -> None:
 def _answer(request: dict[str, Any]) -> dict[str, Any]:
     module, _, function = request["decode"].partition(":")
     try:
+        _unlimit()  # what the last file may take is no measure of an import
         decode: Decode = getattr(importlib.import_module(module), function)
+        for library in request["libraries"]:
+            with suppress(ImportError):  # the decoder says which one it lacks, if this file needs it
+                importlib.import_module(library)
         _limit(request["memory"], request["seconds"])
         return {"tables": list(_saved(decode(Path(request["path"]), request["name"]), Path(request["out"])))}
     except MissingPackage as error:
@@ -185,6 +184,16 @@ def _saved(tables: Iterable[Table], folder: Path) -> Iterator[dict[str, Any]]:
             np.save(folder / f"{number}-{k}.npy", column, allow_pickle=False)
         fields = {key: getattr(table, key) for key in table.__dataclass_fields__}
         yield {**fields, "columns": list(table.columns), "units": dict(table.units), "facts": dict(table.facts)}
+
+
+def _unlimit() -> None:
+    """Bound neither memory nor work of this process any more."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        for kind in (resource.RLIMIT_CPU, resource.RLIMIT_AS):
+            most = resource.getrlimit(kind)[1]
+            resource.setrlimit(kind, (most, most))
 
 
 def _limit(memory: int, seconds: float) -> None:

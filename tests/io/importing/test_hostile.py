@@ -230,7 +230,7 @@ import rcbht_jax.io.importing.bags
 try: import h5py
 except ImportError: pass
 
-arrays.isolated = columnar.isolated = lambda decode, path, name: decode(path, name)  # in the process that is measured
+arrays.isolated = columnar.isolated = lambda decode, path, name, *libraries: decode(path, name)  # in this process
 
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

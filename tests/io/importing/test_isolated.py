@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import scipy.io
+from numpy.typing import NDArray
 
 from rcbht_jax._util import untrusted
 from rcbht_jax._util.optional import MissingPackage
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing import arrays, columnar
+from rcbht_jax.io.importing.isolated import Decode, _decoder, isolated
 from rcbht_jax.io.importing.table import Table
 
 
@@ -45,6 +52,12 @@ def waits(path: Path, name: str) -> Iterator[Table]:
 
 def floods(path: Path, name: str) -> Iterator[Table]:
     yield Table(name, {"x": np.ones(2**30)})
+
+
+def imports(path: Path, name: str) -> Iterator[Table]:
+    import slow_library  # type: ignore[import-not-found]  # noqa: F401
+
+    yield Table(name, {"seconds": np.array([time.process_time()])})
 
 
 def refuses(path: Path, name: str) -> Iterator[Table]:
@@ -82,15 +95,67 @@ def test_crash_hang_and_flood_are_a_sentence_and_the_next_file_is_read(
         list(isolated(floods, file, "n"))
     with monkeypatch.context() as patch:
         patch.setattr(untrusted, "DECODER_SECONDS", -0.6)  # and 1 s for what a small file may unpack to
-        for start in (1.0, 0.0):  # the first file of a kind has this longer: the library is imported with it
-            patch.setattr("rcbht_jax.io.importing.isolated.DECODER_START", start)
-            words = rf"^a.bin is damaged: what decodes such files was stopped after {start:.0f} s\.$"
-            with pytest.raises(InputError, match=words):
-                list(isolated(hangs, file, "n"))
+        with pytest.raises(InputError, match=r"^a.bin is damaged: what decodes such files was stopped after 0 s\.$"):
+            list(isolated(hangs, file, "n"))
         patch.setattr("rcbht_jax.io.importing.isolated.DECODER_PATIENCE", 0.5)
         with pytest.raises(InputError, match=r"^a.bin was not decoded within 4 s; try again when the machine is idle"):
             list(isolated(waits, file, "n"))
     assert len(list(isolated(whole, file, "n"))) == 2
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a processor's time as on Linux")
+def test_importing_a_library_takes_none_of_the_time_of_a_file(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("slow_library.py").write_text("import time\nwhile time.process_time() < 3:\n    pass\n")
+    monkeypatch.syspath_prepend(os.getcwd())
+    _decoder(os.getpid()).close()  # one that is begun anew finds the library
+    monkeypatch.setattr(untrusted, "DECODER_SECONDS", -0.6)  # and 1 s for what a small file may unpack to
+    assert len(list(isolated(whole, file, "n"))) == 2  # the time of one file is no limit for what the next one imports
+    [table] = isolated(imports, file, "n", "slow_library", "no_such_library")
+    assert table.columns["seconds"] >= 3
+    _decoder(os.getpid()).close()
+    with pytest.raises(InputError, match="what decodes such files was stopped after 0 s"):
+        list(isolated(imports, file, "n"))  # a library that nobody named counts
+
+
+def parquet(path: Path, columns: dict[str, NDArray[np.float64]]) -> None:
+    pq.write_table(pa.table(columns), path)
+
+
+def hdf5(path: Path, columns: dict[str, NDArray[np.float64]]) -> None:
+    with h5py.File(path, "w") as file:
+        for key, values in columns.items():
+            file[key] = values
+
+
+READERS = {"parquet": (columnar, parquet), "hdf5": (arrays, hdf5), "matlab": (arrays, scipy.io.savemat)}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_decoder_imports_nothing_but_the_libraries_that_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def ask(decode: Decode, path: Path, name: str, *libraries: str) -> Iterator[Table]:
+        asked.append((decode.__name__, *libraries))
+        yield from ()
+
+    (module, save), made = READERS[kind], tmp_path / "a"
+    save(made, {"time": np.arange(400) / 100, "Fz": np.zeros(400)})
+    monkeypatch.setattr(module, "isolated", ask)
+    list(getattr(module, f"read_{kind}")(made, "n"))
+    [(decode, *libraries)] = asked
+    lines = (
+        "import importlib, pathlib, sys",
+        f"decode = importlib.import_module({module.__name__!r}).{decode}",
+        f"[importlib.import_module(one) for one in {libraries!r}]",
+        "before = set(sys.modules)",
+        f"[table] = decode(pathlib.Path({str(made)!r}), 'n')",
+        "assert len(table.columns) == 2",
+        "print(*set(sys.modules) - before)",
+    )
+    ran = subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True, capture_output=True, text=True)
+    assert ran.stdout.split() == []
 
 
 def test_sentences_pass_with_the_name_that_was_given(file: Path) -> None:
