@@ -19,6 +19,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from time import monotonic
 from typing import Any
 
 from rcbht_jax.encoding.rules import config_fields
@@ -33,7 +34,7 @@ FRAME = 0.05  # s of stream per frame
 VIEWERS = 16
 CONNECTIONS = 64  # at once; a further one takes the place of the one that has sent half a request for the longest time
 BUFFER = 2**16  # bytes that the system keeps for a viewer: one that does not read is noticed, and left after IDLE
-IDLE = 10.0  # s until a connection that sends no request is closed
+IDLE = 10.0  # s until a connection that has not sent a whole request is closed, though it may send bytes now and then
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
@@ -201,15 +202,9 @@ class Frames:
 
     def _publish(self, sample: int, time: float, provisional: list[list[float]]) -> None:
         frame = {
-            "sample": sample,
-            "time": round(time, 6),
-            "trial": self._trial,
-            "wrench": self._samples,
-            "words": self._words,
-            "provisional": provisional,
-            "beliefs": self._beliefs,
-            "events": self._events,
-        }
+            "sample": sample, "time": round(time, 6), "trial": self._trial, "wrench": self._samples, "words": self._words,
+            "provisional": provisional, "beliefs": self._beliefs, "events": self._events,
+        }  # fmt: skip
         self._broadcast.publish(frame)
         self._samples, self._words, self._events, self._beliefs = [], [], [], {}
         self._sent = self._received
@@ -323,7 +318,7 @@ class PageServer(ThreadingHTTPServer):
         self.broadcast = Broadcast()
         self._free = threading.BoundedSemaphore(CONNECTIONS)
         self._lock = threading.Lock()
-        self._unasked: dict[socket.socket, None] = {}  # connections without a whole request, the oldest first
+        self._unasked: dict[socket.socket, float] = {}  # those without a whole request: when they came, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()
@@ -361,7 +356,7 @@ class PageServer(ThreadingHTTPServer):
             self.shutdown_request(request)
             return
         with self._lock:
-            self._unasked[request] = None
+            self._unasked[request] = monotonic()
         try:
             super().process_request(request, client_address)
         except BaseException:  # no thread can be started
@@ -374,11 +369,16 @@ class PageServer(ThreadingHTTPServer):
         with self._lock:
             self._unasked.pop(request, None)
 
-    def _dropped(self) -> bool:
-        """End the connection that has not sent a whole request for the longest time; whether there was one."""
+    def service_actions(self) -> None:
+        """End connections whose request takes too long: the serving thread looks every tenth of a second."""
+        while self._dropped(IDLE):
+            pass
+
+    def _dropped(self, age: float = 0.0) -> bool:
+        """End the connection that has held back its request for the longest time, if for ``age`` s; whether it did."""
         with self._lock:
-            oldest = next(iter(self._unasked), None)
-            if oldest is None:
+            oldest, since = next(iter(self._unasked.items()), (None, 0.0))
+            if oldest is None or monotonic() - since < age:
                 return False
             del self._unasked[oldest]
         with suppress(OSError):

@@ -297,6 +297,20 @@ def test_idle_connections_end(monkeypatch):
     assert threading.active_count() <= before + 2
 
 
+def test_connections_that_drip_their_request_end(monkeypatch):
+    """The time of a whole request is bounded, not that of each of its bytes alone."""
+    monkeypatch.setattr(live_page, "IDLE", 0.5)
+    with PageServer(Session(Introspector(model())), port=0) as server:
+        with socket.create_connection(server.server_address[:2]) as client:
+            begun = time.monotonic()
+            with pytest.raises(OSError, match=r"Broken pipe|reset"):
+                while time.monotonic() < begun + 5:
+                    client.sendall(b"G")
+                    time.sleep(0.05)
+            assert time.monotonic() > begun + 0.4
+        assert ask(server, "GET", "/")[0] == 200
+
+
 def test_connections_are_bounded(monkeypatch):
     """Beyond the bound the connections that hold back their request for the longest time make room."""
     monkeypatch.setattr(live_page, "CONNECTIONS", 3)
