@@ -19,6 +19,7 @@ from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
     from rcbht_jax.introspection.introspector import Introspector
+    from rcbht_jax.introspection.model import IntrospectionModel
     from rcbht_jax.introspection.session import Session
     from rcbht_jax.introspection.together import Together
     from rcbht_jax.introspection.words import WordIntrospector
@@ -79,7 +80,6 @@ class Source(RuleCommand):
             InputError: no such model, no such source, or options that contradict each other.
         """
         from rcbht_jax._util import compile_cache
-        from rcbht_jax.encoding.rules import config_fields
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session, paced
@@ -97,7 +97,7 @@ class Source(RuleCommand):
             rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
             detect = self.starts == "detected"
             model = load(self.model)
-            beside = self.OWN_WORDS and config_fields(model.encoder)["rule"] != self.rule
+            beside = self._beside(model)
             introspector = Introspector(model, rate, self.certainty, detect=detect, words=words and not beside)
             if beside:
                 others, messages = self._words(messages, say)
@@ -105,6 +105,22 @@ class Source(RuleCommand):
         if snaps := detector_of(self.snap, 1 / introspector.config.dt, introspector.config.window):
             introspector = Together(introspector, snaps=snaps)
         return Session(introspector, self.max_gap), messages if live else paced(messages, self.speed)
+
+    def waits(self) -> bool:
+        """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it.
+
+        Raises:
+            InputError: no such model.
+        """
+        from rcbht_jax.introspection.model import load
+
+        return self.source == "-" and (self.model is None or self._beside(load(self.model)))
+
+    def _beside(self, model: IntrospectionModel) -> bool:
+        """Whether words are shown that the model does not read."""
+        from rcbht_jax.encoding.rules import config_fields
+
+        return self.OWN_WORDS and config_fields(model.encoder)["rule"] != self.rule
 
     def check(self) -> None:
         """Refuse options that contradict each other, or are out of range.

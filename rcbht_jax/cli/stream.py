@@ -241,8 +241,8 @@ class Serve(Source):
         from rcbht_jax.report.live_page import Frames, PageServer
 
         # What is wrong with the options is said before the page opens, and so is what is wrong with a recording.
-        ready = None if self.source == "-" and self.model is None else self.opened(words=True)
         self.check()
+        ready = None if self.waits() else self.opened(words=True)
         with PageServer(host=self.host, port=self.port) as server:
             print(f"Open {server.url} in a browser; Ctrl-C stops the server.", file=sys.stderr, flush=True)
             server.status("waiting for the first readings")

@@ -296,18 +296,21 @@ def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
     assert "--sampling-rate" in capsys.readouterr().err
 
 
-def test_serve_without_a_model_says_what_it_waits_for(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 32, 300)[:, :1])))
+@pytest.mark.parametrize("with_model", [False, True])
+def test_serve_opens_the_page_before_the_first_reading(with_model, model_path, monkeypatch):
+    """Also where words of another rule than the model's are shown, which needs the beginning of the stream."""
+    axes, words = (6, ["-m", str(model_path)]) if with_model else (1, [])
+    monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 32, 300)[:, :axes])))
     told: list[tuple[str, object]] = []
     tell = live_page.Broadcast.tell
     monkeypatch.setattr(live_page.Broadcast, "tell", lambda b, k, v: (told.append((k, v)), tell(b, k, v))[1])
-    assert main(["serve", "-", "--port", "0", "--no-stay", "--speed", "0", "--lead", "1"]) == 0
+    assert main(["serve", "-", *words, "--port", "0", "--no-stay", "--speed", "0", "--lead", "1"]) == 0
     assert [value for kind, value in told if kind == "status"] == [
         "waiting for the first readings", "taking the thresholds and tolerances from the first 1 s",
         "compiling the encoder, a few seconds", "",
     ]  # fmt: skip
     [about] = [value for kind, value in told if kind == "about"]
-    assert about["axes"] == ("axis0",)
+    assert len(about["axes"]) == axes
 
 
 def test_a_folder_of_hiro_has_its_preset(hiro_dir, capsys):
