@@ -15,7 +15,6 @@ import os
 import signal
 import sys
 import threading
-import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import rcbht_jax
 from rcbht_jax._util.atomic import targets
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import printable
 from rcbht_jax.cli import commands
 from rcbht_jax.errors import InputError
 
@@ -164,7 +164,7 @@ def _run(name: str, words: list[str]) -> int:
         result = command.run()
     output = json.dumps(result, allow_nan=False) if as_json else command.text(result)
     if output:  # a command whose standard output is a stream of its own returns no text
-        print(output if as_json else _printable(output), flush=True)
+        print(output if as_json else printable(output), flush=True)
     return command.exit_status(result)
 
 
@@ -225,16 +225,8 @@ def _suggestion(close: Sequence[str], command: str, what: str) -> str:
 
 
 def _fail(sentence: str, status: int) -> int:
-    print(f"rcbht: {_printable(sentence)}", file=sys.stderr)
+    print(f"rcbht: {printable(sentence)}", file=sys.stderr)
     return status
-
-
-def _printable(text: str) -> str:
-    """Text with control characters spelled out: names in other people's files must not steer the terminal."""
-    return "".join(
-        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf") else c.encode("unicode_escape").decode()
-        for c in text
-    )
 
 
 def _allow_any_name() -> None:

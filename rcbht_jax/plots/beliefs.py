@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
-from rcbht_jax.plots.canvas import new_figure
+from rcbht_jax.plots.canvas import new_figure, plain
 
 
 def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] = ()) -> Figure:
@@ -43,16 +43,17 @@ def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] =
             edges, np.arange(len(of_head[0].classes) + 1), np.array([belief.probabilities for belief in of_head]).T,
             cmap="viridis", vmin=0.0, vmax=1.0,
         )  # fmt: skip
-        panel.set_yticks(np.arange(len(of_head[0].classes)) + 0.5, of_head[0].classes, fontsize=8)
+        classes = [plain(one) for one in of_head[0].classes]
+        panel.set_yticks(np.arange(len(classes)) + 0.5, classes, fontsize=8)
         panel.invert_yaxis()
-        panel.set_title(head, fontsize=9, loc="left")
+        panel.set_title(plain(head), fontsize=9, loc="left")
         panel.tick_params(labelsize=8)
         bar = figure.colorbar(image, ax=panel, pad=0.015, fraction=0.04)
         bar.set_label("probability", fontsize=8)
         bar.ax.tick_params(labelsize=7)
     _mark_starts(figure, len(heads), events, states)
     panels[-1].set_xlabel("time, s", fontsize=9)
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(plain(title), fontsize=10)
     figure.tight_layout()
     return figure
 
@@ -66,6 +67,6 @@ def _mark_starts(figure: Figure, panels: int, events: Sequence[Event], states: S
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
     for start, name in zip(starts, states, strict=False):
         figure.axes[0].annotate(
-            name, (start.time, 1.0), xycoords=("data", "axes fraction"), xytext=(1, 2), textcoords="offset points",
+            plain(name), (start.time, 1.0), (1, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
             fontsize=7, rotation=20,
         )  # fmt: skip

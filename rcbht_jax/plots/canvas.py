@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
@@ -27,6 +28,15 @@ def new_figure(inches: tuple[float, float], dpi: int) -> Figure:
     figure = Figure(figsize=inches, dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def plain(text: str) -> str:
+    r"""A name of other people's data as text of a figure, where dollar signs would enclose a formula.
+
+    >>> plain("a$b$")
+    'a\\$b\\$'
+    """
+    return printable(text).replace("$", r"\$")
 
 
 def check_rows(recordings: Recordings, tracks: LabelTracks) -> None:

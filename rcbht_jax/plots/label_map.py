@@ -13,7 +13,7 @@ from matplotlib.patheffects import Normal, Stroke
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS
-from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure
+from rcbht_jax.plots.canvas import LAYER_TITLES, check_rows, label_legend, new_figure, plain
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels
@@ -83,13 +83,13 @@ def label_map(
     per_column = -(-len(panels) // columns)
     for axis, ax in enumerate(panels):
         _draw(ax, codes[:, axis], layer)
-        ax.set_title(recordings.axes[axis], fontsize=12, loc="left", pad=4)
+        ax.set_title(plain(recordings.axes[axis]), fontsize=12, loc="left", pad=4)
         _separate_sessions(ax, recordings, rows, named=axis < per_column)
         _label_columns(ax, states, last=axis % per_column == per_column - 1)
     facts = f"{LAYER_TITLES[layer]} of {len(rows)} recordings"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
     height = figure.get_figheight()
-    figure.suptitle(text, x=_LEFT, y=1 - 0.2 / height, ha="left", va="top", fontsize=13)
+    figure.suptitle(plain(text), x=_LEFT, y=1 - 0.2 / height, ha="left", va="top", fontsize=13)
     used = {int(code) for code in np.unique(codes)} - {0}
     if used:
         label_legend(figure, layer, used, (_LEFT, 0.15 / height), 8)
@@ -192,8 +192,8 @@ def _separate_sessions(ax: Axes, recordings: Recordings, rows: Rows, named: bool
     for start in starts[1:]:
         ax.axhline(start - 0.5, color="black", linewidth=0.9, gid="session", path_effects=_RIM)
     middles = [(start + stop - 1) / 2 for start, stop in zip(starts, stops, strict=True)]
-    names = [f"{keys[start][0]} {keys[start][1]}, {stop - start}" for start, stop in zip(starts, stops, strict=True)]
-    ax.set_yticks(middles, names if named else [""] * len(names))
+    texts = [f"{keys[start][0]} {keys[start][1]}, {stop - start}" for start, stop in zip(starts, stops, strict=True)]
+    ax.set_yticks(middles, [plain(text) if named else "" for text in texts])
     ax.tick_params(axis="y", length=0)
 
 
@@ -205,5 +205,5 @@ def _label_columns(ax: Axes, states: tuple[str, ...], last: bool) -> None:
         return
     for state in range(1, len(states)):
         ax.axvline(state * POINTS_PER_STATE + 0.5, color="black", linewidth=0.9, gid="state", path_effects=_RIM)
-    ax.set_xticks([(state + 0.5) * POINTS_PER_STATE for state in range(len(states))], states)
+    ax.set_xticks([(state + 0.5) * POINTS_PER_STATE for state in range(len(states))], list(map(plain, states)))
     ax.tick_params(axis="x", length=0)

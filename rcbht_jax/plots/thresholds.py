@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.labels import AXES
-from rcbht_jax.plots.canvas import new_figure
+from rcbht_jax.plots.canvas import new_figure, plain
 
 _NAMES = ("impulse", "big", "medium", "small")
 _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
@@ -54,9 +54,9 @@ def threshold_figure(
             panel.set_yscale("symlog", linthresh=10)
             panel.tick_params(labelsize=7)
             if row == 0:
-                panel.set_title(name, fontsize=10)
+                panel.set_title(plain(name), fontsize=10)
             if column == 0:
-                panel.set_ylabel(f"{axis}\nwindows", fontsize=9)
+                panel.set_ylabel(f"{plain(axis)}\nwindows", fontsize=9)
         unit = "N/s" if row < 3 else "Nm/s"
         panels[row, -1].annotate(unit, (1.01, 0), xycoords="axes fraction", fontsize=8)
     figure.legend(loc="upper left", ncols=4, fontsize=8, frameon=False)

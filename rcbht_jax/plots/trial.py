@@ -14,9 +14,10 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, name
-from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, text_color
+from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, plain, text_color
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels
@@ -94,7 +95,7 @@ def trial_figure(
             used[layer].update(int(code) for code in lane.label)
     _name_marks(panels[0][0], marks, view)
     panels[-1][1].set_xlabel("time, s", fontsize=11)
-    figure.suptitle(_title(recordings, index, window, rule), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
+    figure.suptitle(plain(_title(recordings, index, window, rule)), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
     _legends(figure, used)
     _key(figure, panels[0][0], marks)
     return figure
@@ -154,8 +155,8 @@ def _panels(figure: Figure, axes: tuple[str, ...]) -> list[tuple[Axes, Axes]]:
         pair = grid[axis].subgridspec(2, 1, height_ratios=(2.5, 1.0), hspace=0)
         signal = figure.add_subplot(pair[0], sharex=panels[0][0] if panels else None)
         band = figure.add_subplot(pair[1], sharex=signal)
-        signal.set_gid(f"signal-{title}")
-        band.set_gid(f"labels-{title}")
+        signal.set_gid(f"signal-{printable(title)}")
+        band.set_gid(f"labels-{printable(title)}")
         signal.tick_params(labelbottom=False, bottom=False, labelsize=10)
         band.tick_params(labelbottom=axis == len(axes) - 1, labelsize=10)
         panels.append((signal, band))
@@ -176,8 +177,7 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primit
     low, high = float(visible.min()), float(visible.max())
     margin = max(0.08 * (high - low), 1e-3)
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
-    unit = recordings.units[axis]
-    ax.set_ylabel(f"{recordings.axes[axis]}, {unit}" if unit else recordings.axes[axis], fontsize=12)
+    ax.set_ylabel(plain(", ".join(filter(None, (recordings.axes[axis], recordings.units[axis])))), fontsize=12)
     ax.grid(axis="y", color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
 
@@ -229,7 +229,7 @@ def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
         row = next((row for row, end in enumerate(ends) if end <= left), len(ends))
         ends[row : row + 1] = [left + width]
         ax.annotate(
-            mark.text,
+            plain(mark.text),
             (mark.seconds, 1.0),
             (3 if fits else -3, 5 + 16 * row),
             xycoords=ax.get_xaxis_transform(),

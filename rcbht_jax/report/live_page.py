@@ -202,8 +202,8 @@ class Frames:
 
     def _publish(self, sample: int, time: float, provisional: list[list[float]]) -> None:
         frame = {
-            "sample": sample, "time": round(time, 6), "trial": self._trial, "wrench": self._samples, "words": self._words,
-            "provisional": provisional, "beliefs": self._beliefs, "events": self._events,
+            "sample": sample, "time": round(time, 6), "trial": self._trial, "wrench": self._samples,
+            "words": self._words, "provisional": provisional, "beliefs": self._beliefs, "events": self._events,
         }  # fmt: skip
         self._broadcast.publish(frame)
         self._samples, self._words, self._events, self._beliefs = [], [], [], {}
@@ -318,7 +318,9 @@ class PageServer(ThreadingHTTPServer):
         self.broadcast = Broadcast()
         self._free = threading.BoundedSemaphore(CONNECTIONS)
         self._lock = threading.Lock()
-        self._unasked: dict[socket.socket, float] = {}  # those without a whole request: when they came, the oldest first
+        self._unasked: dict[
+            socket.socket, float
+        ] = {}  # those without a whole request: when they came, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()

@@ -16,7 +16,7 @@ from PIL import Image
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
-from rcbht_jax.plots.canvas import new_figure
+from rcbht_jax.plots.canvas import new_figure, plain
 from rcbht_jax.types import Recordings
 from sim_mjx.plots.trial_overview import XYZ, shade_states, still
 from sim_mjx.validation.replay import Replay
@@ -79,7 +79,7 @@ def _pictures(
     arm, close = figure.add_axes((0.03, 0.44, 0.45, 0.5)), figure.add_axes((0.52, 0.44, 0.45, 0.5))
     drawings = still((arm, close), replay, 0.0)
     cursor = _forces(figure, recordings, row)
-    figure.suptitle(f"{recordings.trial[row]}   ·   {recordings.outcome[row]}", x=0.03, ha="left", fontsize=12)
+    figure.suptitle(plain(f"{recordings.trial[row]}   ·   {recordings.outcome[row]}"), x=0.03, ha="left", fontsize=12)
     canvas: Any = FigureCanvasAgg(figure)
     for count, sample in enumerate(samples.tolist()):
         for drawing in drawings:

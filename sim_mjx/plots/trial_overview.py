@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from rcbht_jax.labels import AXES, COLORS
-from rcbht_jax.plots.canvas import label_legend, new_figure
+from rcbht_jax.plots.canvas import label_legend, new_figure, plain
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import LabelTracks, Recordings
 from sim_mjx.plots.projection import ABOVE, SEATED, SIDE, Drawing
@@ -52,7 +52,7 @@ def trial_overview(
     for column, (name, seconds) in enumerate(frames.items()):
         pair = (figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column]))
         still(pair, replay, seconds)
-        pair[0].set_title(f"{LETTERS[column]}   {seconds:.2f} s\n{name}", fontsize=11, loc="left", pad=4)
+        pair[0].set_title(f"{LETTERS[column]}   {seconds:.2f} s\n{plain(name)}", fontsize=11, loc="left", pad=4)
     panels = [figure.add_subplot(grid[1])]
     panels += [figure.add_subplot(grid[i], sharex=panels[0]) for i in (2, 3, 4)]
     _tabs(panels[0], replay)
@@ -70,7 +70,7 @@ def trial_overview(
     panels[-1].set_xlabel("time, s", fontsize=11)
     label_legend(figure, "llb", used, (0.06, 0.002), 7)
     title = ", ".join(filter(None, (_title(replay, recordings, row), words)))
-    figure.suptitle(title, x=0.06, y=0.988, ha="left", va="top", fontsize=14)
+    figure.suptitle(plain(title), x=0.06, y=0.988, ha="left", va="top", fontsize=14)
     return figure
 
 
@@ -214,7 +214,9 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
         if names:
             where: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
             name, middle = marks.labels[track][state], (onset[state] + end) / 2
-            ax.annotate(name, (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", bbox=PLATE, **where)
+            ax.annotate(
+                plain(name), (middle, 1.0), (0, -11), ha="center", fontsize=10, color="0.3", bbox=PLATE, **where
+            )
 
 
 def _title(replay: Replay, recordings: Recordings, row: int) -> str:

@@ -303,11 +303,11 @@ def test_connections_that_drip_their_request_end(monkeypatch):
     with PageServer(Session(Introspector(model())), port=0) as server:
         with socket.create_connection(server.server_address[:2]) as client:
             begun = time.monotonic()
-            with pytest.raises(OSError, match=r"Broken pipe|reset"):
+            with contextlib.suppress(ConnectionError):
                 while time.monotonic() < begun + 5:
                     client.sendall(b"G")
                     time.sleep(0.05)
-            assert time.monotonic() > begun + 0.4
+            assert 0.4 < time.monotonic() - begun < 4
         assert ask(server, "GET", "/")[0] == 200
 
 
