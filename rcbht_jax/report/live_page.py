@@ -318,9 +318,7 @@ class PageServer(ThreadingHTTPServer):
         self.broadcast = Broadcast()
         self._free = threading.BoundedSemaphore(CONNECTIONS)
         self._lock = threading.Lock()
-        self._unasked: dict[
-            socket.socket, float
-        ] = {}  # those without a whole request: when they came, the oldest first
+        self._unasked: dict[socket.socket, float] = {}  # when those without a whole request came, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
         self.document = document()
