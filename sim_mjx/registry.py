@@ -7,17 +7,18 @@ may be somebody's own: FILE.py:NAME is the object NAME of a Python file, see doc
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Assembly, draw, scene
 from sim_mjx.assembly.hooked_parts import HookedParams
-from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
@@ -49,10 +50,11 @@ TWO_ARM_PARAMETERS = (
 class Scenario:
     """A preset with its scene, what is logged of it and how its trials are drawn."""
 
-    preset: Any  # SessionPreset or Pairing, which ``sample`` takes
+    preset: Any  # SessionPreset or Pairing, which ``sample_batch`` takes
     arms: tuple[str, ...]  # whose wrenches are logged, in this order
     scene: Callable[..., Scene]  # takes substeps, iterations, ls_iterations
-    sample: Callable[[Any, int, int, Any], tuple[Any, Fault]]  # preset, seed, index, distributions
+    # of a preset, seed, indices and distributions
+    sample_batch: Callable[[Any, int, Sequence[int], Any], tuple[Any, list[Fault]]]
     parameters: tuple[tuple[str, str], ...]  # what is stored of a trial: group and field
     assembly: str = SNAP
     robot: str = HIRO
@@ -65,13 +67,13 @@ class Scenario:
         return self.assembly == SNAP
 
     def draw(self, seed: int, index: int, spec: Any) -> tuple[Any, Fault]:
-        """One trial's parameters and fault; see ``sim_mjx.randomization.trials.sample``."""
-        return self.sample(self.preset, seed, index, spec)
+        """Parameters of one trial, without a batch axis, and its fault."""
+        params, (fault,) = self.draw_batch(seed, (index,), spec)
+        return jax.tree.map(lambda leaf: leaf[0], params), fault
 
-    def draw_batch(self, seed: int, indices: Iterable[int], spec: Any) -> tuple[Any, list[Fault]]:
-        """Several trials as one batch, equal to ``draw`` trial by trial."""
-        drawn = [self.draw(seed, index, spec) for index in indices]
-        return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
+    def draw_batch(self, seed: int, indices: Sequence[int], spec: Any) -> tuple[Any, list[Fault]]:
+        """Parameters and faults of trials; see ``sim_mjx.randomization.trials.sample_batch``."""
+        return self.sample_batch(self.preset, seed, indices, spec)
 
 
 def get_scenario(name: str) -> Scenario:
@@ -88,9 +90,9 @@ def get_scenario(name: str) -> Scenario:
         return _paired(assembly, robot)
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
-        return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample, TWO_ARM_PARAMETERS)
+        return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample_batch, TWO_ARM_PARAMETERS)
     names = HOOKED_PARAMETERS if isinstance(constants.parts, HookedParams) else PARAMETERS
-    return Scenario(constants, ("R",), constants.scene, trials.sample, names)
+    return Scenario(constants, ("R",), constants.scene, trials.sample_batch, names)
 
 
 @cache
@@ -112,8 +114,8 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     names += [("parts.mount", "position"), ("parts.mount", "stiffness"), ("parts.mount", "friction")]
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
-        pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample, tuple(names), assembly.name, robot.name,
-        tuple(phase.name for phase in assembly.phases), assembly.variation,
+        pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names), assembly.name,
+        robot.name, tuple(phase.name for phase in assembly.phases), assembly.variation,
     )  # fmt: skip
 
 

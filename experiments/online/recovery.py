@@ -29,7 +29,7 @@ from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_model
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.rollout import Rollouts, stack
+from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
@@ -53,12 +53,9 @@ Floats = NDArray[np.float64]
 
 def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
     """Trials with the hand ``offsets`` [trial, 2] (m) beside the part, mildly randomised otherwise."""
-    trials = []
-    for index, (dx, dy) in enumerate(offsets, start=first):
-        one, _ = randomize.sample(preset(PRESET), seed, index, MILD)
-        moved = one.task.way_position + np.array([dx, dy, 0.0])
-        trials.append(replace(one, task=replace(one.task, way_position=moved)))
-    return native.simulate(one_arm(), stack(trials))
+    trials, _ = randomize.sample_batch(preset(PRESET), seed, range(first, first + len(offsets)), MILD)
+    moved = trials.task.way_position + np.pad(offsets, ((0, 0), (0, 1)))[:, None]
+    return native.simulate(one_arm(), replace(trials, task=replace(trials.task, way_position=moved)))
 
 
 def as_recordings(run: Rollouts, offsets: Floats, kinds: list[str]) -> Recordings:

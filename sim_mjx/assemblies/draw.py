@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies.assembly import Assembly, AssemblyTrial, FaultOf, Mount, Parts, Range, Variation
 from sim_mjx.assemblies.scene import home
+from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.sensor import SensorParams
 from sim_mjx.randomization.trials import Fault, check_common, stream
 from sim_mjx.robots.robot import Robot
@@ -87,6 +88,14 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
         trial = replace(trial, timeout=np.minimum(trial.timeout, spec.longest))
     shift = trial.hand[:2] - trial.parts.mount.position[:2]
     return trial, Fault(kind, "", np.array([*shift, trial.hand[5] - trial.parts.mount.turn]))
+
+
+def sample_batch(
+    pairing: Pairing, seed: int, indices: Sequence[int], spec: Variation
+) -> tuple[AssemblyTrial, list[Fault]]:
+    """Several trials ``[trial, ...]``: :func:`sample` of each index, since an assembly draws one trial at a time."""
+    drawn = [sample(pairing, seed, index, spec) for index in indices]
+    return stack([params for params, _ in drawn]), [fault for _, fault in drawn]
 
 
 def _sensor(spec: Variation, rng: np.random.Generator) -> SensorParams:

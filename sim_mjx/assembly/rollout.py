@@ -133,6 +133,11 @@ def stack(trials: list[Params]) -> Params:
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *trials)
 
 
+def repeated(trial: Params, count: int) -> Params:
+    """A batch of equal trials, or of a part of their parameters."""
+    return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], count, axis=0), trial)
+
+
 def batch_size(params: Any) -> int:
     """Trials in a batch of a program's parameters."""
     return len(jax.tree.leaves(params)[0])

@@ -190,8 +190,6 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
     compile, and this way it is compiled once.
     """
     home = layout.program.home(fixed.params)
-    shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
-    unroll = fixed.model.impl == mjx.Impl.WARP  # quick to compile, and a loop would copy its buffers
 
     def period(state: State, _: None) -> tuple[State, LogRow]:
         body, settling = state.body, state.tick < 0
@@ -200,10 +198,7 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
         loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
         before, after = (jnp.where(settling[:, None], 0.0, ends[:, i] - home) for i in (0, 1))
 
-        def substep(at: Any, share: Array) -> tuple[Any, None]:
-            return _step(fixed, at, before + share * (after - before)), None
-
-        moved, _ = jax.lax.scan(substep, body, shares, unroll=unroll)
+        moved = _substeps(layout, fixed, body, lambda share: before + share * (after - before))
         moved = kept(body, moved, (log.phase == layout.program.ended) & ~settling)
         return State(moved, loop, state.tick + 1), log
 
@@ -213,6 +208,18 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
 def _chosen(which: Array, first: Any, second: Any) -> Any:
     """Lane by lane one of two trees of arrays [lane, ...]."""
     return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
+
+
+def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> Any:
+    """The physics steps of a control period, of which the last one's sensors are read."""
+    shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
+    if fixed.model.impl == mjx.Impl.JAX:  # a second kind of step would take another minute to compile
+        return jax.lax.scan(lambda at, share: (_step(fixed, at, ctrl(share)), None), body, shares)[0]
+    flags = fixed.model.opt.disableflags | mjx.DisableBit.SENSOR
+    blind = dataclasses.replace(fixed, model=fixed.model.tree_replace({"opt.disableflags": flags}))
+    for share in shares[:-1]:  # quick to compile, and a loop would copy the buffers of Warp's kernels
+        body = _step(blind, body, ctrl(share))
+    return _step(fixed, body, ctrl(shares[-1]))
 
 
 def _step(fixed: Fixed, body: Any, wanted: Array) -> Any:

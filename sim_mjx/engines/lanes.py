@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import LogRow, Program, as_float32, batch_size
@@ -76,46 +77,37 @@ class Lanes:
     ) -> Iterator[tuple[list[Trial], Outcome]]:
         """Simulate batches of trials; yields finished trials, of which no more than ``at_once`` at a time.
 
-        A batch stays on the device until all its trials have ended, unless lanes wait for its slots. What is yielded
-        always has ``at_once`` rows, so that what follows is compiled once: those behind the trials mean nothing.
+        A batch stays on the device until all its trials have ended, and as many of others, unless lanes wait for its
+        slots. What is yielded always has ``at_once`` rows, so that what follows is compiled once: those behind the
+        trials mean nothing.
 
         Args:
-            batches: (key, parameters of the scene's program), best none larger than the first; one is asked for when
-                lanes are free.
+            batches: (key, parameters of the scene's program); asked for when lanes are free.
             progress: called with the number of control periods done since the last call, summed over trials.
             ready: whether the next batch is there without waiting; lanes that are busy do not wait for it.
             room: whether what is yielded is wanted now; else it waits on the device while there are slots for others.
         """
         layout, programs = device.layout_of(self.scene), _programs(jax.default_backend())
-        queue = _Queue(self.scene, iter(batches), ready)
-        if not queue.refilled():
-            return
         lanes = -(-self.count // device.LANES) * device.LANES
+        queue = _Queue(self.scene, iter(batches), ready, self.at_once)
+        if not queue.begun(lanes):
+            return
         slots = lanes + (max(self.at_once, lanes) if self.spare is None else self.spare)
-        fixed = self._fixed(queue, lanes)
+        table, done = _Table(lanes, slots), _Done(self.at_once)
+        model, empty = device.put_scene(self.scene, lanes, self.impl)
+        fields, params = queue.pool
+        fixed = Fixed(model, fields, params, empty)  # lanes begin with the first trials; a spare one repeats the last
         state = programs.start(layout, fixed)
-        free, done = list(range(slots))[::-1], _Done(self.at_once)
-        trial: list[Trial | None] = [None] * lanes
-        slot, age = np.full(lanes, slots), np.zeros(lanes, np.int64)
+        table.begin(np.arange(queue.left), queue.take(queue.left))
         logs: Logs | None = None
-        fresh = True  # lanes begin with the first trials: nothing to copy
         while True:
-            while (
-                (idle := [lane for lane in range(lanes) if trial[lane] is None])
-                and free
-                and queue.refilled(wait=len(idle) == lanes)
-            ):
-                rows = queue.take(min(len(idle), len(free)))
-                chosen = idle[: len(rows)]
-                for lane, row in zip(chosen, rows, strict=True):
-                    trial[lane], slot[lane], age[lane] = (queue.key, row), free.pop(), 0
-                if not fresh:
-                    begin = np.full(lanes, -1, np.int32)
-                    begin[chosen] = rows
-                    fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
-                fresh = False
-            working = np.array([one is not None for one in trial])
-            if not working.any():
+            while len(idle := table.idle()) and table.free and queue.refilled(wait=len(idle) == lanes):
+                chosen = idle[: min(len(table.free), queue.left)]
+                begin = np.full(lanes, -1, np.int32)
+                begin[chosen] = queue.rows(len(chosen))
+                table.begin(chosen, queue.take(len(chosen)))
+                fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
+            if not table.busy.any():
                 break
             state, log = programs.stretch(layout, fixed, state)
             if logs is None:
@@ -123,30 +115,23 @@ class Lanes:
             elif logs.phase.shape[1] < queue.blocks:
                 logs = _longer(logs, queue.blocks)
             seated = programs.seated(layout, fixed, state)
-            logs = programs.write(logs, log, seated, slot, np.minimum(age, logs.phase.shape[1] - 1))
+            logs = programs.write(logs, log, seated, table.slot, np.minimum(table.age, logs.phase.shape[1] - 1))
             ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: all that goes to the host
-            age += 1
-            self._busy += int(running[working].sum())
+            moved = int(running[table.busy].sum())
+            self._busy += moved
             self._offered += lanes * device.STRETCH
             if progress is not None:
-                progress(int(running[working].sum()))
-            for lane in np.flatnonzero(working & (ended | (age >= queue.blocks))).tolist():
-                done.add(_Ended(trial[lane], int(slot[lane]), int(age[lane])))  # type: ignore[arg-type]
-                trial[lane], slot[lane] = None, slots
+                progress(moved)
+            for one in table.end(ended, queue.blocks):
+                done.add(one)
             more = queue.refilled(wait=False)
             while True:
-                short = more and len(free) < trial.count(None)
-                wanted = short or room() or trial.count(None) == lanes
-                if not wanted or not (whole := done.take(queue.sizes, short)):
+                short, last = more and len(table.free) < len(table.idle()), not table.busy.any()
+                wanted = short or last or room()
+                if not wanted or not (whole := done.take(queue.sizes, short, last and not more)):
                     break
                 yield self._taken_out(whole, logs)
-                free += [one.slot for one in whole]
-
-    def _fixed(self, queue: _Queue, lanes: int) -> Fixed:
-        """The lanes with the first trials of the queue; a spare lane repeats the last of them."""
-        model, empty = device.put_scene(self.scene, lanes, self.impl)
-        fields, params = _rows(queue.pool, np.minimum(np.arange(lanes), queue.left - 1))
-        return Fixed(model, fields, params, empty)
+                table.free += [one.slot for one in whole]
 
     def _taken_out(self, ready: list[_Ended], logs: Logs) -> tuple[list[Trial], Outcome]:
         trials, slots, ages = zip(*ready, strict=True)
@@ -164,6 +149,36 @@ class _Ended(NamedTuple):
     blocks: int  # that it has written
 
 
+class _Table:
+    """What the host knows of the lanes."""
+
+    def __init__(self, lanes: int, slots: int) -> None:
+        self.busy = np.zeros(lanes, np.bool_)
+        self.slot = np.full(lanes, slots)  # where a lane's log goes; ``slots`` = nobody wants it
+        self.age = np.zeros(lanes, np.int64)  # blocks that it has written
+        self.free = list(range(slots))[::-1]
+        self._trial, self._nowhere = list[Trial | None]([None] * lanes), slots
+
+    def idle(self) -> NDArray[np.intp]:
+        """Lanes without a trial."""
+        return np.flatnonzero(~self.busy)
+
+    def begin(self, lanes: NDArray[np.integer], trials: list[Trial]) -> None:
+        """Trials begin in these lanes."""
+        for lane, trial in zip(lanes.tolist(), trials, strict=True):
+            self._trial[lane], self.slot[lane] = trial, self.free.pop()
+        self.busy[lanes], self.age[lanes] = True, 0
+
+    def end(self, ended: Bool[np.ndarray, " lane"], blocks: int) -> Iterator[_Ended]:
+        """One more block is written; the trials that have ended, or filled all blocks, leave their lanes."""
+        self.age += 1
+        for lane in np.flatnonzero(self.busy & (ended | (self.age >= blocks))).tolist():
+            trial = self._trial[lane]
+            assert trial is not None
+            yield _Ended(trial, int(self.slot[lane]), int(self.age[lane]))
+            self._trial[lane], self.slot[lane], self.busy[lane] = None, self._nowhere, False
+
+
 class _Done:
     """Trials that have ended and are still on the device."""
 
@@ -173,63 +188,98 @@ class _Done:
     def add(self, one: _Ended) -> None:
         self._ended.setdefault(one.trial[0], []).append(one)
 
-    def take(self, sizes: dict[Hashable, int], short: bool) -> list[_Ended]:
-        """Up to ``at_once`` trials to take out: of a batch that is complete, or if slots are short of the fullest."""
-        key = next((key for key, ended in self._ended.items() if len(ended) == sizes[key]), None)
-        if key is None and short and self._ended:
-            key = max(self._ended, key=lambda key: len(self._ended[key]))
-        if key is None:
+    def take(self, sizes: dict[Hashable, int], short: bool, last: bool) -> list[_Ended]:
+        """Up to ``at_once`` trials to take out: of batches that are complete, if they are so many or the ``last``.
+
+        If slots are ``short``, those of the fullest batch if none is complete.
+        """
+        complete = [key for key, ended in self._ended.items() if len(ended) == sizes[key]]
+        if not complete and short and self._ended:
+            complete = [max(self._ended, key=lambda key: len(self._ended[key]))]
+        if not short and not last and sum(len(self._ended[key]) for key in complete) < self._at_once:
             return []
-        ready = sorted(self._ended.pop(key), key=lambda one: one.trial[1])
-        ready, rest = ready[: self._at_once], ready[self._at_once :]
-        sizes[key] -= len(ready)
-        if rest:
-            self._ended[key] = rest
+        ready = list[_Ended]()
+        for key in complete:
+            ended = sorted(self._ended.pop(key), key=lambda one: one.trial[1])
+            taken, rest = ended[: self._at_once - len(ready)], ended[self._at_once - len(ready) :]
+            ready += taken
+            sizes[key] -= len(taken)
+            if rest:
+                self._ended[key] = rest
         return ready
 
 
 class _Queue:
-    """The trials that have not begun, a batch at a time on the device."""
+    """The trials that have not begun, some of them on the device."""
 
-    def __init__(self, scene: Scene, batches: Iterator[tuple[Hashable, Any]], ready: Callable[[], bool]) -> None:
-        self._scene, self._batches, self._ready, self._size = scene, batches, ready, 0
-        self._next = self._stop = 0
-        self.key: Hashable = None
+    def __init__(
+        self, scene: Scene, batches: Iterator[tuple[Hashable, Any]], ready: Callable[[], bool], size: int
+    ) -> None:
+        self._scene, self._batches, self._ready, self._size = scene, batches, ready, size
+        self._trials, self._next = list[Trial](), 0
+        self._rest: tuple[Hashable, int, Any] | None = None  # a batch, and how many trials of it are in the pool
         self.sizes = dict[Hashable, int]()  # trials of each batch that are not taken out
-        self.pool: Any = None  # model fields and parameters of the batch [trial, ...]
+        self.pool: Any = None  # model fields and parameters of trials [trial, ...]
         self.blocks = 0  # stretches that the longest trial can take
 
     @property
     def left(self) -> int:
-        """Trials of the present batch that have not begun."""
-        return self._stop - self._next
+        """Trials of the pool that have not begun."""
+        return len(self._trials) - self._next
+
+    def begun(self, lanes: int) -> bool:
+        """Whether there is a trial; the first pool has one for each lane, of as many batches as that takes."""
+        return self._fill(lanes, lambda: True)
 
     def refilled(self, wait: bool = True) -> bool:
-        """Whether a trial is left, if need be of the next batch, unless that is not there and nobody waits for it."""
+        """Whether a trial is left in the pool, which if need be takes the next ones, unless nobody waits for them.
+
+        It is always as large, so that one program is compiled, and holds what is there without waiting.
+        """
         if self.left:
             return True
-        if not wait and not self._ready():
+        return (wait or self._rest is not None or self._ready()) and self._fill(self._size, self._ready)
+
+    def _fill(self, size: int, ready: Callable[[], bool]) -> bool:
+        """A new pool of up to ``size`` trials, of one batch and of others as long as they are ``ready``."""
+        pieces, self._trials, self._next = list[Any](), [], 0
+        while len(self._trials) < size and (not pieces or self._rest or ready()):
+            piece = self._piece(size)
+            if piece is None:
+                break
+            pieces.append(piece)
+        if not pieces:
             return False
-        drawn = next(self._batches, None)
-        if drawn is None:
-            return False
-        self.key, params = drawn
-        self._next, self._stop = 0, batch_size(params)
-        self.sizes[self.key] = self._stop
-        self._size = max(self._size, self._stop)
-        rows = np.minimum(np.arange(self._size), self._stop - 1)  # always as many: one compiled program
-        params = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], params)
+        rows = np.minimum(np.arange(size), len(self._trials) - 1)
+        params = jax.tree.map(lambda *leaves: np.concatenate(leaves)[rows], *pieces)
         self.pool = jax.device_put((device.fields_of(self._scene, params), as_float32(params)))
         longest = int(np.ceil(np.max(self._scene.program.timeout(params)) / CONTROL_PERIOD)) + 1
         settling = -(-SETTLING // self._scene.substeps)
         self.blocks = max(self.blocks, -(-(settling + longest) // device.STRETCH))
         return True
 
-    def take(self, count: int) -> list[int]:
-        """The next trials' numbers in the batch, at most ``count``."""
-        rows = list(range(self._next, min(self._next + count, self._stop)))
-        self._next += len(rows)
-        return rows
+    def _piece(self, size: int) -> Any:
+        """Parameters of trials of one batch, as many as there is room for in a pool; none behind the last."""
+        if self._rest is None:
+            drawn = next(self._batches, None)
+            if drawn is None:
+                return None
+            self._rest = drawn[0], 0, drawn[1]
+            self.sizes[drawn[0]] = batch_size(drawn[1])
+        key, start, params = self._rest
+        stop = min(batch_size(params), start + size - len(self._trials))
+        self._rest = None if stop == batch_size(params) else (key, stop, params)
+        self._trials += [(key, row) for row in range(start, stop)]
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[start:stop], params)
+
+    def rows(self, count: int) -> NDArray[np.integer]:
+        """Places in the pool of the next trials."""
+        return np.arange(self._next, self._next + count)
+
+    def take(self, count: int) -> list[Trial]:
+        """The next trials begin."""
+        self._next += count
+        return self._trials[self._next - count : self._next]
 
 
 @dataclass(frozen=True)
@@ -250,11 +300,6 @@ def _programs(backend: str) -> _Programs:
         jit(device.start), jit(device.stretch, donate_argnums=2), jit(device.seated),
         jit(_refill, donate_argnums=2), jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
     )  # fmt: skip
-
-
-@jax.jit  # leaf by leaf it would wait for the thread that draws trials a hundred times
-def _rows(tree: Any, rows: Array) -> Any:
-    return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
 def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:

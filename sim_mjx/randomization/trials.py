@@ -7,18 +7,19 @@ streams never overlap. Deviations are those of the hand from the part, as in the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import TABS, PartParams
-from sim_mjx.assembly.rollout import TrialParams
+from sim_mjx.assembly.rollout import TrialParams, repeated
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
 from sim_mjx.assembly.task import TaskParams
 from sim_mjx.presets import ONE_ARM
@@ -100,17 +101,34 @@ class Fault:
 
 
 @dataclass
-class _Values:
-    """Drawn numbers of one trial, before they become parameters; factors unless a unit is given."""
+class _Faulty:
+    """What faults make of trials; factors unless a unit is given."""
 
-    hand: Float64[np.ndarray, " 3"]  # m, m, rad
-    part: Float64[np.ndarray, " 2"]  # m
-    tilt: float  # rad
-    overlap: Float64[np.ndarray, " 4"]  # negative = missing
-    friction: float
-    hooks: Float64[np.ndarray, " 4"] | None = None  # m, overlaps in place of the nominal ones
-    stop: float | None = None  # share of the time to mating
-    failure_type: str = ""
+    hand: Float64[np.ndarray, "trial 3"]  # m, m, rad; NaN = as drawn for all trials
+    part: Float64[np.ndarray, "trial 2"]  # m
+    tilt: Float64[np.ndarray, " trial"]  # rad
+    overlap: Float64[np.ndarray, "trial 4"]  # negative = missing
+    friction: Float64[np.ndarray, " trial"]
+    hooks: Float64[np.ndarray, "trial 4"]  # m, overlaps in place of the drawn ones; NaN = those
+    stop: Float64[np.ndarray, " trial"]  # share of the time to mating; infinite = it does not stop
+    failure_type: list[str]
+
+    @classmethod
+    def none(cls, trials: int) -> _Faulty:
+        """Trials without a fault."""
+        zero, one, nan = (partial(np.full, fill_value=value) for value in (0.0, 1.0, np.nan))
+        return cls(
+            nan((trials, 3)), zero((trials, 2)), zero(trials), one((trials, 4)), one(trials), nan((trials, 4)),
+            np.full(trials, np.inf), [""] * trials,
+        )  # fmt: skip
+
+
+_Numbers = dict[str, Float64[np.ndarray, "trial count"]]  # by name of their range
+# What every trial draws, in this order: range and how many numbers.
+_DRAWN = (
+    ("speed", 1), ("gain", 2), ("goal", 2), ("noise", 1), ("force_bias", 3), ("moment_bias", 3), ("tare", 1),
+    ("stiffness", 4), ("mount", 1), ("shift", 2), ("turn", 1), ("overlap", 4), ("friction", 1),
+)  # fmt: skip
 
 
 def check_common(nominal_share: float, longest: float | None, lag: tuple[int, int]) -> None:
@@ -127,7 +145,7 @@ def check_common(nominal_share: float, longest: float | None, lag: tuple[int, in
         raise InputError(f"The lag is {lag}; expected two increasing counts from 0 to {LONGEST_DELAY - 2}.")
 
 
-@lru_cache  # every trial asks
+@lru_cache  # every batch asks
 def check(spec: DomainRandomization) -> None:
     """Refuse distributions that no trial could be drawn from.
 
@@ -163,46 +181,55 @@ def real_sensor(session: str) -> SensorParams:
 
 
 def sample(preset: SessionPreset, seed: int, index: int, spec: DomainRandomization) -> tuple[TrialParams, Fault]:
-    """One trial of a preset, of the right arm.
+    """One trial of a preset, of the right arm: :func:`sample_batch` of one index, without the batch axis."""
+    params, (fault,) = sample_batch(preset, seed, (index,), spec)
+    return jax.tree.map(lambda leaf: leaf[0], params), fault
+
+
+def sample_batch(
+    preset: SessionPreset, seed: int, indices: Sequence[int], spec: DomainRandomization
+) -> tuple[TrialParams, list[Fault]]:
+    """Trials of a preset, of the right arm.
 
     Args:
-        preset: nominal values.
+        preset: nominal faulty.
         seed: of the whole set, 0 to 2^64 - 1.
-        index: of the trial within the set, >= 0.
+        indices: of the trials within the set, >= 0.
         spec: the distributions.
 
     Returns:
-        its parameters (a single trial: leaves have no batch axis) and its fault.
+        their parameters ``[trial, ...]`` and their faults; a trial's do not depend on the others.
 
     Raises:
         InputError: negative seed or index, or impossible distributions.
     """
     check(spec)
-    rng = stream(seed, index)
-    task, sensor, part = _nominal(preset, spec, rng)
-    values = _Values(
-        hand=np.array([_draw(rng, spec.shift), _draw(rng, spec.shift), _draw(rng, spec.turn)]),
-        part=np.zeros(2),
-        tilt=0.0,
-        overlap=_draw(rng, spec.overlap, 4),
-        friction=float(_draw(rng, spec.friction)),
-    )
-    lag = int(rng.integers(spec.lag[0], spec.lag[1], endpoint=True)) if preset.real else 1
-    key = rng.integers(0, 2**32, 2, dtype=np.uint32)
-    kind = "none" if rng.random() < spec.nominal_share else spec.faults[int(rng.integers(len(spec.faults)))]
-    if kind != "none":
-        FAULTS[kind](values, spec, rng)
-    if spec.mating is not None:  # the last draw, so that the others do not depend on it
-        task = replace(task, mating_time=np.asarray(_draw(rng, spec.mating)))
-    params = TrialParams(
-        task=_with_task(preset, task, values, spec),
-        sensor=sensor,
-        parts=_with_parts(part, values),
-        command_delay=np.array(lag, np.int32),
-        seed=key,
-    )
-    parts.check(params.parts)
-    return params, Fault(kind, values.failure_type, values.hand - [*values.part, 0.0])
+    uniform = np.empty((len(indices), sum(count for _, count in _DRAWN)))
+    lag, key, mating = np.ones(len(indices), np.int32), np.empty((len(indices), 2), np.uint32), np.empty(len(indices))
+    faulty, kinds = _Faulty.none(len(indices)), list[str]()
+    for row, rng in enumerate(_streams(seed, indices)):
+        rng.random(out=uniform[row])
+        if preset.real:
+            lag[row] = rng.integers(spec.lag[0], spec.lag[1], endpoint=True)
+        key[row] = rng.integers(0, 2**32, 2, dtype=np.uint32)
+        nominal = rng.random() < spec.nominal_share
+        kinds.append("none" if nominal else spec.faults[int(rng.integers(len(spec.faults)))])
+        if not nominal:
+            FAULTS[kinds[-1]](faulty, row, spec, rng)
+        if spec.mating is not None:  # the last draw, so that the others do not depend on it
+            mating[row] = _draw(rng, spec.mating)
+    drawn = _scaled(uniform, spec)
+    hand = np.where(np.isnan(faulty.hand), np.concatenate([drawn["shift"], drawn["turn"]], axis=1), faulty.hand)
+    task, sensor, part = repeated(_nominal(preset, spec), len(indices))
+    task, part = _task(preset, task, drawn, hand, faulty, spec), _parts(part, drawn, faulty)
+    if spec.mating is not None:
+        task = replace(task, mating_time=mating)
+    if preset.real or spec.sensor is not None:
+        sensor = _measured(sensor, drawn)
+    parts.check(part)
+    away = hand - np.pad(faulty.part, ((0, 0), (0, 1)))
+    faults = [Fault(*one) for one in zip(kinds, faulty.failure_type, away, strict=True)]
+    return TrialParams(task, sensor, part, lag, key), faults
 
 
 def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
@@ -211,124 +238,148 @@ def stream(seed: int, index: int, branch: int = 0) -> np.random.Generator:
     Raises:
         InputError: negative or too large seed or index.
     """
+    return next(_streams(seed, (index,), branch))
+
+
+def _streams(seed: int, indices: Sequence[int], branch: int = 0) -> Iterator[np.random.Generator]:
+    """:func:`stream` of each trial: one generator, moved on, since making one takes longer than all that is drawn."""
     if not 0 <= seed < 2**64:
         raise InputError(f"The seed is {seed}; expected 0 to 2^64 - 1.")
-    if not 0 <= index < 2**63:
-        raise InputError(f"The trial's index is {index}; expected 0 or more.")
-    return np.random.Generator(np.random.Philox(key=seed, counter=(index << 192) + (branch << 128)))
+    bits = np.random.Philox(key=seed)
+    rng, state = np.random.Generator(bits), bits.state  # its buffer is empty
+    for index in indices:
+        if not 0 <= index < 2**63:
+            raise InputError(f"The trial's index is {index}; expected 0 or more.")
+        state["state"]["counter"] = np.array([0, 0, branch, index], np.uint64)
+        bits.state = state
+        yield rng
 
 
 def _draw(rng: np.random.Generator, span: Range, size: int | None = None) -> Any:
     return rng.uniform(span[0], span[1], size)
 
 
-def _nominal(
-    preset: SessionPreset, spec: DomainRandomization, rng: np.random.Generator
-) -> tuple[TaskParams, SensorParams, PartParams]:
-    """Controller, sensor and materials of the parts, which differ between any two trials."""
-    task = preset.task
-    speed, force_gain, moment_gain = _draw(rng, spec.speed), _draw(rng, spec.gain), _draw(rng, spec.gain)
-    task = replace(
-        task,
-        way_time=task.way_time / speed,
-        contact_after=task.contact_after / speed,
-        force=task.force * _draw(rng, spec.goal),
-        moment=task.moment * _draw(rng, spec.goal),
-        force_gain=task.force_gain * force_gain,
-        moment_gain=task.moment_gain * moment_gain,
-    )
-    noise, bias = _draw(rng, spec.noise), np.concatenate(
-        [_draw(rng, spec.force_bias, 3), _draw(rng, spec.moment_bias, 3)]
-    )  # fmt: skip
-    tare = _draw(rng, spec.tare)
+def _scaled(uniform: Float64[np.ndarray, "trial number"], spec: DomainRandomization) -> _Numbers:
+    """Numbers of 0 to 1 in their ranges, by name ``[trial, count]``."""
+    ends = np.cumsum([count for _, count in _DRAWN])[:-1]
+    spans = {name: getattr(spec, name) for name, _ in _DRAWN}
+    columns = np.split(uniform, ends, axis=1)
+    return {name: low + (high - low) * one for (name, (low, high)), one in zip(spans.items(), columns, strict=True)}
+
+
+def _nominal(preset: SessionPreset, spec: DomainRandomization) -> tuple[TaskParams, SensorParams, PartParams]:
+    """Controller, sensor and parts before anything varies."""
     sensor = preset.sensor if spec.sensor is None else real_sensor(spec.sensor)
     sensor = overrides.apply_overrides(sensor, "sensor", spec.physical)
-    if preset.real or spec.sensor is not None:
-        tared = np.asarray(sensor.tared * tare)
-        sensor = replace(sensor, noise=sensor.noise * noise, bias=sensor.bias + bias, tared=tared)
-    part = overrides.apply_overrides(preset.parts, "parts", spec.physical)
-    part = replace(
-        part,
-        tab_stiffness=part.tab_stiffness * _draw(rng, spec.stiffness, 4),
-        mount_stiffness=part.mount_stiffness * _draw(rng, spec.mount),
-    )
-    return task, sensor, part
+    return preset.task, sensor, overrides.apply_overrides(preset.parts, "parts", spec.physical)
 
 
-def _with_task(preset: SessionPreset, task: TaskParams, values: _Values, spec: DomainRandomization) -> TaskParams:
-    """The task with the hand's deviation in both waypoints, as the recorded failures had it, and its time limits."""
-    mating_begins = float(task.way_time[-1]) + preset.mating_begins - float(preset.task.way_time[-1])
-    stop = None if values.stop is None else values.stop * mating_begins
-    rest, timeout = spec.logs_on or 0.0, float(task.timeout)
-    if stop is not None and spec.logs_on is None:
-        timeout = min(timeout, stop)
-    elif stop is not None:
-        timeout = min(timeout, mating_begins + float(task.mating_time) + rest)
-        task = replace(task, stop=np.array(stop))
+def _measured(sensor: SensorParams, drawn: _Numbers) -> SensorParams:
+    """Sensors whose noise, bias and tare differ."""
+    bias = np.concatenate([drawn["force_bias"], drawn["moment_bias"]], axis=1)
+    noise, tared = sensor.noise * drawn["noise"], sensor.tared * drawn["tare"][:, 0]
+    return replace(sensor, noise=noise, bias=sensor.bias + bias, tared=tared)
+
+
+def _task(
+    preset: SessionPreset,
+    task: TaskParams,
+    drawn: _Numbers,
+    hand: Any,
+    faulty: _Faulty,
+    spec: DomainRandomization,
+) -> TaskParams:
+    """The tasks with the hand's deviation in both waypoints, as the recorded failures had it, and their time limits."""
+    speed, gain, goal = drawn["speed"], drawn["gain"], drawn["goal"]
+    way_time = task.way_time / speed
+    mating_begins = way_time[:, -1] + preset.mating_begins - float(preset.task.way_time[-1])
+    stop, rest, timeout = faulty.stop * mating_begins, spec.logs_on or 0.0, task.timeout
+    if spec.logs_on is None:
+        timeout = np.minimum(timeout, stop)
+    else:
+        ends = mating_begins + task.mating_time + rest
+        timeout = np.where(np.isfinite(stop), np.minimum(timeout, ends), timeout)
+        task = replace(task, stop=np.where(np.isfinite(stop), stop, task.stop))
     if spec.longest is not None:
-        timeout = min(timeout, spec.longest)
+        timeout = np.minimum(timeout, spec.longest)
+    turned = np.stack([hand[:, 2], faulty.tilt], axis=1)
     return replace(
         task,
-        way_position=task.way_position + values.hand[:2] @ preset.across,
-        way_rpy=task.way_rpy + np.array([values.hand[2], values.tilt]) @ preset.turns,
-        timeout=np.array(timeout),
-        rest=np.array(rest),
+        way_time=way_time,
+        contact_after=task.contact_after / speed[:, 0],
+        force=task.force * goal[:, :1, None],
+        moment=task.moment * goal[:, 1:, None],
+        force_gain=task.force_gain * gain[:, 0],
+        moment_gain=task.moment_gain * gain[:, 1:],
+        way_position=task.way_position + _sum_of(hand[:, :2], preset.across),
+        way_rpy=task.way_rpy + _sum_of(turned, preset.turns),
+        timeout=timeout,
+        rest=np.full(len(timeout), rest),
     )
 
 
-def _with_parts(part: PartParams, values: _Values) -> PartParams:
-    overlap = part.hook_overlap * values.overlap if values.hooks is None else values.hooks
-    return replace(
-        part.with_overlap(overlap),
-        friction=np.asarray(part.friction * values.friction),
-        position=part.position + np.array([*values.part, 0.0]),
+def _sum_of(shares: Float64[np.ndarray, "trial 2"], vectors: Any) -> Float64[np.ndarray, "trial 1 3"]:
+    """Two vectors in shares, for all waypoints."""
+    return (shares[:, :1] * vectors[0] + shares[:, 1:] * vectors[1])[:, None]
+
+
+def _parts(part: PartParams, drawn: _Numbers, faulty: _Faulty) -> PartParams:
+    part = replace(
+        part,
+        tab_stiffness=part.tab_stiffness * drawn["stiffness"],
+        mount_stiffness=part.mount_stiffness * drawn["mount"],
+        friction=part.friction * (drawn["friction"][:, 0] * faulty.friction),
+        position=part.position + np.pad(faulty.part, ((0, 0), (0, 1))),
+    )
+    return part.with_overlap(
+        np.where(np.isnan(faulty.hooks), part.hook_overlap * (drawn["overlap"] * faulty.overlap), faulty.hooks)
     )
 
 
-def _pose(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _pose(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The hand arrives beside or turned, in one to three directions."""
     weights = np.array(list(PATTERNS.values()), float)
     axes = list(PATTERNS)[int(rng.choice(len(weights), p=weights / weights.sum()))]
-    for row, (axis, span) in enumerate(zip("xyr", (spec.fault_x, spec.fault_y, spec.fault_roll), strict=True)):
+    for way, (axis, span) in enumerate(zip("xyr", (spec.fault_x, spec.fault_y, spec.fault_roll), strict=True)):
         value = _draw(rng, span)
         if axis in axes:
-            values.hand[row] = value
-            values.failure_type += ("+" if value >= 0 else "-") + axis
+            faulty.hand[row, way] = value
+            faulty.failure_type[row] += ("+" if value >= 0 else "-") + axis
 
 
-def _jamming(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _jamming(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
-    values.friction *= _draw(rng, spec.jam_friction)
-    values.hooks = _draw(rng, spec.jam_overlap, 4)
+    faulty.friction[row] *= _draw(rng, spec.jam_friction)
+    faulty.hooks[row] = _draw(rng, spec.jam_overlap, 4)
 
 
-def _wedging(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _wedging(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The part is turned and tilted in the hand, a little more than the slots allow."""
-    values.hand[2] = _draw(rng, spec.wedge_roll) * rng.choice((-1.0, 1.0))
-    values.tilt = float(_draw(rng, spec.wedge_tilt) * rng.choice((-1.0, 1.0)))
+    faulty.hand[row, 2] = _draw(rng, spec.wedge_roll) * rng.choice((-1.0, 1.0))
+    faulty.tilt[row] = _draw(rng, spec.wedge_tilt) * rng.choice((-1.0, 1.0))
 
 
-def _missing_tab(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _missing_tab(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """One tab has broken off or is worn; by convention of PartParams the overlap of a missing one is negative."""
     tab, (low, high) = int(rng.integers(len(TABS))), spec.missing_overlap
     # nothing is drawn where there is nothing to choose, so that later draws do not depend on this range
-    values.overlap[tab] *= low if low == high else _draw(rng, (low, high))
+    faulty.overlap[row, tab] *= low if low == high else _draw(rng, (low, high))
 
 
-def _moved_part(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _moved_part(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The female part stands farther off than any pose fault, along x or along y."""
     axis = int(rng.integers(2))
-    values.part[axis] = _draw(rng, spec.moved_by) * rng.choice((-1.0, 1.0))
+    faulty.part[row, axis] = _draw(rng, spec.moved_by) * rng.choice((-1.0, 1.0))
     # the hand deviates the other way
-    values.failure_type = ("-" if values.part[axis] > 0 else "+") + "xy"[axis]
+    faulty.failure_type[row] = ("-" if faulty.part[row, axis] > 0 else "+") + "xy"[axis]
 
 
-def _early_stop(values: _Values, spec: DomainRandomization, rng: np.random.Generator) -> None:
+def _early_stop(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The robot stops before mating begins."""
-    values.stop = float(_draw(rng, spec.stop_at))
+    faulty.stop[row] = _draw(rng, spec.stop_at)
 
 
-FAULTS: dict[str, Callable[[_Values, DomainRandomization, np.random.Generator], None]] = {
+FAULTS: dict[str, Callable[[_Faulty, int, DomainRandomization, np.random.Generator], None]] = {
     "pose": _pose,
     "jamming": _jamming,
     "wedging": _wedging,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from sim_mjx.assembly.rollout import repeated
 from sim_mjx.assembly.two_arm_program import TwoArmParams
 from sim_mjx.assembly.two_arm_scene import ARMS
 from sim_mjx.presets.session import Range
@@ -24,41 +26,44 @@ FORCE_DRIFT: Range = (-0.05, 0.05)  # N, either wrist's free-space offset; chose
 MOMENT_DRIFT: Range = (-0.003, 0.003)  # Nm, likewise
 
 
-def sample(preset: TwoArmPreset, seed: int, index: int, spec: DomainRandomization) -> tuple[TwoArmParams, Fault]:
-    """One two-arm trial.
+def sample_batch(
+    preset: TwoArmPreset, seed: int, indices: Sequence[int], spec: DomainRandomization
+) -> tuple[TwoArmParams, list[Fault]]:
+    """Two-arm trials.
 
     Args:
         preset: nominal values.
         seed: of the whole set, 0 to 2^64 - 1.
-        index: of the trial within the set, >= 0.
+        indices: of the trials within the set, >= 0.
         spec: the distributions; the sensors are OpenHRP's, whose noise and tare do not vary.
 
     Returns:
-        its parameters (a single trial: leaves have no batch axis) and its fault, whose deviation is the right hand's
-        from the part, x forward and y up.
+        their parameters ``[trial, ...]`` and their faults, whose deviation is the right hand's from the part, x forward
+        and y up.
 
     Raises:
         InputError: negative seed or index, or impossible distributions.
     """
-    right, fault = trials.sample(preset, seed, index, spec)
-    rng = trials.stream(seed, index, branch=1)
-    hold = replace(
-        preset.hold,
-        force=preset.hold.force * rng.uniform(*spec.goal),
-        moment=preset.hold.moment * rng.uniform(*spec.goal),
-        force_gain=preset.hold.force_gain * rng.uniform(*spec.gain),
-        moment_gain=preset.hold.moment_gain * rng.uniform(*spec.gain),
-    )
-    drift = [rng.uniform(*span, 3) for _ in ARMS for span in (FORCE_DRIFT, MOMENT_DRIFT)]
-    params = TwoArmParams(
-        task=replace(right.task, mating_time=np.array(rng.uniform(*MATING_TIME))),
-        hold=hold,
+    right, faults = trials.sample_batch(preset, seed, indices, spec)
+    spans = [spec.goal, spec.goal, spec.gain, spec.gain]
+    spans += [span for _ in ARMS for span in (FORCE_DRIFT, MOMENT_DRIFT) for _ in range(3)]
+    low, high = np.array([*spans, MATING_TIME, CHATTER]).T
+    drawn = np.stack([trials.stream(seed, index, branch=1).uniform(low, high) for index in indices])
+    hold, left_sensor = repeated((preset.hold, preset.left_sensor), len(indices))
+    return TwoArmParams(
+        task=replace(right.task, mating_time=drawn[:, -2]),
+        hold=replace(
+            hold,
+            force=hold.force * drawn[:, :1, None],
+            moment=hold.moment * drawn[:, 1:2, None],
+            force_gain=hold.force_gain * drawn[:, 2],
+            moment_gain=hold.moment_gain * drawn[:, 3],
+        ),
         sensor=right.sensor,
-        left_sensor=preset.left_sensor,
-        offset=preset.offset + np.concatenate(drift),
-        chatter=np.array(preset.chatter * rng.uniform(*CHATTER)),
+        left_sensor=left_sensor,
+        offset=preset.offset + drawn[:, 4:-2],
+        chatter=preset.chatter * drawn[:, -1],
         parts=right.parts,
         command_delay=right.command_delay,
         seed=right.seed,
-    )
-    return params, fault
+    ), faults

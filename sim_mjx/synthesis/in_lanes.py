@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.types import Array, LabelTracks
+from rcbht_jax.types import Array
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Program, batch_size
 from sim_mjx.assembly.scene import Scene
@@ -81,10 +81,13 @@ def simulate_in_lanes(
                 group.expect(key, batch_size(params))
             yield key, params
 
-    def onto_host(trials: list[Trial], there: Measured, tracks: LabelTracks | None) -> list[Shard]:
-        rows, labels = to_host(there, scene.program), jax.device_get(tracks)
+    def onto_host(trials: list[Trial], there: Measured, wrench: Array) -> list[Shard]:
+        tracks = None
+        if config is not None and limits is not None:  # here, since it waits for the device to know how many words
+            tracks = jax.device_get(encode_on_device(config, limits, *records.by_wrist(wrench, there.length)))
+        rows = to_host(there, scene.program)
         with one_at_a_time:
-            return group.add(trials, rows, labels)
+            return group.add(trials, rows, tracks)
 
     machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
     with ThreadPoolExecutor(COPIES) as host:
@@ -94,10 +97,8 @@ def simulate_in_lanes(
             return room() and sum(not one.done() for one in waiting) < COPIES
 
         for trials, out in machine.run(expected(), ready=ready, room=more):
-            tracks = None
-            if config is not None and limits is not None:
-                tracks = encode_on_device(config, limits, *records.by_wrist(out.wrench, out.length))
-            waiting.append(host.submit(onto_host, trials, measure(out, recorded), tracks))
+            waiting.append(host.submit(onto_host, trials, measure(out, recorded), out.wrench))
+            del out  # the device has better use for its other logs
             while waiting and (waiting[0].done() or len(waiting) > COPIES):  # more would fill the memory
                 yield from waiting.popleft().result()
         while waiting:

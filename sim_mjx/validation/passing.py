@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,7 +61,7 @@ def moments(past: Bool[np.ndarray, "time tab"]) -> list[tuple[int, int]]:
 
 
 def simulate(
-    scenario: Scenario, seed: int, indices: Iterable[int], spec: Any, progress: Callable[[int], None] | None = None
+    scenario: Scenario, seed: int, indices: Sequence[int], spec: Any, progress: Callable[[int], None] | None = None
 ) -> Passed:
     """Simulate trials with the native engine and note when their tabs pass.
 

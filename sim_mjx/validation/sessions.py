@@ -19,7 +19,7 @@ from rcbht_jax.io.hiro import onsets
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
@@ -73,16 +73,11 @@ def trials_of(
         raise InputError(f"Session {session.name} has {len(cells)} cells; {count} trials are too many.")
     repeats: dict[str, Any] = session.repeats
     spec = DomainRandomization(nominal_share=1.0, longest=limit, physical=physical, **repeats)
-    drawn = [trials.sample(session, seed, index, spec)[0] for index in range(count)]
+    drawn, _ = trials.sample_batch(session, seed, range(count), spec)
+    way = drawn.task.way_position
     if cells:
-        drawn = [_moved(one, dx * 1e-3, dy * 1e-3) for one, (dx, dy) in zip(drawn, cells, strict=False)]
-    drawn = [replace(one, task=replace(one.task, mating_time=np.array(mating))) for one in drawn]
-    return stack(drawn)
-
-
-def _moved(trial: TrialParams, dx: float, dy: float) -> TrialParams:
-    way = trial.task.way_position + np.array([dx, dy, 0.0])
-    return replace(trial, task=replace(trial.task, way_position=way))
+        way = way + np.pad(np.array(cells[:count]) * 1e-3, ((0, 0), (0, 1)))[:, None]
+    return replace(drawn, task=replace(drawn.task, way_position=way, mating_time=np.full(count, mating)))
 
 
 def harmonised(run: Rollouts) -> Float64[np.ndarray, "trial 4"]:

@@ -19,10 +19,10 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io.store import read_attrs
 from sim_mjx.assembly.rollout import TrialParams
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.registry import Scenario
 from sim_mjx.synthesis import claims, descriptions, plan, shards
+from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import synthesise, work_on
-from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.plan import SynthesisConfig, indices
 from sim_mjx.synthesis.workers import SynthesisProgress
 from tests.support.fake_simulation import SMALL, fake_engine, tree
 
@@ -273,10 +273,8 @@ def test_a_full_disk_at_the_end_keeps_the_shards(tmp_path: Path, monkeypatch: py
 
 def test_no_trial_is_drawn_twice(whole: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[int] = []
-    real = Scenario.draw_batch
-    monkeypatch.setattr(
-        Scenario, "draw_batch", lambda self, seed, i, spec: drawn.extend(i) or real(self, seed, i, spec)
-    )
+    real = Draft.draw
+    monkeypatch.setattr(Draft, "draw", lambda self, shard: drawn.extend(indices(self.job, shard)) or real(self, shard))
     synthesise(tmp_path / "again.zarr", SMALL, simulate=fake_engine)
     assert drawn == list(range(12))
     interrupted(tmp_path / "t.zarr", SMALL)
