@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from rcbht_jax.encoding.choices import check_choices
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, Recordings
@@ -49,7 +50,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         window: samples per straight-line fit, as the encoder will have it.
 
     Raises:
-        InputError: no recording is as long as two windows, or an axis never changes.
+        InputError: no recording is as long as two windows, an axis never changes, or no encoder has such a window.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -132,7 +133,7 @@ def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThreshol
     """Thresholds for recordings of an unknown robot; HIRO's preset where they are too short to see rest.
 
     Raises:
-        InputError: an axis never changes.
+        InputError: an axis never changes, or no encoder has such a window.
     """
     longest = int(recordings.length.max())
     return rest_thresholds(recordings, window).thresholds if longest >= 2 * window else preset(axes=recordings.axes)
@@ -141,9 +142,15 @@ def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThreshol
 def window_slopes(
     recordings: Recordings, window: int
 ) -> tuple[Float[np.ndarray, "recording window axis"], Bool[np.ndarray, "recording window"]]:
-    """Slopes of the straight-line fits of the encoder's windows, unit/s, and which windows are complete."""
-    count = recordings.wrench.shape[1] // window
-    cut = recordings.wrench[:, : count * window].reshape(len(recordings), count, window, -1)
+    """Slopes of the straight-line fits of the encoder's windows, unit/s, and which windows are complete.
+
+    Raises:
+        InputError: a window that no encoder can have.
+    """
+    check_choices(window, recordings.dt)
+    rows, samples, axes = recordings.wrench.shape
+    count = samples // window
+    cut = recordings.wrench[:, : count * window].reshape(rows, count, window, axes)
     time = (np.arange(window) - (window - 1) / 2) * recordings.dt
     slope = np.einsum("rnwa,w->rna", cut, time / (time**2).sum(), dtype=np.float64)
     return slope, np.arange(count) < (recordings.length // window)[:, None]

@@ -109,10 +109,14 @@ def test_share_of_rest_against_sample_by_sample() -> None:
 def test_what_cannot_be_calibrated() -> None:
     with pytest.raises(InputError, match="axis1 never changes"):
         rest_thresholds(Recordings.from_arrays(np.random.default_rng(0).normal(size=(2, 90, 2)) * [1, 0]))
-    short = Recordings.from_arrays(np.ones((2, 8, 6)))
-    with pytest.raises(InputError, match="two windows"):
-        rest_thresholds(short)
-    assert np.array_equal(auto_thresholds(short).limits, preset().limits)
+    for samples in (8, 3):  # one window, and none
+        short = Recordings.from_arrays(np.ones((2, samples, 6)))
+        with pytest.raises(InputError, match="two windows"):
+            rest_thresholds(short)
+        assert np.array_equal(auto_thresholds(short).limits, preset().limits)
+    for window in (0, -5, 1):
+        with pytest.raises(InputError, match=f"The window is {window} samples; a line needs at least 2"):
+            auto_thresholds(short, window)
 
 
 def test_rest_of_human_demonstrations(external_dir: Path) -> None:
