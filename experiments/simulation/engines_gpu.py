@@ -25,15 +25,16 @@ import numpy as np
 
 from experiments._lib.results_io import machine
 from experiments.simulation.engines import SEED, trials_of
-from rcbht_jax.io import label_parts, store, store_writer
+from rcbht_jax.io import store
 from sim_mjx import engines
 from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device, lanes
 from sim_mjx.randomization.trials import DomainRandomization
-from sim_mjx.synthesis import pipeline, records
+from sim_mjx.synthesis import in_lanes, pipeline, writers
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.regroup import Regroup
 from sim_mjx.validation.engine_parity import parity, reference
 
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
@@ -111,24 +112,30 @@ def _differences(expected: device.Outcome, found: device.Outcome) -> dict[str, f
 
 
 def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
-    """Trials with onsets, outcome, fault and all label tracks, stored; the first, smaller run compiles."""
-    spec = DomainRandomization(longest=options.synthesis_longest)
-    out: dict[str, Any] = {"trials": options.trials, "longest": options.synthesis_longest}
+    """Sets of trials with onsets, outcome, fault and all label tracks, stored; by their number of trials."""
+    return {str(count): _synthesis(engine, count, options) for count in options.trials}
+
+
+def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[str, Any]:
+    """One set, after a set of one wave on as many lanes, which compiles."""
+    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")
+    count = pipeline.balanced(trials, pipeline.LANES[engine], memory)
+    out: dict[str, Any] = {"trials": trials, "longest": options.synthesis_longest}
     spans: dict[str, float] = {}
-    with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
-        for turn in ("with_compilation_s", "seconds"):
-            job = SynthesisConfig("B", options.trials, SEED, engine, shard=options.shard, spec=spec, window=5)
+    for turn, many in (("with_compilation_s", count), ("seconds", trials)):
+        with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
+            target = Path(folder) / "trials.zarr"
+            spec = DomainRandomization(longest=options.synthesis_longest)
+            job = SynthesisConfig("B", many, SEED, engine, shard=options.shard, spec=spec, window=5)
             with _stopwatch(spans), _kept_lanes() as kept:
                 start = time.perf_counter()
-                report = pipeline.synthesise(Path(folder) / f"{turn}.zarr", job)
+                report = pipeline.synthesise(target, job, lanes=count)
                 out[turn] = round(time.perf_counter() - start, 2)
             out |= {"lanes": kept[0].count, "utilisation": round(kept[0].utilisation, 3)}
             out[turn + "_by_part"] = {name: round(value, 2) for name, value in spans.items()}
-        out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
-        files = [file for file in (Path(folder) / "seconds.zarr").rglob("*") if file.is_file()]
-        out["store_GB"] = round(sum(file.stat().st_size for file in files) / 1e9, 3)
-        lengths = store.read_table(Path(folder) / "seconds.zarr").length
-        out["physics_steps_per_trial"] = round(float(lengths.mean()) * SUBSTEPS)
+            out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
+            out["store_GB"] = round(sum(file.stat().st_size for file in target.rglob("*") if file.is_file()) / 1e9, 3)
+            out["physics_steps_per_trial"] = round(float(store.read_table(target).length.mean()) * SUBSTEPS)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return out | {"host_memory_peak_GB": round(peak * 1024 / 1e9, 2)}
 
@@ -153,8 +160,8 @@ class _stopwatch:
     """Seconds spent in the parts of a synthesis, summed over the threads that are at work at the same time."""
 
     PARTS: tuple[tuple[Any, str], ...] = (
-        (Draft, "draw"), (device, "fields_of"), (device, "to_host"), (records, "encode_on_device"),
-        (Draft, "write"), (records, "of_trials"), (store_writer, "write_part"), (label_parts, "write_part"),
+        (Draft, "draw"), (device, "fields_of"), (lanes.Lanes, "_taken_out"), (in_lanes, "to_host"),
+        (Regroup, "add"), (writers.Writers, "__exit__"), (Draft, "finish"), (pipeline, "_report"),
     )  # fmt: skip
 
     def __init__(self, spans: dict[str, float]) -> None:
@@ -191,7 +198,7 @@ def main() -> None:
     parser.add_argument("--short", type=float, default=9.0, help="s, of the trials of sweep and solver")
     parser.add_argument("--batch", type=int, default=8192)
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
-    parser.add_argument("--trials", type=int, default=10000)
+    parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each set")
     parser.add_argument("--shard", type=int, default=256)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     parser.add_argument("--scratch", type=Path, default=None)

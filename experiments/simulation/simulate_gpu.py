@@ -1,6 +1,6 @@
 """``rcbht simulate`` on GPUs, from the command to the last byte: nothing compiled, programs in the cache, two devices.
 
-The first row is the second of two equal jobs in one process. Run where there is a GPU:
+The first rows come after sets of one wave of lanes in the same process. Run where there is a GPU:
 python -m experiments.simulation.simulate_gpu FOLDER
 """
 
@@ -24,13 +24,14 @@ ENGINE, PRESET, LONGEST, TRIALS = "warp", "B", 25.0, 10_000
 COMMAND = ("simulate", "--preset", PRESET, "--max-seconds", str(LONGEST), "--engine", ENGINE, "--window", "5")
 
 
-def in_one_process(folder: Path) -> dict[str, Any]:
-    """The second of two equal jobs, by parts."""
+def in_one_process(folder: Path) -> list[dict[str, Any]]:
+    """Sets of trials in a process that has compiled, by parts."""
     out = folder / "in_one_process.json"
-    words = ["--engine", ENGINE, "--sections", "synthesis", "--trials", str(TRIALS), "--out", str(out)]
+    sizes = [str(TRIALS), str(10 * TRIALS)]
+    words = ["--engine", ENGINE, "--sections", "synthesis", "--trials", *sizes, "--out", str(out)]
     subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True)
     found: dict[str, Any] = json.loads(out.read_text())["synthesis"]
-    return found | {"gpus": 1}
+    return [found[size] | {"gpus": 1} for size in sizes]
 
 
 def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
@@ -51,7 +52,8 @@ def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
 def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
     """Measure and store."""
     gpus = launch.visible_devices()
-    rows = {f"{TRIALS:,} trials, one GPU, in a process that has compiled": in_one_process(folder)}
+    name = "{:,} trials, one GPU, in a process that has compiled"
+    rows = {name.format(row["trials"]): row for row in in_one_process(folder)}
     for what in ("nothing compiled", "programs in the cache"):
         rows[f"{TRIALS:,} trials, one GPU, command, {what}"] = command(folder, TRIALS, gpus[:1])
     if len(gpus) > 1:

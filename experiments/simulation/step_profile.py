@@ -1,7 +1,7 @@
 """Where the time of a physics step goes on a GPU: its length by the number of lanes, and its kernels.
 
-Trials of session B move freely meanwhile. A step includes its share of controller, sensor and state machine; nothing
-is stored. Run on a GPU: python -m experiments.simulation.step_profile
+Trials of session B, first moving freely, then in contact, most of them mating. A step includes its share of controller,
+sensor and state machine; nothing is stored. Run on a GPU: python -m experiments.simulation.step_profile
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from sim_mjx.assembly.rollout import as_float32
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import device, lanes
 
-COUNTS = (1024, 4096, 8192, 16384, 32768)
+COUNTS = (1024, 8192, 32768)
 TRACED = 8192  # lanes
-STRETCHES = 14  # of 100 control periods: until shortly before contact
+FREE = slice(1, 15)  # stretches of 100 control periods, until shortly before contact; the first one compiles
+CONTACT = slice(36, 44)  # likewise, long after it
 LONGEST = 25.0  # s
 SHOWN = 70  # kernels, the longest; the others are summed up
 OTHERS = "others"
@@ -49,28 +50,36 @@ def begun(count: int) -> tuple[Any, ...]:
     return programs.stretch, layout, fixed, programs.start(layout, fixed)
 
 
-def speed(count: int) -> tuple[dict[str, float], tuple[Any, ...]]:
-    """Milliseconds of a step, median over stretches, and what goes on from there."""
+def speed(count: int, traced: bool) -> tuple[dict[str, float], dict[str, Any]]:
+    """Milliseconds of a step, medians over stretches, and the kernels of a stretch of each kind if they are traced."""
     stretch, layout, fixed, state = begun(count)
-    steps, seconds = device.STRETCH * layout.substeps, []
-    for _ in range(STRETCHES + 1):
+    steps, seconds, profiles = device.STRETCH * layout.substeps, list[float](), dict[str, Any]()
+    for number in range(CONTACT.stop):
         start = time.perf_counter()
         state, log = stretch(layout, fixed, state)
         jax.block_until_ready(log)
         seconds.append((time.perf_counter() - start) / steps)
-    step = statistics.median(seconds[1:])  # the first one compiles
-    row = {"ms": round(1e3 * step, 4), "steps_per_s": round(count / step)}
-    return row, (stretch, layout, fixed, state)
+        if traced and number + 1 in (FREE.stop, CONTACT.stop):
+            events, state = trace(stretch, layout, fixed, state)
+            profiles["free" if number < CONTACT.start else "contact"] = kernels(events, steps)
+    row = {}
+    for name, which in (("free", FREE), ("contact", CONTACT)):
+        step = statistics.median(seconds[which])
+        row |= {f"{name}_ms": round(1e3 * step, 4), f"{name}_steps_per_s": round(count / step)}
+    return row, profiles
 
 
-def trace(stretch: Any, layout: device.Layout, fixed: device.Fixed, state: Any) -> list[dict[str, Any]]:
-    """Events of the profiler's trace of one stretch."""
+def trace(
+    stretch: Any, layout: device.Layout, fixed: device.Fixed, state: Any
+) -> tuple[list[dict[str, Any]], device.State]:
+    """Events of the profiler's trace of one stretch, and the state after it."""
     with tempfile.TemporaryDirectory() as folder:
         with jax.profiler.trace(folder):
-            jax.block_until_ready(stretch(layout, fixed, state)[1])
+            state, log = stretch(layout, fixed, state)
+            jax.block_until_ready(log)
         (file,) = Path(folder).rglob("*.trace.json.gz")
         events: list[dict[str, Any]] = json.loads(gzip.decompress(file.read_bytes()))["traceEvents"]
-        return events
+        return events, state
 
 
 def kernels(events: list[dict[str, Any]], steps: int) -> dict[str, dict[str, float]]:
@@ -110,11 +119,10 @@ def main() -> None:
     """Measure and store."""
     out: dict[str, Any] = {"engine": "warp", "preset": "B", "lanes": {}}
     for count in COUNTS:
-        out["lanes"][str(count)], at = speed(count)
-        if count == TRACED:
-            rows = kernels(trace(*at), device.STRETCH * at[1].substeps)
+        out["lanes"][str(count)], profiles = speed(count, count == TRACED)
+        for name, rows in profiles.items():
             longest = dict(list(rows.items())[:SHOWN])
-            out["traced"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
+            out[f"traced_{name}"] = {"lanes": TRACED, "kinds": by_kind(rows), "kernels": longest}
     write_result("step_profile", "python -m experiments.simulation.step_profile", out, seed=SEED)
 
 

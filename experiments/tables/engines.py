@@ -18,6 +18,9 @@ def _runs(gpu: Result, cpu: Result, part: str) -> Result:
     return {name: run for name, run in runs.items() if run is not None}
 
 
+MOTIONS = ("free", "contact")
+
+
 @table("parity", *DEVICES)
 def parity(gpu: Result, cpu: Result) -> str:
     """The device engines against C MuJoCo."""
@@ -188,24 +191,23 @@ def encoder_speed(result: Result) -> str:
 @table("step", "step_profile")
 def step(result: Result) -> str:
     """A physics step of Warp by the number of lanes."""
-    lines = [
-        (
-            f"{int(count):,}",
-            f"{row['ms']:.2f}",
-            f"{1e6 * row['ms'] / int(count):.0f}",
-            f"{row['steps_per_s'] / 1e6:.1f}",
-        )
-        for count, row in result["lanes"].items()
-    ]
-    return markdown(("lanes", "a step, ms", "for each lane, ns", "million steps per second"), lines)
+    lines = []
+    for count, row in result["lanes"].items():
+        times = [f"{row[f'{how}_ms']:.2f}" for how in MOTIONS]
+        lines.append((f"{int(count):,}", *times, *(f"{row[f'{how}_steps_per_s'] / 1e6:.1f}" for how in MOTIONS)))
+    head = ("lanes", "a step in free motion, ms", "in contact, ms", "million steps per second, free", "in contact")
+    return markdown(head, lines)
 
 
 @table("step-kernels", "step_profile")
 def step_kernels(result: Result) -> str:
     """Kernels of a physics step by what they do."""
-    rows = result["traced"]["kinds"]
-    lines = [(kind, f"{row['us']:.0f}", f"{row['share']:.3f}", f"{row['launches']:.0f}") for kind, row in rows.items()]
-    return markdown(("kernels", "microseconds", "share", "launches"), lines)
+    free, contact = (result[f"traced_{how}"]["kinds"] for how in MOTIONS)
+    lines = [
+        (kind, f"{free[kind]['us']:.0f}", f"{row['us']:.0f}", f"{row['share']:.3f}", f"{row['launches']:.0f}")
+        for kind, row in contact.items()
+    ]
+    return markdown(("kernels", "free motion, µs", "in contact, µs", "share", "launches"), lines)
 
 
 @table("large-store-read", "large_store")

@@ -249,20 +249,40 @@ def encode_on_device(
     Returns:
         device arrays ``[recording, axis, slot]``; unused slots are at the end and zero.
     """
+    count = len(wrench)
+    spare = -count % batch if count > batch else 0  # whole batches: one compiled program
+    wrench, length = jnp.pad(wrench, ((0, spare), (0, 0), (0, 0))), jnp.pad(length, (0, spare))
+    limits = jnp.broadcast_to(limits_of(thresholds), (count, wrench.shape[2], 4))
+    limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
+    rows = [slice(start, start + batch) for start in range(0, count, batch)]
+    pieces = [begin_encoding(config, limits[which], wrench[which], length[which])() for which in rows]
+    return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
+
+
+def begin_encoding(
+    config: EncoderConfig,
+    thresholds: Thresholds,
+    wrench: Float[Array, "recording time axis"],
+    length: Int[Array, " recording"],
+) -> Callable[[], LabelTracks]:
+    """:func:`encode_on_device` in two halves: this one asks for the labels, what it returns waits for them.
+
+    How many slots there are is known only when the device has encoded; meanwhile the caller can give it other work. All
+    recordings are scanned at once.
+    """
     count, samples = wrench.shape[:2]
-    stretch = config.window * STRETCH
     limits = jnp.asarray(limits_of(thresholds), wrench.dtype)
     limits = jnp.broadcast_to(limits, (count, *limits.shape[-2:]))
-    spare = -count % (ROWS if count < batch else batch)
-    wrench = jnp.pad(wrench, ((0, spare), (0, -samples % stretch), (0, 0)))
+    spare = -count % ROWS
+    wrench = jnp.pad(wrench, ((0, spare), (0, -samples % (config.window * STRETCH)), (0, 0)))
     limits, length = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge"), jnp.pad(length, (0, spare))
-    pieces = []
-    for start in range(0, count, batch):
-        rows = slice(start, start + batch)
-        dense, used = _encode(config, limits[rows], wrench[rows], length[rows])
+    dense, used = _encode(config, limits, wrench, length)
+
+    def ended() -> LabelTracks:
         widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used))
-        pieces.append(_compacted(widths, dense))
-    return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
+        return jax.tree.map(lambda leaf: leaf[:count], _compacted(widths, dense))
+
+    return ended
 
 
 @partial(jax.jit, static_argnums=0)

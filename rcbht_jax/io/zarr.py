@@ -28,6 +28,8 @@ with needs_extra("store"):
     from zarr.core.buffer import Buffer, BufferPrototype
     from zarr.storage import LocalStore
 
+    from rcbht_jax.io.chunk_files import LEVEL
+
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
     """Check that a group of format ``kind`` can be written at ``path``; see :func:`store.check_target`."""
@@ -199,7 +201,7 @@ def create_array(
         dtype=np.dtypes.StringDType() if dtype == "string" else dtype,
         chunks=chunks,
         shards=shards,
-        compressors=[ZstdCodec(level=3), Crc32cCodec()],
+        compressors=[ZstdCodec(level=LEVEL), Crc32cCodec()],
         dimension_names=dimensions,
         attributes=dict(attrs),
         overwrite=True,

@@ -7,16 +7,16 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from rcbht_jax.encoding.batch import encode_on_device
+from rcbht_jax.encoding.batch import begin_encoding
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.types import Array
+from rcbht_jax.types import Array, LabelTracks
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Program, batch_size
 from sim_mjx.assembly.scene import Scene
@@ -28,6 +28,9 @@ from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
 COPIES = 2  # batches that are copied to the host at the same time
 BLOCK = 4096  # angles: whole blocks, since a compiler may round the last lanes differently
+
+
+Item = TypeVar("Item")
 
 
 class Measured(NamedTuple):
@@ -81,13 +84,15 @@ def simulate_in_lanes(
                 group.expect(key, batch_size(params))
             yield key, params
 
-    def onto_host(trials: list[Trial], there: Measured, wrench: Array) -> list[Shard]:
-        tracks = None
-        if config is not None and limits is not None:  # here, since it waits for the device to know how many words
-            tracks = jax.device_get(encode_on_device(config, limits, *records.by_wrist(wrench, there.length)))
-        rows = to_host(there, scene.program)
+    def onto_host(trials: list[Trial], there: Measured, tracks: LabelTracks | None) -> list[Shard]:
+        rows, labels = to_host(there, scene.program), jax.device_get(tracks)
         with one_at_a_time:
-            return group.add(trials, rows, tracks)
+            return group.add(trials, rows, labels)
+
+    def begun(out: Outcome) -> Callable[[], LabelTracks | None]:
+        if config is None or limits is None:
+            return lambda: None
+        return begin_encoding(config, limits, *records.by_wrist(out.wrench, out.length))
 
     machine = Lanes(scene, engines.IMPLEMENTATIONS[engine], lanes, at_once)
     with ThreadPoolExecutor(COPIES) as host:
@@ -96,13 +101,31 @@ def simulate_in_lanes(
         def more() -> bool:
             return room() and sum(not one.done() for one in waiting) < COPIES
 
-        for trials, out in machine.run(expected(), ready=ready, room=more):
-            waiting.append(host.submit(onto_host, trials, measure(out, recorded), out.wrench))
-            del out  # the device has better use for its other logs
+        # Labels are asked for when trials have ended and taken when the next ones have: nobody waits for the device.
+        labelled = (
+            (trials, measure(out, recorded), begun(out))
+            for trials, out in machine.run(expected(), ready=ready, room=more)
+        )
+        for trials, there, ended in one_later(labelled):
+            waiting.append(host.submit(onto_host, trials, there, ended()))
             while waiting and (waiting[0].done() or len(waiting) > COPIES):  # more would fill the memory
                 yield from waiting.popleft().result()
         while waiting:
             yield from waiting.popleft().result()
+
+
+def one_later(items: Iterable[Item]) -> Iterator[Item]:
+    """The items, each when the next one is there.
+
+    >>> list(one_later("abc"))
+    ['a', 'b', 'c']
+    """
+    held = deque[Item]()
+    for item in items:
+        held.append(item)
+        if len(held) > 1:
+            yield held.popleft()
+    yield from held
 
 
 @partial(jax.jit, static_argnums=1)

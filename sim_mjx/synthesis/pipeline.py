@@ -46,7 +46,7 @@ Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
 LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
-GROUP = 1024  # trials that leave a device together: the encoder takes as long for a quarter of them
+GROUP = 512  # trials that leave a device together: the encoder takes as long for half of them
 LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
 
 

@@ -58,7 +58,8 @@ class Regroup:
         for key in dict.fromkeys(keys):
             places = np.array([place for place, other in enumerate(keys) if other == key])
             at = np.array([trials[place][1] for place in places])
-            which = slice(0, len(at)) if places[-1] == len(at) - 1 else places  # a view where it can be
+            together = places[-1] - places[0] == len(at) - 1
+            which = slice(int(places[0]), int(places[-1]) + 1) if together else places  # a view where it can be
             labels = _labels_taken(tracks, which, len(rows["length"]))
             self._pieces[key].append(_Piece(at, _taken(rows, which), labels))
             self._missing[key] -= len(at)

@@ -18,7 +18,12 @@ ROWS = 4
 
 def array_at(path: Path, shape: tuple[int, ...], dtype: Any, chunk: tuple[int, ...], shard: Any) -> zarr.Array[Any]:
     return zarr.create_array(
-        path, shape=shape, dtype=dtype, chunks=chunk, shards=shard, compressors=[ZstdCodec(level=3), Crc32cCodec()]
+        path,
+        shape=shape,
+        dtype=dtype,
+        chunks=chunk,
+        shards=shard,
+        compressors=[ZstdCodec(level=chunk_files.LEVEL), Crc32cCodec()],
     )
 
 
