@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import threading
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import matplotlib as mpl
 import numpy as np
@@ -22,12 +20,10 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief
 from rcbht_jax.io.label_store import write_tracks
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.labels import AXES, COLORS, LAYER_SIZES, LAYERS, name
 from rcbht_jax.plots import label_map, save, trial_figure
-from rcbht_jax.plots.beliefs import belief_map
 from rcbht_jax.plots.label_map import POINTS_PER_STATE
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
@@ -172,20 +168,6 @@ def test_seconds_choose_a_part(recordings: Recordings, tracks: LabelTracks) -> N
     seen = (track.label[0, 3] > 0) & (track.t1[0, 3] * DT > 0.5) & (track.t0[0, 3] * DT < 1.5)
     assert len(_child(_axes(figure, "labels", 3), "llb").get_paths()) == seen.sum() < (track.label[0, 3] > 0).sum()
     assert [text.get_text() for text in _axes(figure, "signal", 0).texts] == ["rotation"]
-
-
-@pytest.mark.filterwarnings("error")
-def test_names_of_others_are_text(recordings: Recordings, tracks: LabelTracks, tmp_path: Path) -> None:
-    """Neither formulas, which need not be sound ones, nor control characters, which no font has."""
-    odd, many = "a$\\frac$b\x1b[2J", np.array(["$x_$\x07", "$", "$$"])
-    axes = (odd, *recordings.axes[1:])
-    recordings = dataclasses.replace(recordings, trial=many, session=many, source=many, axes=axes)
-    figures = [trial_figure(recordings, tracks, 0, window=5), label_map(recordings, tracks, "mc", by="state")]
-    figures.append(belief_map([Belief(200, 1.0, odd, odd, 0.9, "certain", 0.1, (odd, "b"), (0.9, 0.1))], odd))
-    for figure in figures:
-        save(figure, tmp_path / "a.svg")
-        ElementTree.parse(tmp_path / "a.svg")
-    assert figures[-1].get_suptitle() == r"a\$\frac\$b\x1b[2J"
 
 
 def test_map_by_word_shows_every_sentence(recordings: Recordings, tracks: LabelTracks) -> None:

@@ -1,0 +1,32 @@
+"""Names of other people's data in figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import rcbht_jax as rj
+from rcbht_jax.events import Belief
+from rcbht_jax.plots import label_map, save, trial_figure
+from rcbht_jax.plots.beliefs import belief_map
+from rcbht_jax.types import Recordings
+
+ODD = "a$\\frac$b\x1b[2J"
+
+
+@pytest.mark.filterwarnings("error")
+def test_they_are_text(tmp_path: Path) -> None:
+    """Neither formulas, which need not be sound ones, nor control characters, which no font has."""
+    wrench = np.random.default_rng(0).normal(size=(3, 400, 2)).cumsum(1)
+    names = dict.fromkeys(("trial", "session", "source"), np.array([ODD, "$", "$x_$\x07"]))
+    recordings = Recordings.from_arrays(wrench, rate=100, axes=[ODD, "Fz"], units=["N", "$$"], **names)
+    tracks = rj.encode(recordings.wrench, window=5)
+    figures = [trial_figure(recordings, tracks, 0, window=5), label_map(recordings, tracks, "mc")]
+    figures.append(belief_map([Belief(200, 1.0, ODD, ODD, 0.9, "certain", 0.1, (ODD, "b"), (0.9, 0.1))], ODD))
+    for figure in figures:
+        save(figure, tmp_path / "a.svg")
+        ElementTree.parse(tmp_path / "a.svg")
+    assert figures[-1].get_suptitle() == r"a\$\frac\$b\x1b[2J"
