@@ -229,7 +229,8 @@ def _scan(
     windows = len(counts)
     # Every window with the samples before it; what follows a break does not depend on the state.
     line = jnp.concatenate([state.reals[_REALS:], samples])
-    seen = jnp.stack([line[at : at + windows * window : window] for at in range(kept + window)])
+    blocks = line.reshape(-1, window, *line.shape[1:])
+    seen = jnp.concatenate([blocks[at : at + windows] for at in range(kept // window + 1)], axis=1).swapaxes(0, 1)
     after = residuals_after(seen, kept + counts)
 
     def seen_by(number: Array | int) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array, Segment
 
 _UNROLLED = 64  # windows up to this many samples become straight-line code
+_AT_ONCE = 8  # samples of longer ones: 64 compile seven times as long and run no faster
 _TINY = 1e-4  # of the small limit, added to all slopes and limits: keeps the logarithm finite at slope 0
 _SURE = 40.0  # logit of the sign of a slope far above the small limit
 
@@ -94,7 +95,7 @@ def accumulate(sums: tuple[Array, Array], index: Array, y: Array, count: Array, 
 
 def unrolled(window: int) -> int | bool:
     """How far a scan over the samples of a window is unrolled."""
-    return True if window <= _UNROLLED else _UNROLLED
+    return True if window <= _UNROLLED else _AT_ONCE
 
 
 def gradient_label(slope: Array, limits: Array) -> Array:
