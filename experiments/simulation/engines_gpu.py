@@ -118,8 +118,7 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
 
 def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[str, Any]:
     """One set, after a set of one wave on as many lanes, which compiles."""
-    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")
-    count = pipeline.balanced(trials, pipeline.LANES[engine], memory)
+    count = pipeline.lanes_for(trials, engine)
     out: dict[str, Any] = {"trials": trials, "longest": options.synthesis_longest}
     spans: dict[str, float] = {}
     for turn, many in (("with_compilation_s", count), ("seconds", trials)):

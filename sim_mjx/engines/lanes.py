@@ -98,14 +98,14 @@ class Lanes:
         fields, params = queue.pool
         fixed = Fixed(model, fields, params, empty)  # lanes begin with the first trials; a spare one repeats the last
         state = programs.start(layout, fixed)
-        table.begin(np.arange(queue.left), queue.take(queue.left))
+        table.begin(*queue.take(queue.left))
         logs: Logs | None = None
         while True:
             while len(idle := table.idle()) and table.free and queue.refilled(wait=len(idle) == lanes):
-                chosen = idle[: min(len(table.free), queue.left)]
-                begin = np.full(lanes, -1, np.int32)
-                begin[chosen] = queue.rows(len(chosen))
-                table.begin(chosen, queue.take(len(chosen)))
+                rows, trials = queue.take(min(len(idle), len(table.free), queue.left))
+                chosen, begin = idle[: len(rows)], np.full(lanes, -1, np.int32)
+                begin[chosen] = rows
+                table.begin(chosen, trials)
                 fixed, state = programs.refill(layout, fixed, state, queue.pool, begin)
             if not table.busy.any():
                 break
@@ -272,14 +272,10 @@ class _Queue:
         self._trials += [(key, row) for row in range(start, stop)]
         return jax.tree.map(lambda leaf: np.asarray(leaf)[start:stop], params)
 
-    def rows(self, count: int) -> NDArray[np.integer]:
-        """Places in the pool of the next trials."""
-        return np.arange(self._next, self._next + count)
-
-    def take(self, count: int) -> list[Trial]:
-        """The next trials begin."""
-        self._next += count
-        return self._trials[self._next - count : self._next]
+    def take(self, count: int) -> tuple[NDArray[np.integer], list[Trial]]:
+        """The next trials, which begin: their places in the pool, and which they are."""
+        first, self._next = self._next, self._next + count
+        return np.arange(first, self._next), self._trials[first : self._next]
 
 
 @dataclass(frozen=True)

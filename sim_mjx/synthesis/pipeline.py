@@ -212,8 +212,7 @@ def _work(
     """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
     made, job, scenario = 0, draft.job, draft.scenario
     if simulate is None and job.engine in LANES:
-        memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
-        count = balanced(min(lanes or job.trials, job.trials), LANES[job.engine], memory)
+        count = lanes_for(min(lanes or job.trials, job.trials), job.engine)
         labels = (None, None) if job.window is None else (encoder_config(job), label_limits())
         scene = scenario.scene()
 
@@ -237,6 +236,12 @@ def _work(
 
         made = workers.work_in_lanes(draft, stream, count, tally)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
+
+
+def lanes_for(trials: int, engine: str) -> int:
+    """Lanes for so many trials on JAX's default device."""
+    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
+    return balanced(trials, LANES[engine], memory)
 
 
 def balanced(trials: int, most: int, memory: int | None) -> int:
