@@ -2,9 +2,15 @@
 
 After every window of 25 ms the encoder is asked for its provisional words, as the live page does. A contact is a step
 of Fz by more than 5 N within 25 ms after 0.2 s within 2 N; it counts as seen at the first snapshot whose newest word of
-Fz began within 50 ms of the step and is not constant, or starts at another level by more than half of the step. A word
-is revised if the label that it has in its second snapshot is not the one that is published. Ages are seconds from the
-end of the newest published word of an axis to now, without provisional words, whose end always is now.
+Fz began within 50 ms of the step and is not constant, or starts at another level by more than half of the step. Ages
+are seconds from the end of the newest published word of an axis to now, without provisional words, whose end always is
+now.
+
+A word is revised if the label that it has in its second snapshot is not the one that is published. As that alone would
+reward words that are not shown, or shown under a label that is usual, each row also says how many published words were
+shown twice, and for how much of the time the newest label shown is that of the word which the newest sample turns out
+to be in. Two labels that know nothing of the run are held against them: always the constant one, and that of the
+word published last. How provisional labels look ahead was chosen on the even trials of session A of REAL alone.
 
 Run: python -m experiments.words.latency
 Reads the recorded trials (RCBHT_DATA).
@@ -13,7 +19,7 @@ Reads the recorded trials (RCBHT_DATA).
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,31 +27,64 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import REAL, of_sources, recorded, rounded
+from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.results_io import write_result
+from experiments.words.sets import spread
 from rcbht_jax.encoding.encoder import EncoderConfig, unpack
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
-from rcbht_jax.labels import LAYERS, Primitive
-from rcbht_jax.types import LabelTracks
+from rcbht_jax.labels import LAYERS, LLB, MC, Primitive
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW, STEP, QUIET, SEEN = 5, 5.0, 2.0, 10  # samples; N; N; samples within which a contact should be seen
 LONGEST = 6000  # samples of a trial that are streamed
+SIMULATED = 12  # trials of each simulated set, evenly chosen
+STILL = dict(zip(LAYERS, (Primitive.CONS, MC.K, LLB.FX), strict=True))
+COUNTS = ("revised", "twice", "published", "right", "windows", "right where it moves", "windows where it moves")
+
+
+class Trial(NamedTuple):
+    """What a stream of one recording says after each of its windows ``[window, axis, ...]``."""
+
+    published: LabelTracks
+    held: LabelTracks  # provisional words
+    ended: LabelTracks  # what would be published if the stream ended then
+    wrench: NDArray[np.float32]  # [time, axis]
+
+
+class Shown(NamedTuple):
+    """The newest word of a layer after each window ``[window, axis]``; label 0 = none."""
+
+    label: NDArray[np.integer]
+    begin: NDArray[np.integer]
 
 
 @partial(jax.jit, static_argnums=0)
-def snapshots(config: AnyConfig, limits: jax.Array, windows: jax.Array) -> tuple[LabelTracks, LabelTracks]:
-    """Published and provisional labels after each window ``[window, axis, slot]``."""
+def snapshots(config: AnyConfig, limits: jax.Array, windows: jax.Array) -> tuple[LabelTracks, LabelTracks, LabelTracks]:
+    """Published and provisional labels after each window, and those if it ended then ``[window, axis, slot]``."""
     rule = rule_of(config)
 
-    def body(state: Any, window: jax.Array) -> tuple[Any, tuple[LabelTracks, LabelTracks]]:
+    def body(state: Any, window: jax.Array) -> tuple[Any, tuple[LabelTracks, ...]]:
         state, packed = rule.step(config, limits, state, window)
-        held = rule.flush(config, limits, state, jnp.zeros_like(window), jnp.zeros_like(state.time))
-        return state, (unpack(packed), held)
+        none = jnp.zeros_like(window), jnp.zeros_like(state.time)
+        return state, (unpack(packed), *(f(config, limits, state, *none) for f in (rule.provisional, rule.flush)))
 
     return jax.lax.scan(body, rule.init(config, windows.shape[2:], windows.dtype), windows)[1]
+
+
+def streamed(config: AnyConfig, limits: AnyLimits, recordings: Recordings) -> list[Trial]:
+    """The trials one after another, each up to its last whole window."""
+    table, found = jnp.asarray(checked_limits(config, limits), jnp.float32), []
+    for row, length in enumerate(recordings.length.tolist()):
+        samples = min(length, LONGEST) // WINDOW * WINDOW
+        wrench = np.zeros((LONGEST, len(recordings.axes)), np.float32)  # one shape, one compilation
+        wrench[:samples] = recordings.wrench[row, :samples]
+        out = snapshots(config, table, jnp.asarray(wrench.reshape(-1, WINDOW, wrench.shape[1])))
+        said = jax.tree.map(lambda leaf, end=samples // WINDOW: np.asarray(leaf)[:end], out)
+        found.append(Trial(*said, wrench[:samples]))
+    return found
 
 
 def contacts(force: NDArray[np.floating]) -> list[int]:
@@ -74,69 +113,127 @@ def seen_after(step: int, force: NDArray[np.floating], held: LabelTracks, axis: 
     return 10**6
 
 
-def revised(published: LabelTracks, held: LabelTracks, layer: str) -> tuple[int, int]:
-    """Words whose label in the second snapshot was not the published one, and words that were seen twice or more."""
-    final, running = getattr(published, layer), getattr(held, layer)
+def newest(track: LabelTrack) -> Shown:
+    """The newest word of each window and axis, of ``[window, axis, slot]``."""
+    there = track.label > 0
+    slot = (there * (np.arange(there.shape[-1]) + 1)).argmax(-1)[..., None]
+    return Shown(*(np.take_along_axis(values, slot, -1)[..., 0] for values in (track.label, track.t0)))
+
+
+def finals(published: LabelTrack, ended: LabelTrack) -> NDArray[np.int64]:
+    """Label ``[window, axis]`` of the word that has the newest sample of each window in the end."""
+    windows, axes = published.label.shape
+    found = np.zeros((windows * WINDOW, axes), np.int64)
+    for axis in range(axes):
+        last = jax.tree.map(lambda leaf, axis=axis: leaf[-1, axis], ended)
+        for track in (jax.tree.map(lambda leaf, axis=axis: leaf[:, axis], published), last):
+            for slot in np.flatnonzero(track.label):
+                found[track.t0[slot] : track.t1[slot], axis] = track.label[slot]
+    return found[WINDOW - 1 :: WINDOW]
+
+
+def counted(published: LabelTrack, shown: Shown, final: NDArray[np.int64], still: int) -> NDArray[np.int64]:
+    """COUNTS of one trial and layer."""
     wrong = total = 0
-    for axis in range(final.label.shape[1]):
-        there = np.flatnonzero(final.label[:, axis])
-        labels = dict(zip(final.t0[there, axis].tolist(), final.label[there, axis].tolist(), strict=True))
+    for axis in range(final.shape[1]):
+        there = np.flatnonzero(published.label[:, axis])
+        labels = dict(zip(published.t0[there, axis].tolist(), published.label[there, axis].tolist(), strict=True))
         seen: dict[int, list[int]] = {}
-        for index in range(running.label.shape[0]):
-            slots = np.flatnonzero(running.label[index, axis])[-1:]
-            for begin, label in zip(running.t0[index, axis, slots], running.label[index, axis, slots], strict=True):
-                seen.setdefault(int(begin), []).append(int(label))
+        for begin, label in zip(shown.begin[:, axis].tolist(), shown.label[:, axis].tolist(), strict=True):
+            if label:
+                seen.setdefault(begin, []).append(label)
         twice = [begin for begin in labels if len(seen.get(begin, ())) > 1]
         wrong += sum(seen[begin][1] != labels[begin] for begin in twice)
         total += len(twice)
-    return wrong, total
+    right, moves = shown.label == final, final != still
+    words = (published.label > 0).sum()
+    return np.array([wrong, total, words, right.sum(), right.size, (right & moves).sum(), moves.sum()])
 
 
-def ages(published: LabelTracks, layer: str, dt: float) -> NDArray[np.float64]:
-    """Seconds since the end of the newest published word, after each window and of each axis."""
-    track = getattr(published, layer)
-    newest = np.maximum.accumulate(np.where(track.label > 0, track.t1, 0), axis=0)
-    now = (np.arange(len(newest))[:, None] + 1) * WINDOW
-    return ((now - newest) * dt)[newest > 0]
-
-
-def main(trials: int = 12) -> None:
-    """Stream some trials by both rules and write the result."""
-    recordings = of_sources(recorded(), (REAL,))
-    chosen = recordings.take(np.linspace(0, len(recordings) - 1, trials).round().astype(int))
-    thresholds = preset("hiro", chosen.axes)
-    tolerance = auto_tolerance(recordings.wrench, recordings.length, FitConfig(WINDOW, recordings.dt).needed)
-    rules: dict[str, tuple[AnyConfig, AnyLimits]] = {
-        "paper": (EncoderConfig(WINDOW, chosen.dt), thresholds),
-        "fit": (FitConfig(WINDOW, chosen.dt), FitLimits(np.asarray(thresholds.limits), tolerance)),
+def ways(trial: Trial, layer: str) -> dict[str, Shown]:
+    """What could be shown of a layer: what is, what would be published, and two labels that know nothing."""
+    held, published = newest(getattr(trial.held, layer)), getattr(trial.published, layer)
+    latest = np.maximum.accumulate(np.where(published.label > 0, np.arange(len(published.label))[:, None], 0), axis=0)
+    return {
+        "shown": held,
+        "if it ended now": newest(getattr(trial.ended, layer)),
+        "always constant": Shown(np.full_like(held.label, STILL[layer]), held.begin),
+        "the word published last": Shown(np.take_along_axis(published.label, latest, 0), held.begin),
     }
-    axis, rows = chosen.axes.index("Fz"), {}
-    for name, (config, limits) in rules.items():
-        table = jnp.asarray(checked_limits(config, limits), jnp.float32)
-        delays: list[int] = []
-        old: dict[str, list[NDArray[np.float64]]] = {layer: [] for layer in LAYERS}
-        counts = {layer: np.zeros(2, int) for layer in LAYERS}
-        for row, length in enumerate(chosen.length.tolist()):
-            samples = min(length, LONGEST) // WINDOW * WINDOW
-            wrench = np.zeros((LONGEST, len(chosen.axes)), np.float32)  # one shape, one compilation
-            wrench[:samples] = chosen.wrench[row, :samples]
-            out = snapshots(config, table, jnp.asarray(wrench.reshape(-1, WINDOW, wrench.shape[1])))
-            published, held = jax.tree.map(lambda leaf, end=samples // WINDOW: np.asarray(leaf)[:end], out)
-            force = wrench[:samples, axis]
-            delays += [seen_after(step, force, held, axis) for step in contacts(force)]
-            for layer in LAYERS:
-                old[layer].append(ages(published, layer, chosen.dt))
-                counts[layer] += revised(published, held, layer)
-        late = np.asarray(delays) * chosen.dt
-        rows[name] = {
-            "contacts": len(delays),
-            "contacts_seen_within_50_ms": float((late <= SEEN * chosen.dt).mean()),
-            "seconds_to_see_median": float(np.median(late)),
-            "newest_published_age": {k: np.percentile(np.concatenate(v), (50, 95)).tolist() for k, v in old.items()},
-            "revised": {layer: float(wrong / max(total, 1)) for layer, (wrong, total) in counts.items()},
-        }
-    about = {"trials": trials, "set": "REAL, evenly chosen", "window": WINDOW, "rows": rounded(rows)}
-    write_result("fit_latency", f"python -m experiments.words.latency --trials {trials}", about)
+
+
+def labels_shown(trials: list[Trial]) -> dict[str, dict[str, dict[str, float]]]:
+    """Of each way and layer: what is revised, how many words are shown, and when the label is right."""
+    sums: dict[str, dict[str, Any]] = {}
+    for trial in trials:
+        for layer in LAYERS:
+            published = getattr(trial.published, layer)
+            final = finals(published, getattr(trial.ended, layer))
+            for way, shown in ways(trial, layer).items():
+                sums.setdefault(way, dict.fromkeys(LAYERS, 0))[layer] += counted(published, shown, final, STILL[layer])
+    return {way: {layer: _shares(count) for layer, count in layers.items()} for way, layers in sums.items()}
+
+
+def _shares(counts: NDArray[np.int64]) -> dict[str, float]:
+    wrong, total, words, right, windows, moving, moves = counts.tolist()
+    return {
+        "revised": wrong / max(total, 1), "words": total, "shown": total / max(words, 1), "right": right / windows,
+        "right_where_it_moves": moving / max(moves, 1),
+    }  # fmt: skip
+
+
+def ages(track: LabelTrack, dt: float) -> NDArray[np.float64]:
+    """Seconds since the end of the newest published word, after each window and of each axis."""
+    latest = np.maximum.accumulate(np.where(track.label > 0, track.t1, 0), axis=0)
+    now = (np.arange(len(latest))[:, None] + 1) * WINDOW
+    return ((now - latest) * dt)[latest > 0]
+
+
+def of_rule(trials: list[Trial], axis: int, dt: float) -> dict[str, Any]:
+    """Contacts, ages of published words, and the words that are revised."""
+    late = [
+        seen_after(step, trial.wrench[:, axis], trial.held, axis) * dt
+        for trial in trials
+        for step in contacts(trial.wrench[:, axis])
+    ]
+    old = {layer: np.concatenate([ages(getattr(trial.published, layer), dt) for trial in trials]) for layer in LAYERS}
+    return {
+        "contacts": len(late),
+        "contacts_seen_within_50_ms": float((np.asarray(late) <= SEEN * dt).mean()),
+        "seconds_to_see_median": float(np.median(late)),
+        "newest_published_age": {layer: np.percentile(values, (50, 95)).tolist() for layer, values in old.items()},
+        "revised": {layer: shares["revised"] for layer, shares in labels_shown(trials)["shown"].items()},
+    }
+
+
+def limits_of_set(recordings: Recordings) -> dict[str, tuple[AnyConfig, AnyLimits]]:
+    """Both rules with the preset and the tolerance of the set."""
+    thresholds = preset("hiro", recordings.axes)
+    tolerance = auto_tolerance(recordings.wrench, recordings.length, FitConfig(WINDOW, recordings.dt).needed)
+    return {
+        "paper": (EncoderConfig(WINDOW, recordings.dt), thresholds),
+        "fit": (FitConfig(WINDOW, recordings.dt), FitLimits(np.asarray(thresholds.limits), tolerance)),
+    }
+
+
+def main() -> None:
+    """Stream the recorded trials by both rules, some simulated ones by the fit rule, and write the result."""
+    recordings = recorded()
+    real = of_sources(recordings, (REAL,))
+    rows, labels = {}, {}
+    for name, (config, limits) in limits_of_set(real).items():
+        trials = streamed(config, limits, real)
+        rows[name] = of_rule(trials, real.axes.index("Fz"), real.dt)
+    of_a = np.flatnonzero(real.session == "A").tolist()  # the trials of the fit rule are those streamed last
+    labels["REAL, session A, even"] = labels_shown([trials[row] for row in of_a[::2]])
+    labels["REAL, others"] = labels_shown([trial for row, trial in enumerate(trials) if row not in of_a[::2]])
+    for name, source in (("SIM1", SIM1), ("two-arm", SIM2)):
+        found = of_sources(recordings, (source,))
+        labels[name] = labels_shown(streamed(*limits_of_set(found)["fit"], spread(found, SIMULATED)))
+    about = {"trials": len(real), "simulated": SIMULATED, "window": WINDOW}
+    write_result(
+        "fit_latency", "python -m experiments.words.latency", about | {"rows": rounded(rows), "labels": rounded(labels)}
+    )
 
 
 if __name__ == "__main__":

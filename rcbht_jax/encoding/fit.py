@@ -36,9 +36,10 @@ from rcbht_jax.types import Array, LabelTracks, Segment
 
 _ABOVE = 4  # segments held above the run: composer and accumulator of compositions, the same of behaviours
 _RUN_INTS, _RUN_REALS = 3, 2  # t0, t1, samples of the line; its mean and slope, before those that are still kept
-_INTS, _REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
+_INTS, REALS = _RUN_INTS + 3 * _ABOVE, _RUN_REALS + 4 * _ABOVE
 SHORTEST = 2  # samples of a word
 DRAIN_STEPS = 5  # the run, then each of the held segments in turn
+Rounds = list[list[Segment]]  # what the five stages say in each step of a drain
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class FitConfig:
 
 def init(config: FitConfig, lanes: tuple[int, ...] = (6,), dtype: jax.typing.DTypeLike = jnp.float32) -> EncoderState:
     """The empty state for ``lanes``, for example ``(6,)`` or ``(trials, 6)``; dtype float32 or float64."""
-    reals = jnp.zeros((_REALS + config.kept, *lanes), dtype)
+    reals = jnp.zeros((REALS + config.kept, *lanes), dtype)
     return EncoderState(jnp.zeros(lanes, jnp.int32), jnp.zeros((_INTS, *lanes), jnp.int32), reals)
 
 
@@ -152,9 +153,9 @@ def step_partial(
     """As :func:`step`, for a window whose first ``count`` samples are there."""
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
-    samples = jnp.concatenate([state.reals[_REALS:], window])
+    samples = jnp.concatenate([state.reals[REALS:], window])
     after = residuals_after(samples, config.kept + count)
-    state, out = advance(config, _by_lane(limits, window), state, samples, after, count)
+    state, out = advance(config, by_lane(limits, window), state, samples, after, count)
     return state, _published(out, state.time)
 
 
@@ -167,7 +168,7 @@ def flush(
 ) -> LabelTracks:
     """End of the stream: the last partial window, then all that is still held.
 
-    The state stays as it is, so that these are also the provisional labels of a stream that goes on.
+    The state stays as it is; for a stream that goes on see :mod:`rcbht_jax.encoding.provisional`.
 
     Args:
         config: static configuration.
@@ -181,7 +182,7 @@ def flush(
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
-    return join_tracks(first, drain(config, _by_lane(limits, rest), state))
+    return join_tracks(first, drain(config, by_lane(limits, rest), state))
 
 
 def scan_lanes(
@@ -216,7 +217,7 @@ def scan_stages(
     """
     state = init(config, (samples.shape[1],), samples.dtype)
     state, out = _scan(config, limits, state, samples, count, lambda stages, _: tuple(stages))
-    rest = _stacked(drain_stages(config, limits, state), 0)
+    rest = stacked(drain_stages(config, limits, state), 0)
     return tuple(jax.tree.map(lambda a, b: jnp.concatenate([a, b]), *both) for both in zip(out, rest, strict=True))
 
 
@@ -228,7 +229,7 @@ def _scan(
     samples, counts = whole_windows(samples, count, window)
     windows = len(counts)
     # Every window with the samples before it; what follows a break does not depend on the state.
-    line = jnp.concatenate([state.reals[_REALS:], samples])
+    line = jnp.concatenate([state.reals[REALS:], samples])
     blocks = line.reshape(-1, window, *line.shape[1:])
     seen = jnp.concatenate([blocks[at : at + windows] for at in range(kept // window + 1)], axis=1).swapaxes(0, 1)
     after = residuals_after(seen, kept + counts)
@@ -249,15 +250,15 @@ def _scan(
 
 def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderState) -> LabelTracks:
     """The run, then all held words, each layer drained into the next: labels ``[*lanes, 5]``."""
-    layers = _stacked(drain_stages(config, limits, state), -1)[::2]
+    layers = stacked(drain_stages(config, limits, state), -1)[::2]
     emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
     return LabelTracks(*(track_of(layer, emit) for layer in layers))
 
 
-def drain_stages(config: FitConfig, limits: Array, state: EncoderState) -> list[list[Segment]]:
-    """What the five stages say in each step of a drain."""
+def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Segment | None = None) -> Rounds:
+    """A drain in steps, whose last primitive is that of the run if none is given."""
     t0, t1, line, held = running(config, state)
-    arrival = pipe.keep(t1 > t0, _primitive(config, limits, t0, t1, line))
+    arrival = pipe.keep(t1 > t0, primitive_of(config, limits, t0, t1, line) if last is None else last)
     rounds = []
     for number in range(DRAIN_STEPS):
         held, out = _above(config, held, arrival, state.time, force=number)
@@ -266,7 +267,7 @@ def drain_stages(config: FitConfig, limits: Array, state: EncoderState) -> list[
     return rounds
 
 
-def _stacked(rounds: list[list[Segment]], axis: int) -> list[Segment]:
+def stacked(rounds: Rounds, axis: int) -> list[Segment]:
     """The segments of each stage, from those of each step."""
     return [jax.tree.map(lambda *leaves: jnp.stack(leaves, axis), *stage) for stage in zip(*rounds, strict=True)]
 
@@ -276,7 +277,7 @@ def _published(stages: list[Segment], now: Array) -> PackedLabels:
     return PackedLabels(*pack_segments(stages[::2]), now)
 
 
-def _by_lane(limits: Array, like: Array) -> Array:
+def by_lane(limits: Array, like: Array) -> Array:
     """Limits ``[..., axis, 5]`` as ``[5, *lanes]`` in the dtype of the signal."""
     wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*like.shape[1:], limits.shape[-1]))
     return jnp.moveaxis(wide, -1, 0)
@@ -286,14 +287,14 @@ def opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
     """First sample and end of the run, the line of its samples that are not kept any more, the segments above it."""
     t0, t1, count = state.ints[:_RUN_INTS]
     line = Line(count, *state.reals[:_RUN_REALS])
-    return t0, t1, line, unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:_REALS])
+    return t0, t1, line, unpack_segments(state.ints[_RUN_INTS:], state.reals[_RUN_REALS:REALS])
 
 
 def running(config: FitConfig, state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:
     """As :func:`opened`, with the line through all samples of the run."""
     t0, t1, line, held = opened(state)
     end = jnp.full_like(t0, config.kept)
-    return t0, t1, join(line, span_line(state.reals[_REALS:], end - (t1 - t0 - line.count), end)), held
+    return t0, t1, join(line, span_line(state.reals[REALS:], end - (t1 - t0 - line.count), end)), held
 
 
 def advance(
@@ -322,18 +323,18 @@ def advance(
     joint = join(line, span_line(samples, start, jnp.where(breaks, found, leaves)))
     joint = Line(joint.count, pipe.settled(joint.mean, now), pipe.settled(joint.slope, now))
     fresh = span_line(samples, found, leaves)
-    ended = pipe.keep(breaks, _primitive(config, limits, t0, t0 + joint.count, joint))
+    ended = pipe.keep(breaks, primitive_of(config, limits, t0, t0 + joint.count, joint))
     ended = pipe.relabel(ended, pipe.once(ended.label, now))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
     first = jnp.where(breaks, t0 + joint.count, t0)
     run: Line = jax.tree.map(lambda new, old: jnp.where(breaks, new, old), fresh, joint)
     ints, reals = pack_segments(held)
     ints = jnp.concatenate([jnp.stack([first, now, run.count]), ints])
-    recent = jnp.where(there, samples[window:], state.reals[_REALS:])
+    recent = jnp.where(there, samples[window:], state.reals[REALS:])
     return EncoderState(now, ints, jnp.concatenate([jnp.stack([run.mean, run.slope]), reals, recent])), out
 
 
-def _primitive(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:
+def primitive_of(config: FitConfig, limits: Array, t0: Array, t1: Array, line: Line) -> Segment:
     """The labelled segment of a run."""
     n = jnp.maximum(line.count, 1).astype(line.mean.dtype)
     slope = fenced(line.slope * (1 / config.dt))

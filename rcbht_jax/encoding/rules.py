@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.untrusted import checked_fields
-from rcbht_jax.encoding import encoder, fit
+from rcbht_jax.encoding import encoder, fit, provisional
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, validate
@@ -33,6 +33,7 @@ class Rule(NamedTuple):
     step: Callable[..., Any]
     step_partial: Callable[..., Any]
     flush: Callable[..., LabelTracks]
+    provisional: Callable[..., LabelTracks]  # as flush, of a stream that goes on
     scan_lanes: Callable[..., tuple[EncoderState, LabelTracks]]
     drain: Callable[..., LabelTracks]  # of (config, limits [number, lane], state)
 
@@ -45,8 +46,8 @@ def _drain(config: EncoderConfig, _limits: Any, state: EncoderState) -> LabelTra
     return encoder.drain(config, state)
 
 
-PAPER = Rule(_init, encoder.step, encoder.step_partial, encoder.flush, encoder.scan_lanes, _drain)
-FIT = Rule(fit.init, fit.step, fit.step_partial, fit.flush, fit.scan_lanes, fit.drain)
+PAPER = Rule(_init, encoder.step, encoder.step_partial, encoder.flush, encoder.flush, encoder.scan_lanes, _drain)
+FIT = Rule(fit.init, fit.step, fit.step_partial, fit.flush, provisional.labels, fit.scan_lanes, fit.drain)
 
 
 def rule_of(config: AnyConfig) -> Rule:

@@ -38,6 +38,11 @@ def _flush(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, c
 
 
 @partial(jax.jit, static_argnums=0)
+def _provisional(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
+    return rule_of(config).provisional(config, limits, state, rest, count)
+
+
+@partial(jax.jit, static_argnums=0)
 def _lines(
     config: FitConfig, limits: Array, state: EncoderState, windows: Float[Array, "block window axis"], count: Array
 ) -> tuple[EncoderState, Any]:
@@ -109,11 +114,20 @@ class WindowBuffer:
 
 
 def held(
-    config: AnyConfig, limits: Float[Array, "axis limit"], state: EncoderState, buffer: WindowBuffer
+    config: AnyConfig, limits: Float[Array, "axis limit"], state: EncoderState, buffer: WindowBuffer, ends: bool = False
 ) -> LabelTracks:
-    """Labels that a stream would still publish if it ended now, as host arrays ``[axis, slot]``; nothing changes."""
+    """Words that a stream holds, as host arrays ``[axis, slot]``; nothing changes.
+
+    Args:
+        config: static configuration.
+        limits: of every axis.
+        state: at the end of the last complete window.
+        buffer: the samples since then.
+        ends: the labels are those that an end of the stream would publish, in place of provisional ones.
+    """
     count = jnp.full(limits.shape[0], buffer.count, jnp.int32)
-    return jax.tree.map(np.asarray, _flush(config, limits, state, jnp.array(buffer.samples), count))
+    labels = _flush if ends else _provisional
+    return jax.tree.map(np.asarray, labels(config, limits, state, jnp.array(buffer.samples), count))
 
 
 class Encoder:
@@ -210,12 +224,20 @@ class Encoder:
                 yield jax.tree.map(lambda rows, count=count: np.asarray(rows)[:count], out)
 
     def peek(self) -> LabelTracks:
-        """Provisional labels as if the stream ended now; nothing changes."""
+        """Provisional labels of the words that are not published yet; nothing changes.
+
+        Those of the paper's rule are what the stream would publish if it ended now, those of the fit rule what its
+        words will be if the present run goes on (:mod:`rcbht_jax.encoding.provisional`).
+        """
         return held(self._config, self._limits, self._state, self._buffer)
+
+    def ending(self) -> LabelTracks:
+        """The labels that an end of the stream would publish now; nothing changes."""
+        return held(self._config, self._limits, self._state, self._buffer, ends=True)
 
     def flush(self) -> LabelTracks:
         """End of the stream: the labels still held. The stream starts anew afterwards."""
-        tracks = self.peek()
+        tracks = self.ending()
         self.restart()
         return tracks
 

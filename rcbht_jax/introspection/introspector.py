@@ -208,13 +208,16 @@ class Introspector:
             self.provisional()
 
     def provisional(self) -> list[Word]:
-        """Words that would be published if the stream ended now; nothing changes."""
-        tracks = held(self._config, self._limits, self._state.encoder, self._buffer)
+        """Words that are not published yet, with labels that may still change; nothing changes."""
+        return self._held(ends=False)
+
+    def _held(self, ends: bool) -> list[Word]:
+        tracks = held(self._config, self._limits, self._state.encoder, self._buffer, ends)
         return words_of_tracks(tracks, self.axes, self.received, self._now(), self._config.dt)
 
     def finish(self) -> list[Event]:
         """The words still held at the end of a stream, if words are reported; :meth:`reset` begins the next one."""
-        return list(self.provisional()) if self._words else []
+        return [*self._held(ends=True)] if self._words else []
 
     def begin(self, detected: bool = False) -> list[Event]:
         """Start a sub-task with the next sample; ``detected`` says that no controller announced it."""

@@ -99,7 +99,7 @@ class Together:
             self._snaps.warm_up()
 
     def provisional(self) -> list[Word]:
-        """Words that would be published if the stream ended now."""
+        """Words that are not published yet, with labels that may still change."""
         return self._words.provisional()
 
     def begin(self) -> list[Event]:

@@ -181,12 +181,12 @@ class WordIntrospector:
         return events
 
     def provisional(self) -> list[Word]:
-        """Words that would be published if the stream ended now; nothing changes."""
+        """Words that are not published yet, with labels that may still change; nothing changes."""
         return words_of_tracks(self._encoder.peek(), self.axes, self.received, self._now(), self.config.dt)
 
     def finish(self) -> list[Event]:
         """The words still held at the end of a stream; :meth:`reset` begins the next one."""
-        return list(self.provisional())
+        return [*words_of_tracks(self._encoder.ending(), self.axes, self.received, self._now(), self.config.dt)]
 
     def _now(self) -> float:
         return self.received * self.config.dt if self._time is None else self._time

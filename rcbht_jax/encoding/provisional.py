@@ -1,0 +1,79 @@
+"""Provisional labels of the fit rule: what words that still run are called before anybody knows how they end.
+
+A run that has just begun is short, so that a level nearly always explains it, and most compositions of it would be
+noise if it ended now. It does not end now. :func:`labels` therefore names what the run will be when it has gone on, as
+its newest samples do, for as long as the evidence of a break takes (``FitConfig.evidence``). Labels and pairs look
+ahead; spans and values end with the samples received. Published labels do not depend on any of this.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from rcbht_jax.encoding import fit, pipe
+from rcbht_jax.encoding.encoder import EncoderState, join_tracks, track_of, unpack
+from rcbht_jax.encoding.fit import FitConfig, by_lane, primitive_of
+from rcbht_jax.encoding.fit_line import Line, fenced, join, span_line
+from rcbht_jax.types import Array, LabelTracks, Segment
+
+
+def labels(
+    config: FitConfig,
+    limits: Float[Array, "*axes 5"],
+    state: EncoderState,
+    rest: Float[Array, " window *lanes"],
+    count: Int[Array, "*lanes"],
+) -> LabelTracks:
+    """Provisional labels of a stream that goes on; the state stays as it is.
+
+    Args:
+        config: static configuration.
+        limits: gradient limits and tolerance ``[axis, 5]`` or ``[*lanes, 5]``, N/s or Nm/s and N or Nm.
+        state: of the same lanes.
+        rest: the samples that did not fill a window, then anything.
+        count: how many of them there are, < window.
+
+    Returns:
+        labels ``[*lanes, slot]`` with 1 + 5 slots, as of :func:`rcbht_jax.encoding.fit.flush`.
+
+    Raises:
+        InputError: the rest has another number of samples than a window.
+
+    Example:
+        >>> config, limits = FitConfig(), jnp.array([[70.0, 46.0, 23.0, 1.0, 0.1]])
+        >>> state, _ = fit.step(config, limits, fit.init(config, (1,)), 0.05 * jnp.arange(5.0)[:, None])
+        >>> none = jnp.zeros((5, 1)), jnp.array([0])  # 10 N/s for 25 ms: still level within the tolerance
+        >>> [int(f(config, limits, state, *none).primitive.label[0, 1]) for f in (fit.flush, labels)]
+        [7, 3]
+    """
+    samples = jnp.concatenate([state.reals[fit.REALS :], rest])
+    state, out = fit.step_partial(config, limits, state, rest, count)
+    first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
+    t0, t1, line, held = fit.running(config, state)
+    lanes = by_lane(limits, rest)
+    ahead = _ahead(config, line, samples, config.kept + count)
+    later = primitive_of(config, lanes, t0, t1 + ahead.count, join(line, ahead))
+    parts = [*held, primitive_of(config, lanes, t0, t1, line)]
+    rounds = fit.drain_stages(config, lanes, state, later)
+    rounds = [[_so_far(word, parts, state.time) for word in stages[::2]] for stages in rounds]
+    layers = fit.stacked(rounds, -1)
+    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
+    return join_tracks(first, LabelTracks(*(track_of(layer, emit) for layer in layers)))
+
+
+def _ahead(config: FitConfig, line: Line, samples: Array, stop: Array) -> Line:
+    """The line of the next samples, as many as the evidence of a break, if they go on as the newest of the run do."""
+    recent = min(config.needed, config.kept)
+    new = span_line(samples, stop - jnp.minimum(recent, line.count), stop)
+    half = (new.count + config.needed).astype(new.mean.dtype) / 2
+    return Line(jnp.full_like(line.count, config.needed), new.mean + fenced(new.slope * half), new.slope)
+
+
+def _so_far(word: Segment, parts: list[Segment], now: Array) -> Segment:
+    """A word of the run with the values of its samples up to now, from the held segments and the run, in order."""
+    *held, whole = parts
+    for part in held:  # from the newest to the oldest
+        whole = pipe.select((part.label > 0) & (part.t0 >= word.t0), pipe.merge(part, whole, whole.label), whole)
+    return pipe.select(word.t1 > now, pipe.relabel(whole, word.label), word)

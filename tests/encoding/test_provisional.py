@@ -1,0 +1,119 @@
+"""Provisional labels of the fit rule: what they are, that no chunking changes them, and that nothing published does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rcbht_jax as rj
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.stream import Encoder
+from rcbht_jax.encoding.tolerance import FitLimits
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.types import LabelTrack
+from tests.encoding.test_fit import AXES, LIMITS, TOLERANCE, layers, wrench_of
+from tests.support.fit_oracle import FitOracle, least_squares, near
+from tests.support.oracle import It
+from tests.support.trees import assert_trees_equal
+
+signals = st.tuples(st.integers(0, 2**32 - 1), st.sampled_from(["noise", "steps", "ramps"]), st.integers(1, 333))
+CONFIGS = {"default": (FitConfig(), {}), "window 2": (FitConfig(window=2), {"window": 2, "kept": 8})}
+
+
+@dataclass
+class GoesOn(FitOracle):
+    """The oracle whose last run goes on, as the line through its newest samples does, for ``needed`` samples."""
+
+    def primitive(self, y: np.ndarray, start: int, end: int) -> It:
+        if end < len(y):
+            return super().primitive(y, start, end)
+        newest = y[max(start, end - min(self.needed, self.kept)) :]
+        mean, slope, _ = least_squares(newest)
+        ahead = mean + slope * ((len(newest) - 1) / 2 + np.arange(1, self.needed + 1))
+        return super().primitive(np.concatenate([y, ahead]), start, end + self.needed)
+
+
+def words(track: LabelTrack, axis: int) -> list[tuple[int, ...]]:
+    used = track.label[axis] > 0
+    return list(zip(*(values[axis][used].tolist() for values in (track.label, track.t0, track.t1)), strict=True))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+@settings(max_examples=15)
+@given(signal=signals)
+def test_provisional_words_are_those_of_a_run_that_goes_on(name: str, signal: tuple[int, str, int]) -> None:
+    config, options = CONFIGS[name]
+    seed, style, length = signal
+    wrench = wrench_of(seed, style)[:length]
+    with jax.enable_x64(True):
+        stream = Encoder(config, LIMITS, np.float64)
+        pieces = [*stream.push(wrench), stream.peek()]
+    for axis in range(3):
+        expected = GoesOn(tuple(LIMITS.gradients[axis].tolist()), float(TOLERANCE[axis]), **options)
+        expected.encode(wrench[:, axis])
+        if near(expected):
+            continue
+        for number, rows in enumerate(expected.out):
+            said = [word for piece in pieces for word in words(layers(piece)[number], axis)]
+            assert said == [(item.label, item.t0, min(item.t1, length)) for item, _ in rows]
+
+
+@settings(max_examples=8)
+@given(signal=signals)
+def test_their_values_are_those_of_the_samples_received(signal: tuple[int, str, int]) -> None:
+    seed, style, length = signal
+    with jax.enable_x64(True):
+        stream = Encoder(FitConfig(), LIMITS, np.float64)
+        stream.push(wrench_of(seed, style)[:length])
+        provisional, ended = stream.peek(), stream.ending()
+    same = 0
+    for one, other in zip(layers(provisional), layers(ended), strict=True):
+        alike = (one.label > 0) & (other.label > 0) & (one.t0 == other.t0) & (one.t1 == other.t1)
+        for field in ("vmax", "vmin", "avg", "grad"):
+            np.testing.assert_allclose(getattr(one, field)[alike], getattr(other, field)[alike], atol=1e-9)
+        same += alike.sum()
+    assert same >= 3
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@settings(max_examples=8)
+@given(signal=signals, cuts=st.lists(st.integers(0, 40), max_size=15))
+def test_no_chunking_changes_them(dtype: type, signal: tuple[int, str, int], cuts: list[int]) -> None:
+    seed, style, length = signal
+    wrench = wrench_of(seed, style).astype(dtype)[:length]
+    with jax.enable_x64(dtype == np.float64):
+        stream, whole, start = Encoder(FitConfig(), LIMITS, dtype), Encoder(FitConfig(), LIMITS, dtype), 0
+        for cut in [*cuts, length]:
+            stream.push(wrench[start : start + cut])
+            stream.peek()
+            start = min(start + cut, length)
+        whole.push(wrench)
+        assert_trees_equal(stream.peek(), whole.peek())
+
+
+def test_a_slope_is_told_before_it_leaves_the_tolerance_and_a_level_stays_level() -> None:
+    for slope, label in ((5.0, "spos"), (0.0, "cons")):
+        stream = WordIntrospector(FitConfig(), FitLimits(LIMITS.gradients[:1], np.array([0.1])), ["Fx"])
+        stream.push(slope * 0.005 * np.arange(10)[:, None])
+        assert [word.label for word in stream.provisional() if word.layer == "primitive"] == [label]
+        assert [word.label for word in stream.finish() if word.layer == "primitive"] == ["cons"]  # level so far
+
+
+def test_the_end_of_a_stream_publishes_what_has_come_not_what_may_come() -> None:
+    stream = WordIntrospector(FitConfig(), LIMITS, AXES)
+    wrench, different = wrench_of(2, "ramps"), 0
+    for window in wrench[: 65 * 5].reshape(65, 5, 3):
+        stream.push(window)
+        shown, last = stream.provisional(), stream.finish()
+        different += [word.code for word in shown] != [word.code for word in last]
+    assert different > 5
+    tracks = rj.encode(wrench[: 65 * 5], thresholds=LIMITS.gradients, rule="fit", tolerance=LIMITS.tolerance)
+    for layer, track in zip(("primitive", "mc", "llb"), layers(tracks), strict=True):
+        for axis, name in enumerate(AXES):
+            said = [(word.code, word.begin, word.end) for word in last if (word.layer, word.axis) == (layer, name)]
+            assert said == words(track, axis)[-len(said) :]
