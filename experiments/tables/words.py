@@ -62,6 +62,23 @@ def running(result: dict[str, Any]) -> str:
     return markdown((*head, *ages, *(f"{name} revised" for name in LAYERS.values())), rows)
 
 
+@table("fit-provisional", "fit_latency")
+def provisional(result: dict[str, Any]) -> str:
+    """What is revised of provisional labels, and the share of the time in which they are right, by way of showing."""
+    rows = [
+        (
+            name, way,
+            *(f"{found[layer]['revised']:.3f}" for layer in LAYERS),
+            *(f"{found[layer]['right']:.3f} / {found[layer]['right_where_it_moves']:.3f}" for layer in LAYERS),
+        )
+        for name, ways in result["labels"].items()
+        for way, found in ways.items()
+    ]  # fmt: skip
+    names = tuple(LAYERS.values())
+    head = (*(f"{name} revised" for name in names), *(f"{name} right, of all / of moving time" for name in names))
+    return markdown(("", "label", *head), rows)
+
+
 @table("fit-classes", "fit_classification")
 def classes(result: dict[str, Any]) -> str:
     """Accuracy of sentences of both rules."""

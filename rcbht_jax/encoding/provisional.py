@@ -2,8 +2,8 @@
 
 A run that has just begun is short, so that a level nearly always explains it, and most compositions of it would be
 noise if it ended now. It does not end now. :func:`labels` therefore names what the run will be when it has gone on, as
-its newest samples do, for as long as the evidence of a break takes (``FitConfig.evidence``). Labels and pairs look
-ahead; spans and values end with the samples received. Published labels do not depend on any of this.
+its newest samples do, for as long as evidence for a break is missing: ``FitConfig.evidence``, less what there is.
+Labels and pairs look ahead; spans and values end with the samples received. Published labels do not depend on this.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from rcbht_jax.encoding import fit, pipe
 from rcbht_jax.encoding.encoder import EncoderState, join_tracks, track_of, unpack
 from rcbht_jax.encoding.fit import FitConfig, by_lane, primitive_of
-from rcbht_jax.encoding.fit_line import Line, fenced, join, span_line
+from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
 from rcbht_jax.types import Array, LabelTracks, Segment
 
 
@@ -48,13 +48,14 @@ def labels(
         >>> [int(f(config, limits, state, *none).primitive.label[0, 1]) for f in (fit.flush, labels)]
         [7, 3]
     """
-    samples = jnp.concatenate([state.reals[fit.REALS :], rest])
+    samples, lanes = jnp.concatenate([state.reals[fit.REALS :], rest]), by_lane(limits, rest)
+    missing = _missing(config, lanes[4], state, samples, config.kept + count)
     state, out = fit.step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
     t0, t1, line, held = fit.running(config, state)
-    lanes = by_lane(limits, rest)
-    ahead = _ahead(config, line, samples, config.kept + count)
-    later = primitive_of(config, lanes, t0, t1 + ahead.count, join(line, ahead))
+    missing = jnp.where(first.primitive.label[..., 0] > 0, config.needed, missing)  # the rest began a new run
+    ahead = _ahead(config, line, samples, config.kept + count, missing)
+    later = primitive_of(config, lanes, t0, t1 + missing, join(line, ahead))
     parts = [*held, primitive_of(config, lanes, t0, t1, line)]
     rounds = fit.drain_stages(config, lanes, state, later)
     rounds = [[_so_far(word, parts, state.time) for word in stages[::2]] for stages in rounds]
@@ -63,12 +64,20 @@ def labels(
     return join_tracks(first, LabelTracks(*(track_of(layer, emit) for layer in layers)))
 
 
-def _ahead(config: FitConfig, line: Line, samples: Array, stop: Array) -> Line:
-    """The line of the next samples, as many as the evidence of a break, if they go on as the newest of the run do."""
+def _missing(config: FitConfig, tolerance: Array, state: EncoderState, samples: Array, stop: Array) -> Array:
+    """Samples by which evidence for a break of the run is short."""
+    t0, t1, line, _ = fit.opened(state)
+    start = config.kept - (t1 - t0 - line.count)
+    _, saved = best_break(line, samples, residuals_after(samples, stop), start, stop, fit.SHORTEST)
+    return jnp.round(jnp.maximum(config.needed - saved / (tolerance * tolerance), 0)).astype(jnp.int32)
+
+
+def _ahead(config: FitConfig, line: Line, samples: Array, stop: Array, count: Array) -> Line:
+    """The line of the next samples, if they go on as the newest of the run do, of as many as the evidence takes."""
     recent = min(config.needed, config.kept)
     new = span_line(samples, stop - jnp.minimum(recent, line.count), stop)
-    half = (new.count + config.needed).astype(new.mean.dtype) / 2
-    return Line(jnp.full_like(line.count, config.needed), new.mean + fenced(new.slope * half), new.slope)
+    half = (new.count + count).astype(new.mean.dtype) / 2
+    return Line(count, new.mean + fenced(new.slope * half), new.slope)
 
 
 def _so_far(word: Segment, parts: list[Segment], now: Array) -> Segment:

@@ -27,15 +27,26 @@ CONFIGS = {"default": (FitConfig(), {}), "window 2": (FitConfig(window=2), {"win
 
 @dataclass
 class GoesOn(FitOracle):
-    """The oracle whose last run goes on, as the line through its newest samples does, for ``needed`` samples."""
+    """The oracle whose last run goes on, as the line through its newest samples does, until evidence would suffice."""
 
     def primitive(self, y: np.ndarray, start: int, end: int) -> It:
         if end < len(y):
             return super().primitive(y, start, end)
         newest = y[max(start, end - min(self.needed, self.kept)) :]
         mean, slope, _ = least_squares(newest)
-        ahead = mean + slope * ((len(newest) - 1) / 2 + np.arange(1, self.needed + 1))
-        return super().primitive(np.concatenate([y, ahead]), start, end + self.needed)
+        ahead = mean + slope * ((len(newest) - 1) / 2 + np.arange(1, self.missing(y, start) + 1))
+        return super().primitive(np.concatenate([y, ahead]), start, end + len(ahead))
+
+    def missing(self, y: np.ndarray, start: int) -> int:
+        now, whole = len(y), len(y) // self.window * self.window
+        places = range(max(start + 2, whole - self.kept), now - 1)
+        if not places or any(end == start and when > whole for end, when in self.breaks()):
+            return self.needed
+        apart = min(least_squares(y[start:p])[2] + least_squares(y[p:])[2] for p in places)
+        return round(max(self.needed - (least_squares(y[start:])[2] - apart) / self.tolerance**2, 0))
+
+    def breaks(self) -> list[tuple[int, int]]:
+        return [(item.t1, when) for item, when in self.out[0]]
 
 
 def words(track: LabelTrack, axis: int) -> list[tuple[int, ...]]:
