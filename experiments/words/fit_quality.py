@@ -4,7 +4,9 @@ Both rules label the same trials with windows of 5 samples (the fit rule also wi
 rule takes its tolerances from the set. R2 is pooled over the trials of a set: one minus the squared distances of the
 samples to the primitives' lines (their published mean and slope) over those to the mean of the trial. Latencies are
 seconds from the last sample of a word to its publication, without those that the end of a trial publishes. Before
-contact, that is in the annotated approach, a primitive should be constant.
+contact, that is in the annotated approach, a primitive should be constant. The simulated payload settles when a trial
+begins, and the annotation ends after the first touch; so the share is also given without a quarter of a second at
+either end.
 
 Run: python -m experiments.words.fit_quality
 Reads the recorded trials (RCBHT_DATA).
@@ -30,6 +32,7 @@ from rcbht_jax.labels import LAYERS, Primitive
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
+EDGE = 0.25  # seconds at either end of the approach
 SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
 # Factor on the default tolerance, and window.
 FITS = {"fit x0.5": (0.5, 5), "fit x1": (1.0, 5), "fit x2": (2.0, 5), "fit x1, W=2": (1.0, 2)}
@@ -72,7 +75,15 @@ def before_contact(recordings: Recordings) -> NDArray[np.bool_]:
     return np.broadcast_to(np.stack(rows)[..., None], recordings.wrench.shape)
 
 
+def inside(approach: NDArray[np.bool_], dt: float) -> NDArray[np.bool_]:
+    """The samples of the approach that are further than EDGE from its ends."""
+    count, found = round(EDGE / dt), np.zeros_like(approach)
+    found[:, count:-count] = approach[:, : -2 * count] & approach[:, 2 * count :]
+    return found
+
+
 def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.bool_]) -> dict[str, Any]:
+    inner = inside(approach, recordings.dt)
     words = {layer: (getattr(tracks, layer).label > 0).sum(-1).mean(0) for layer in LAYERS}
     return {
         "r2": explained(tracks.primitive, recordings).tolist(),
@@ -80,6 +91,7 @@ def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.b
         "all_words": {layer: float(count.sum()) for layer, count in words.items()},
         "latency": {layer: latency(getattr(tracks, layer), recordings) for layer in LAYERS},
         "approach_constant": (1 - rest_not_constant(tracks.primitive, approach, 1, Primitive.CONS)).tolist(),
+        "approach_constant_inside": (1 - rest_not_constant(tracks.primitive, inner, 1, Primitive.CONS)).tolist(),
     }
 
 
