@@ -45,12 +45,12 @@ def scene(
     for name in (name for pair in assembly.marks for name in pair):
         if spec.geom(name) is None:
             raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
-    model, *tabs = with_tabs(spec, assembly.marks)
+    model, tips, marks, places = with_tabs(spec, assembly.marks)
     joints = np.array([model.joint(name).qposadr[0] for name in robot.joints], np.int32)
     forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
     program = controller(assembly, robot).program()
     write = partial(_fields, model, assembly, np.asarray(robot.place))
-    return Scene(model, program, joints, forces, *tabs, write, steps, assembly.seated, 0.0)
+    return Scene(model, program, joints, forces, tips, marks, places, write, steps, assembly.seated, 0.0)
 
 
 def _spec(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:

@@ -88,10 +88,10 @@ def hooked(
 
 def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], substeps: int) -> Scene:
     """The scene of one arm; ``lips`` begins the names of the geoms that mark the lips."""
-    model, *tabs = with_tabs(spec, [(f"RTIP_{tab}", f"{lips}{tab}") for tab in parts.TABS])
+    model, tips, marks, places = with_tabs(spec, [(f"RTIP_{tab}", f"{lips}{tab}") for tab in parts.TABS])
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
     forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
-    return Scene(model, ONE_ARM, joints, forces, *tabs, partial(fields, model), substeps)
+    return Scene(model, ONE_ARM, joints, forces, tips, marks, places, partial(fields, model), substeps)
 
 
 def with_tabs(spec: mujoco.MjSpec, pairs: Sequence[tuple[str, str]]) -> tuple[mujoco.MjModel, Ids, Ids, Ids]:

@@ -36,12 +36,12 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     parts.add_male(spec, "R", GRIP)
     parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, _quaternion(TURN))
     set_solver(spec, substeps, iterations, ls_iterations)
-    model, *tabs = with_tabs(spec, [(f"RTIP_{tab}", f"LIP_{tab}") for tab in parts.TABS])
+    model, tips, lips, places = with_tabs(spec, [(f"RTIP_{tab}", f"LIP_{tab}") for tab in parts.TABS])
     joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
     forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
     return Scene(
-        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), *tabs, partial(model_fields, model),
-        substeps,
+        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), tips, lips, places,
+        partial(model_fields, model), substeps,
     )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ def passes_of(
     return table
 
 
-def annotations(passes: Int[np.ndarray, "recording pass 3"], tabs: Sequence[str]) -> Annotations:
+def as_track(passes: Int[np.ndarray, "recording pass 3"], tabs: Sequence[str]) -> Annotations:
     """The passes as a track: of each tab, from its pass to when it comes out or the trial ends.
 
     Args:
@@ -54,7 +54,7 @@ def annotations(passes: Int[np.ndarray, "recording pass 3"], tabs: Sequence[str]
         tabs: their names.
 
     Example:
-        >>> annotations(np.array([[[1, 200, 300], [0, 0, 0]]]), ("front", "rear")).names().tolist()
+        >>> as_track(np.array([[[1, 200, 300], [0, 0, 0]]]), ("front", "rear")).names().tolist()
         ['rear']
     """
     recording, place = np.nonzero(passes[..., 2])

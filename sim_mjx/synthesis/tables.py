@@ -60,7 +60,7 @@ def recordings_of(
         "note": each(rows["note"]),
     }
     deviation = each(np.stack([fault.deviation for fault in faults]))
-    tracks = [passes.annotations(each(rows["passes"]), scenario.tabs)] if scenario.tabs else []
+    tracks = [passes.as_track(each(rows["passes"]), scenario.tabs)] if scenario.tabs else []
     if scenario.recorded:
         made = snap_recordings(
             **trials, deviation=deviation, onset=each(rows["onset"]), onset_harmonised=each(rows["onset_harmonised"]),
