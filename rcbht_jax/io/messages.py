@@ -156,10 +156,13 @@ def sample_of(message: Any, received: int = 0) -> Sample | Malformed:
 
 
 def stamp_of(message: Any, received: int) -> float:
-    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none or it is zero."""
-    header = getattr(message, "header", None)
-    stamp: float = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
-    return stamp if stamp > 0 else received * 1e-9
+    """Seconds of the stamp in a message's header; of its receipt (ns) where there is none that says more than zero."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    seconds, nanoseconds = (getattr(stamp, part, None) for part in ("sec", "nanosec"))
+    if not isinstance(seconds, int | float) or not isinstance(nanoseconds, int | float):
+        return received * 1e-9
+    found = seconds + 1e-9 * nanoseconds
+    return found if found > 0 else received * 1e-9
 
 
 _BACKLOG = 1000  # messages read ahead; then the writer waits, so that memory stays bounded

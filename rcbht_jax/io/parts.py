@@ -14,7 +14,6 @@ import hashlib
 import json
 import math
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.atomic import atomic_write, uninterrupted
+from rcbht_jax._util.atomic import atomic_write, delete, uninterrupted
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import read_object
@@ -153,10 +152,7 @@ def discard(folder: Path, number: int) -> None:
         if dimensions[0] in ("trial", "part"):
             files.append(metadata.parent / "c" / str(number))
     for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):
-        if file.is_dir():
-            shutil.rmtree(file)
-        else:
-            file.unlink(missing_ok=True)
+        delete(file)
 
 
 def digest_file(number: int) -> str:

@@ -32,6 +32,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+from rcbht_jax._util.atomic import delete
 from rcbht_jax._util.untrusted import parse_json
 
 FOLDER = "claims"
@@ -191,7 +192,7 @@ def clear(folder: Path) -> None:
     for tries in board(folder).values():
         for one in tries:
             if one.state != "held":
-                (folder / FOLDER / f"{one.task}-{one.number}").unlink(missing_ok=True)
+                delete(folder / FOLDER / f"{one.task}-{one.number}")
 
 
 def _attempt(task: str, number: int, about: dict[str, Any], seconds: float, locked: bool | None) -> Attempt:
@@ -217,7 +218,7 @@ def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
             about = parse_json(os.read(handle, 1 << 16))
             if not isinstance(about, dict) or not isinstance(about.get("pid", 0), int):
                 raise ValueError
-        except ValueError:  # its holder is just writing, or died of it: the lease tells
+        except (OSError, ValueError):  # its holder is just writing, or died of it: the lease tells; or it is a folder
             return {}, touched, None
         if about.get("kernel") != _kernel() or not about.get("locked"):
             return about, touched, None

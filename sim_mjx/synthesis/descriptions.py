@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -30,9 +31,18 @@ def are_intact(folder: Path, store: Path) -> bool:
     try:
         texts = load_json(folder / FILE)
         there = {name: _text(store / name) for name in texts}
-        return all(there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items())
+        return _holds_files(store, texts) and all(
+            there[name] == text or _is_grown(json.loads(text), there[name]) for name, text in texts.items()
+        )
     except (OSError, ValueError, AttributeError, KeyError, TypeError):  # whatever a damaged file can hold
         return False
+
+
+def _holds_files(store: Path, noted: Collection[str]) -> bool:
+    """Whether there are only files and folders, and chunks in folders: no part is written through a link."""
+    odd = (path for path in [store, *store.rglob("*")] if path.is_symlink() or not (path.is_dir() or path.is_file()))
+    chunks = (path for path in store.rglob("c") if str(path.relative_to(store)) not in noted)  # that of a scalar is
+    return not any(odd) and all(path.is_dir() for path in chunks)
 
 
 def _text(file: Path) -> str:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rcbht_jax._util.atomic import atomic_new
+from rcbht_jax._util.atomic import atomic_new, delete
 from rcbht_jax._util.untrusted import load_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_reader
@@ -50,8 +50,9 @@ def begin(folder: Path, manifest: Mapping[str, Any]) -> None:
     Raises:
         InputError: the folder holds other files or has another manifest.
     """
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise InputError(f"{folder} is a link or a file; move it away or choose another name.")
+    for place in (folder, folder / claims.FOLDER):
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise InputError(f"{place} is a link or a file; move it away or choose another name.")
     folder.mkdir(exist_ok=True)
     _check_manifest(folder, manifest)
     (folder / claims.FOLDER).mkdir(exist_ok=True)
@@ -64,17 +65,17 @@ def renew(folder: Path) -> None:
             return
         claims.clear(folder)
         for leftover in [*folder.glob(PARTIAL), *store_of(folder).rglob("*.partial")]:
-            shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink(missing_ok=True)
+            delete(leftover)
         if not descriptions.are_intact(folder, store_of(folder)):
-            shutil.rmtree(store_of(folder), ignore_errors=True)
-            (folder / descriptions.FILE).unlink(missing_ok=True)
+            delete(store_of(folder))
+            delete(folder / descriptions.FILE)
         try:
             stored = Stored.of(store_of(folder), open_store(store_of(folder)))
             for shard in finished(folder):
                 if not _is_intact(stored, shard):
                     parts.discard(stored.path, shard)
         except InputError:  # none yet, or one that is no use
-            shutil.rmtree(store_of(folder), ignore_errors=True)
+            delete(store_of(folder))
 
 
 def store_of(folder: Path) -> Path:
@@ -87,9 +88,10 @@ def finished(folder: Path) -> set[int]:
     chunks = _digest(folder, 0).parent.parent
     try:
         names = os.listdir(chunks)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return set()
-    return {int(name) for name in names if os.path.exists(f"{chunks}/{name}/0")}  # asked for often: no Path objects
+    # asked for often: no Path objects
+    return {int(name) for name in names if name.isdecimal() and os.path.exists(f"{chunks}/{name}/0")}
 
 
 def finished_at(folder: Path) -> list[float]:
@@ -117,10 +119,8 @@ def remove(folder: Path) -> None:
     The caller holds the claim "join" meanwhile, so that nobody makes a deleted shard again.
     """
     for entry in folder.iterdir():
-        if entry.is_dir() and entry.name != claims.FOLDER:
-            shutil.rmtree(entry)
-        elif entry.is_file() and entry.name != MANIFEST:
-            entry.unlink(missing_ok=True)
+        if entry.name not in (claims.FOLDER, MANIFEST):
+            delete(entry)
     (folder / MANIFEST).unlink(missing_ok=True)
 
 

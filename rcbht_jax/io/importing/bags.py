@@ -18,6 +18,9 @@ from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 MAX_ELEMENTS = 64  # of an array in a message
 TEXT = "std_msgs/msg/String"
 UNITS = {"force": "N", "torque": "Nm"}  # REP 103 prescribes them for wrenches
+_PARTS = {
+    f"{prefix}{part}.{axis}": unit for prefix in ("", "wrench.") for part, unit in UNITS.items() for axis in "xyz"
+}
 
 
 def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
@@ -57,8 +60,10 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
                 left -= topics[connection.topic].add(message, received)
                 if left < 0:
                     raise InputError(f"{path} has more than {MAX_VALUES} numbers on {', '.join(topics)}; split it.")
-            else:
-                spoken.setdefault(connection.topic, []).append((received, str(message.data)))
+            elif isinstance(said := getattr(message, "data", None), str):
+                spoken.setdefault(connection.topic, []).append((received, said))
+            else:  # the file defines the type otherwise
+                problems.append(f"a text of {connection.topic} cannot be read")
     notes = tuple(dict.fromkeys(problem.split(" (")[0].replace(" ", "-") for problem in problems))
     for key, content in topics.items():
         if not content.received:
@@ -92,7 +97,8 @@ class _Topic:
     def table(self, name: str, spoken: dict[str, list[tuple[int, str]]], notes: tuple[str, ...]) -> Table:
         values = np.frombuffer(self._values).reshape(len(self.received), -1)
         columns = dict(zip(("stamp", *self._names), np.ascontiguousarray(values.T), strict=True))
-        units = {key: UNITS[key.split(".")[-2]] for key in self._names} if self._wrench else {}
+        # a file may define the type with other fields, of which nobody knows the unit
+        units = {key: _PARTS[key] for key in self._names if key in _PARTS} if self._wrench else {}
         flags = (*notes, f"other-shape:{self.other}") if self.other else notes
         first, last = self.received[0], self.received[-1]
         return Table(name, columns, units=units, intervals=tuple(_spoken(spoken, first, last)), notes=flags)

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rcbht_jax.cli.commands import COMMANDS
 from rcbht_jax.cli.main import command_class
@@ -165,11 +165,18 @@ def wrench_message(store, stamp: float, row: np.ndarray):
     return types["geometry_msgs/msg/WrenchStamped"](header=header, wrench=wrench)
 
 
-def write_ros1(path: Path, topics: tuple[str, ...] = ("/ft",)) -> None:
+def write_ros1(path: Path, topics: tuple[str, ...] = ("/ft",), renamed: tuple[str, str] = ("", "")) -> None:
+    """A bag, in whose definitions of messages a field may have another name."""
     store, kind = get_typestore(Stores.ROS1_NOETIC), "geometry_msgs/msg/WrenchStamped"
     with Writer1(path) as writer:
-        connections = [writer.add_connection(topic, kind, typestore=store) for topic in topics]
-        spoken = writer.add_connection("/phase", "std_msgs/msg/String", typestore=store)
+
+        def connect(topic: str, kind: str):
+            others = get_typestore(Stores.EMPTY)
+            others.register(get_types_from_msg(store.generate_msgdef(kind)[0].replace(*renamed), kind))
+            return writer.add_connection(topic, kind, typestore=others)
+
+        connections = [connect(topic, kind) for topic in topics]
+        spoken = connect("/phase", "std_msgs/msg/String")
         for number, row in enumerate(WRENCH):
             stamp = 100 + number * DT
             if number in (0, 20):
@@ -216,6 +223,23 @@ def test_every_topic_of_wrenches_is_an_arm(tmp_path: Path) -> None:
     # The two arms carry equal values: a copy.
     assert recordings.arm.tolist() == ["/left/ft"]
     assert recordings.trial.tolist() == ["run"]
+
+
+@pytest.mark.parametrize(
+    ("renamed", "column", "units", "said"),
+    [
+        (("Vector3 force", "Vector3 push"), "wrench.push.x", ("",) * 3 + ("Nm",) * 3, ["free", "push"]),
+        (("string data", "string text"), "Fx", ("N",) * 3 + ("Nm",) * 3, []),
+        (("time stamp", "time moment"), "Fx", ("N",) * 3 + ("Nm",) * 3, ["free", "push"]),
+    ],
+)
+def test_a_bag_may_define_messages_otherwise(tmp_path: Path, renamed, column, units, said) -> None:
+    write_ros1(tmp_path / "run.bag", renamed=renamed)
+    recordings = read_source(tmp_path / "run.bag").recordings
+    assert recordings.axes[0] == column
+    assert recordings.units == units
+    np.testing.assert_array_equal(recordings.wrench[0], WRENCH)
+    assert recordings.annotations.names().tolist() == said
 
 
 def test_lerobot(tmp_path: Path) -> None:

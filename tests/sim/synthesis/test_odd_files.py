@@ -1,0 +1,96 @@
+"""A work folder where something else stands in the place of a file: made good or refused; no link is followed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.errors import InputError
+from sim_mjx.synthesis import claims, descriptions, shards
+from sim_mjx.synthesis.pipeline import synthesise
+from tests.sim.synthesis.test_resume import interrupted, whole  # noqa: F401  # the fixture
+from tests.support.fake_simulation import SMALL, fake_engine, tree
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the work folder of SMALL, of which one shard is finished."""
+    folder = tmp_path_factory.mktemp("begun")
+    interrupted(folder / "trials.zarr", SMALL)
+    return folder
+
+
+def _as_folder(path: Path, _: Path) -> None:
+    path.mkdir()
+    (path / "file").write_text("content")
+
+
+def _as_link(path: Path, elsewhere: Path) -> None:
+    path.symlink_to(elsewhere)
+
+
+def _as_file(path: Path, _: Path) -> None:
+    path.write_text("{}")
+
+
+def _as_pipe(path: Path, _: Path) -> None:
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        (descriptions.FILE, _as_folder),
+        ("store.zarr", _as_link),
+        ("store.zarr", _as_file),
+        ("store.zarr/wrench/c", _as_link),
+        ("store.zarr/source/c", _as_pipe),
+        ("store.zarr/simulation/seated/c/0", _as_file),
+        ("store.zarr/odd.partial", _as_link),
+    ],
+)
+def test_it_is_made_again(
+    name: str,
+    change: Callable[[Path, Path], None],
+    begun: Path,
+    whole: dict[str, bytes],  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "kept").write_text("content")
+    shutil.copytree(begun, tmp_path / "case")
+    path = shards.folder_of(tmp_path / "case/trials.zarr") / name
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+    change(path, elsewhere)
+    synthesise(tmp_path / "case/trials.zarr", SMALL, simulate=fake_engine)
+    assert tree(tmp_path / "case/trials.zarr") == whole
+    assert tree(elsewhere) == {"kept": b"content"}
+
+
+@pytest.mark.parametrize("change", [_as_link, _as_file, _as_pipe])
+def test_claims_are_a_folder(change: Callable[[Path, Path], None], begun: Path, tmp_path: Path) -> None:
+    shutil.copytree(begun, tmp_path / "case")
+    path = shards.folder_of(tmp_path / "case/trials.zarr") / claims.FOLDER
+    shutil.rmtree(path)
+    change(path, tmp_path)
+    with pytest.raises(InputError, match="is a link or a file"):
+        synthesise(tmp_path / "case/trials.zarr", SMALL, simulate=fake_engine)
+
+
+def test_a_claim_that_is_a_folder_holds_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / claims.FOLDER / "000000-0").mkdir(parents=True)
+    (attempt,) = claims.attempts(tmp_path, "000000")
+    assert attempt.state == "held"  # somebody may just be writing it
+    monkeypatch.setattr(claims, "LEASE", 0.0)
+    (attempt,) = claims.attempts(tmp_path, "000000")
+    assert attempt.state == "dead"
+    claims.clear(tmp_path)
+    assert not list((tmp_path / claims.FOLDER).iterdir())
