@@ -19,6 +19,7 @@ import jax
 from rcbht_jax.errors import InputError
 from sim_mjx.assemblies import ASSEMBLIES, Assembly, draw, scene
 from sim_mjx.assembly.hooked_parts import HookedParams
+from sim_mjx.assembly.parts import TABS
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
@@ -60,6 +61,7 @@ class Scenario:
     robot: str = HIRO
     states: tuple[str, ...] = STATES  # whose starts a rollout reports
     spec: Callable[..., Any] = DomainRandomization  # distributions, by keyword
+    tabs: tuple[str, ...] = TABS  # names of the tabs that pass lips, whose passes are stored; none = nothing snaps
 
     @property
     def recorded(self) -> bool:
@@ -107,7 +109,16 @@ def _paired(assembly: str, robot: str) -> Scenario:
 
 @cache
 def pair(assembly: Assembly, robot: Robot) -> Scenario:
-    """What is simulated of an assembly on a robot."""
+    """What is simulated of an assembly on a robot.
+
+    Raises:
+        InputError: it names some of its marks as tabs, not all.
+    """
+    if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
+        raise InputError(
+            f"{assembly.name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each "
+            "mark, or none."
+        )
     pairing = draw.Pairing(assembly, robot)
     task, own = assembly.draw(assembly.variation(), trials.stream(0, 0))
     names = [("task", field.name) for field in fields(task)] + [("parts.own", field.name) for field in fields(own)]
@@ -115,7 +126,7 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
         pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names), assembly.name,
-        robot.name, tuple(phase.name for phase in assembly.phases), assembly.variation,
+        robot.name, tuple(phase.name for phase in assembly.phases), assembly.variation, assembly.tabs,
     )  # fmt: skip
 
 

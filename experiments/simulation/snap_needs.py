@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 from experiments._lib.results_io import write_result
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import HOOKED
+from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.validation import sessions, snaps
-from sim_mjx.validation.passing import moments
-from sim_mjx.validation.replay import Recorder, raw_force, tab_states
+from sim_mjx.validation.replay import Recorder, raw_force
 
 SESSION = HOOKED["hooked-B"]
 CELLS = ((0, 0), (2, 0), (1, 1), (0, -1), (-1, 0), (-2, 1))  # mm, placements that were recorded to seat
@@ -44,10 +43,10 @@ def variants(parts: PartParams) -> dict[str, PartParams]:
     }
 
 
-def passes(scene: Scene, part: Any, run: Rollouts, recorder: Recorder, row: int) -> list[float] | None:
+def passes(run: Rollouts, recorder: Recorder, row: int) -> list[float] | None:
     """Seconds from mating to the first rear pass, N of the release, N of the fall; None without a pass or a seat."""
-    past, _ = tab_states(scene, native.model_of(scene, part), recorder.qpos(row))
-    rear = [sample for sample, tab in moments(past) if REAR[tab]]
+    found = passes_of(run.past[row : row + 1], run.length[row : row + 1])[0]
+    rear = [start for tab, start, end in found.tolist() if end and REAR[tab]]
     if not rear or not run.seated[row].all():
         return None
     at, force = min(rear), raw_force(recorder, run, row)[:, 2]
@@ -72,10 +71,7 @@ def main(trials: int = len(CELLS)) -> None:
     scene = SESSION.scene()
     recorder = Recorder(scene, len(cells) * len(changed))
     run = native.simulate(scene, batch, watch=recorder.watch)
-    rows = [
-        passes(scene, jax.tree.map(lambda leaf, row=row: leaf[row], batch.parts), run, recorder, row)
-        for row in range(len(run.length))
-    ]
+    rows = [passes(run, recorder, row) for row in range(len(run.length))]
     result = {name: summary(rows[i * len(cells) : (i + 1) * len(cells)]) for i, name in enumerate(changed)}
     write_result("snap_needs", "python -m experiments.simulation.snap_needs", {"rows": result}, seed=0)
 

@@ -30,9 +30,11 @@ from rcbht_jax.introspection.snaps import SnapConfig, SnapDetector
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.engines import native
 from sim_mjx.presets.session_a import SESSION_A
 from sim_mjx.registry import get_scenario
-from sim_mjx.validation import passing, sessions, snaps
+from sim_mjx.synthesis.passes import passes_of
+from sim_mjx.validation import sessions, snaps
 
 FZ, RATE = 2, 1 / CONTROL_PERIOD
 EARLY, IN_TIME, LATE = -10, 10, 20  # samples from a pass to when it is seen
@@ -41,7 +43,6 @@ TESTS = (  # what is simulated, seed
     ("clip@panda", 3), ("clip@ur5e", 3), ("plug@panda", 3), ("plug@ur5e", 3), ("peg-in-hole@panda", 3),
     ("square-peg@panda", 3), ("hooked-B", 3),
 )  # fmt: skip
-SMOOTH = ("peg-in-hole", "square-peg")  # parts without hooks: whatever is seen there is false
 SLOW = {"hooked-B": 0.3}  # share of the trials of sets that take long
 LEAST, HIGH, SHARES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0), (10.0, np.inf), (0.6, 0.75, 0.9, 1.0, 1.5)
 BASELINE = np.arange(1.0, 12.1, 0.5)  # N
@@ -62,11 +63,13 @@ class Trials:
 def simulated(name: str, seed: int, count: int) -> Trials:
     """Trials of one kind, half of them with a fault."""
     scenario = get_scenario(name)
-    done = passing.simulate(scenario, seed, range(count), scenario.spec(nominal_share=0.5))
-    hooks = not name.startswith(SMOOTH)
-    moments = [[sample for sample, _ in done.moments(trial) if hooks] for trial in range(count)]
-    worn = np.array([fault.kind == "worn-hook" for fault in done.faults])
-    return Trials(done.run.wrench, done.run.length, moments, worn)
+    params, faults = scenario.draw_batch(seed, range(count), scenario.spec(nominal_share=0.5))
+    run = native.simulate(scenario.scene(), params)
+    passes = passes_of(run.past, run.length)
+    # parts without tabs cannot snap: whatever is seen there is false
+    moments = [[start for _, start, end in rows if end and scenario.tabs] for rows in passes.tolist()]
+    worn = np.array([fault.kind == "worn-hook" for fault in faults])
+    return Trials(run.wrench, run.length, moments, worn)
 
 
 def seen(trials: Trials, least: float, high: float, config: SnapConfig) -> list[list[int]]:

@@ -122,3 +122,4 @@ class Assembly:
     start: float = 0.03  # m, of the tip above the mouth at time zero
     mount_stiffness: tuple[float, float, float] = (1e4, 1e4, 2e4)  # N/m, x y z
     substeps: int = 4  # physics steps per control period
+    tabs: tuple[str, ...] = ()  # names of the marks if they are tips and lips that tabs pass; none = nothing snaps

@@ -15,6 +15,7 @@ from sim_mjx.assemblies.latch import (
     HOOK,
     LATCH_FAULTS,
     MARKS,
+    NAME,
     TRAVEL,
     LatchParts,
     LatchVariation,
@@ -79,4 +80,5 @@ def _draw(spec: LatchVariation, rng: np.random.Generator) -> tuple[PressTask, La
 CLIP = Assembly(
     "clip", _male, _female, _write, (APPROACH, Phase("press", press, at_bottom), PULL, REST), _draw, (MARKS,),
     is_caught, {**COMMON_FAULTS, **LATCH_FAULTS}, LatchVariation, timeout=8.0, reach=0.10, start=0.015,
+    tabs=(NAME,),
 )  # fmt: skip

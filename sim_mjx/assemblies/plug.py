@@ -18,6 +18,7 @@ from sim_mjx.assemblies.latch import (
     HOOK,
     LATCH_FAULTS,
     MARKS,
+    NAME,
     TRAVEL,
     LatchParts,
     LatchVariation,
@@ -97,4 +98,5 @@ def _draw(spec: PlugVariation, rng: np.random.Generator) -> tuple[PressTask, Lat
 PLUG = Assembly(
     "plug", _male, _female, _write, (APPROACH, SEARCH, Phase("insertion", press, at_bottom), PULL, REST), _draw,
     (MARKS,), is_caught, {**COMMON_FAULTS, **LATCH_FAULTS}, PlugVariation, timeout=14.0, reach=0.11, start=0.015,
+    tabs=(NAME,),
 )  # fmt: skip

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache, partial
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float64
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import Array
 from sim_mjx.assemblies.assembly import Assembly, Parts
 from sim_mjx.assemblies.fields import FieldWriter
 from sim_mjx.assemblies.program import UPRIGHT, Controller
 from sim_mjx.assembly.parts import Fields
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, set_solver, with_tabs
 from sim_mjx.robots.chain import serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, Robot, equipped
 
@@ -45,20 +42,15 @@ def scene(
     steps = substeps or assembly.substeps
     spec = _spec(assembly, robot)
     set_solver(spec, steps, iterations, ls_iterations)
-    model = spec.compile()
+    for name in (name for pair in assembly.marks for name in pair):
+        if spec.geom(name) is None:
+            raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
+    model, tips, marks, places = with_tabs(spec, assembly.marks)
     joints = np.array([model.joint(name).qposadr[0] for name in robot.joints], np.int32)
-    tips, lips = (np.array([_geom(model, pair[i]) for pair in assembly.marks], np.int32) for i in (0, 1))
     forces = np.array([model.sensor(FORCE).adr[0]], np.int32)
     program = controller(assembly, robot).program()
     write = partial(_fields, model, assembly, np.asarray(robot.place))
-    return Scene(model, program, joints, forces, tips, lips, write, steps, seated_marks(assembly.seated), 0.0)
-
-
-def _geom(model: mujoco.MjModel, name: str) -> int:
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
-    if number < 0:
-        raise InputError(f"The assembly has no geom {name!r}, which its marks name.")
-    return int(number)
+    return Scene(model, program, joints, forces, tips, marks, places, write, steps, assembly.seated, 0.0)
 
 
 def _spec(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
@@ -88,19 +80,6 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
     writer.friction(mount.friction)
     assembly.write(writer, parts.own)
     return writer.fields
-
-
-@dataclass(frozen=True)
-class seated_marks:  # used as a function; equal ones compile once
-    """An assembly's success on the marks' places in the world, as engines ask for it."""
-
-    predicate: Callable[[Array], Array]  # places of the male marks in the female ones' frames -> which are seated
-
-    def __call__(
-        self, tips: Float[Array, "*batch 3"], lips: Float[Array, "*batch 3"], turns: Float[Array, "*batch 3 3"]
-    ) -> Bool[Array, "*batch"]:
-        """Which marks are seated; see ``sim_mjx.assembly.parts.past_lips``."""
-        return self.predicate((turns * (tips - lips)[..., None]).sum(-2))
 
 
 @cache

@@ -106,17 +106,12 @@ def model_fields(model: mujoco.MjModel, params: HookedParams, arm: str = "R") ->
     return out
 
 
-def caught(
-    tips: Float[Array, "*tabs 3"], edges: Float[Array, "*tabs 3"], turns: Float[Array, "*tabs 3 3"]
-) -> Bool[Array, "*tabs"]:
+def caught(local: Float[Array, "*tabs 3"]) -> Bool[Array, "*tabs"]:
     """Which tabs are caught: their tips have sprung back beneath the lips and are above the slots' floors.
 
     Args:
-        tips: centres of the tips, m, world.
-        edges: lower ends of the lips' edges, m, world.
-        turns: of the edges, columns are axes in the world: x into the lip, z against the insertion.
+        local: centres of the tips from the lower ends of the lips' edges, m: x into the lip, z against the insertion.
     """
-    local = (turns * (tips - edges)[..., None]).sum(-2)
     below = (local[..., 2] < 0.0) & (local[..., 2] > -DEEPEST)
     beneath = (local[..., 0] > -HOOK.tip_radius) & (local[..., 0] < DEEPEST)
     return below & beneath & (abs(local[..., 1]) < LIP_WIDTH)

@@ -250,17 +250,25 @@ def _seat(params: PartParams) -> NDArray[np.float64]:
     return placed(-TAB_SPACING[0] / 2, 0.0, top - 0.004)
 
 
-def past_lips(
+def from_lips(
     tips: Float[Array, "*tabs 3"], lips: Float[Array, "*tabs 3"], turns: Float[Array, "*tabs 3 3"]
-) -> Bool[Array, "*tabs"]:
-    """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
+) -> Float[Array, "*tabs 3"]:
+    """Places of tips in the frames of their lips, m.
 
     Args:
         tips: centres of the tips, m, world.
         lips: centres of their lips, m, world.
         turns: of the lips, columns are their axes in the world.
     """
-    local = (turns * (tips - lips)[..., None]).sum(-2)
+    return (turns * (tips - lips)[..., None]).sum(-2)
+
+
+def past_lips(local: Float[Array, "*tabs 3"]) -> Bool[Array, "*tabs"]:
+    """Which tabs have snapped, by where their tips are: below the lip's edge and sprung back beneath it.
+
+    Args:
+        local: centres of the tips in the frames of their lips, m; see :func:`from_lips`.
+    """
     below = local[..., 2] < PAST
     near = abs(local[..., 0]) < LIP[0] + TIP_RADIUS * 1.5
     inside = abs(local[..., 1]) < LIP[1]

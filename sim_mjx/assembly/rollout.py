@@ -83,6 +83,7 @@ class Rollouts:
     onset: Float64[np.ndarray, "trial state"]  # s, NaN = state never reached
     seated: Bool[np.ndarray, "trial tab"]  # tabs past their lips at the end, order of parts.TABS; or other marks
     diverged: Bool[np.ndarray, " trial"]  # the physics gave a value that is not finite; not data
+    past: Bool[np.ndarray, "trial time tab"]  # which tabs were past their lips at each sample
 
 
 def begin(params: TrialParams, raw: Wrench) -> ControllerState:

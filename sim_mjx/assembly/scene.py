@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -18,6 +18,7 @@ from sim_mjx.assembly.robot import new_robot
 from sim_mjx.assembly.rollout import ONE_ARM, Program
 from sim_mjx.assembly.task import CONTROL_PERIOD
 
+Ids = Int32[np.ndarray, " tab"]
 SUBSTEPS = 2  # physics steps per control period
 HOOK_SUBSTEPS = 4  # of hooks, whose tips are small: with 2, the 99th percentile of the error of a force is 1 N
 ITERATIONS, LS_ITERATIONS = 30, 20  # the wrench is only right when the solver has converged; 10 was not enough
@@ -37,10 +38,10 @@ class Scene:
     forces: Int32[np.ndarray, " wrist"]  # of the wrists' forces in sensordata; each is followed by its torque
     tips: Int32[np.ndarray, " tab"]  # geoms; a tab is seated when its tip is past its lip
     lips: Int32[np.ndarray, " tab"]  # geoms: the lips, or marks at the lower ends of their edges
+    places: Int32[np.ndarray, " tab"]  # of the tips' places in their lips' frames in sensordata, m
     fields: Callable[[Any], Fields]  # parts of a trial or a batch -> fields of the model
     substeps: int = SUBSTEPS
-    # places of tips and lips, and the lips' turns -> which tabs are seated
-    seated: Callable[[Array, Array, Array], Array] = parts.past_lips
+    seated: Callable[[Array], Array] = parts.past_lips  # tips' places in their lips' frames, m -> which are seated
     past: float = parts.PAST  # m, height of a tip above its lip beneath which it may be seated
 
     @property
@@ -87,13 +88,32 @@ def hooked(
 
 def _compiled(spec: mujoco.MjSpec, lips: str, fields: Callable[..., Fields], substeps: int) -> Scene:
     """The scene of one arm; ``lips`` begins the names of the geoms that mark the lips."""
-    model = spec.compile()
+    model, tips, marks, places = with_tabs(spec, [(f"RTIP_{tab}", f"{lips}{tab}") for tab in parts.TABS])
     joints = np.array([model.joint(f"RARM_JOINT{i}").qposadr[0] for i in range(6)], np.int32)
     forces = np.array([model.sensor("RARM_FORCE").adr[0]], np.int32)
-    tips, marks = (
-        np.array([model.geom(prefix + tab).id for tab in parts.TABS], np.int32) for prefix in ("RTIP_", lips)
-    )
-    return Scene(model, ONE_ARM, joints, forces, tips, marks, partial(fields, model), substeps)
+    return Scene(model, ONE_ARM, joints, forces, tips, marks, places, partial(fields, model), substeps)
+
+
+def with_tabs(spec: mujoco.MjSpec, pairs: Sequence[tuple[str, str]]) -> tuple[mujoco.MjModel, Ids, Ids, Ids]:
+    """The compiled model, which senses where tips are.
+
+    Args:
+        spec: of the scene.
+        pairs: names of the geoms of tip and lip of each tab.
+
+    Returns:
+        the model, and as in :class:`Scene` the tips, the lips and the addresses of the tips' places.
+    """
+    geom = mujoco.mjtObj.mjOBJ_GEOM
+    for number, (tip, lip) in enumerate(pairs):
+        spec.add_sensor(
+            name=f"PLACE_{number}", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=geom, objname=tip, reftype=geom,
+            refname=lip,
+        )  # fmt: skip
+    model = spec.compile()
+    tips, lips = (np.array([model.geom(pair[i]).id for pair in pairs], np.int32) for i in (0, 1))
+    places = np.array([model.sensor(f"PLACE_{number}").adr[0] for number in range(len(pairs))], np.int32)
+    return model, tips, lips, places
 
 
 def set_solver(

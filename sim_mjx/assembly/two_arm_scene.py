@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import Fields, PartParams
 from sim_mjx.assembly.robot import new_robot
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, set_solver
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, set_solver, with_tabs
 from sim_mjx.assembly.two_arm_program import TWO_ARM
 
 ARMS = ("R", "L")
@@ -36,13 +36,12 @@ def two_arm(substeps: int = SUBSTEPS, iterations: int = ITERATIONS, ls_iteration
     parts.add_male(spec, "R", GRIP)
     parts.add_female(spec, "R", spec.body("LARM_TOOL"), FIRST_TOUCH, _quaternion(TURN))
     set_solver(spec, substeps, iterations, ls_iterations)
-    model = spec.compile()
+    model, tips, lips, places = with_tabs(spec, [(f"RTIP_{tab}", f"LIP_{tab}") for tab in parts.TABS])
     joints = [model.joint(f"{arm}ARM_JOINT{i}").qposadr[0] for arm in ARMS for i in range(6)]
     forces = [model.sensor(f"{arm}ARM_FORCE").adr[0] for arm in ARMS]
-    tips, lips = ([model.geom(prefix + tab).id for tab in parts.TABS] for prefix in ("RTIP_", "LIP_"))
     return Scene(
-        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), np.array(tips, np.int32),
-        np.array(lips, np.int32), partial(model_fields, model), substeps,
+        model, TWO_ARM, np.array(joints, np.int32), np.array(forces, np.int32), tips, lips, places,
+        partial(model_fields, model), substeps,
     )  # fmt: skip
 
 

@@ -42,14 +42,14 @@ def collect(
     wrench: Float32[np.ndarray, "trial time reading"],
     joints: Float32[np.ndarray, "trial time joint"],
     phases: Int[np.ndarray, "trial time"],
-    seated: Bool[np.ndarray, "trial tab"],
+    past: Bool[np.ndarray, "trial time tab"],
     program: Program = ONE_ARM,
 ) -> Rollouts:
     """Cut the logs where the trials ended and mark those whose physics diverged.
 
     Args:
         wrench: N and Nm. joints: rad. phases: as logged.
-        seated: tabs past their lips at the end.
+        past: which tabs were past their lips, also in the period in which a trial had ended: those are seated.
         program: that logged.
     """
     # a phase is logged one period after the measurement that began it
@@ -67,7 +67,10 @@ def collect(
         keep = (inside & ~diverged[rows, None])[..., None]
         for out, log in zip(kept, logs, strict=True):
             np.copyto(out[rows], log, where=keep)
-    return Rollouts(kept[0], kept[1], length, program.onsets(entered), seated & ~diverged[:, None], diverged)
+    seated = past[np.arange(count), np.minimum(length, past.shape[1] - 1)] & ~diverged[:, None]
+    inside = (np.arange(longest)[None] < length[:, None]) & ~diverged[:, None]
+    within = past[:, :longest] & inside[..., None]
+    return Rollouts(kept[0], kept[1], length, program.onsets(entered), seated, diverged, within)
 
 
 def blocks(count: int) -> Iterator[slice]:

@@ -23,7 +23,8 @@ from mujoco import mjx
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly.rollout import ONE_ARM, LogRow, Program, Rollouts, batch_size
+from sim_mjx.assembly.parts import from_lips
+from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect
 
@@ -45,7 +46,7 @@ class Layout:
     tips: tuple[int, ...]  # geoms
     lips: tuple[int, ...]
     substeps: int
-    seated: Callable[[Array, Array, Array], Array]  # see ``Scene``
+    seated: Callable[[Array], Array]  # see ``Scene``
 
 
 @jax.tree_util.register_dataclass
@@ -85,19 +86,36 @@ class State:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Log:
+    """What is logged each control period: a ``LogRow``, and what the places of the parts say."""
+
+    wrench: Float[Array, "*batch reading"]
+    joints: Float[Array, "*batch joint"]
+    phase: Int[Array, "*batch"]
+    past: Bool[Array, "*batch tab"]  # tabs past their lips
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Outcome:
     """A batch of trials that all have ended, on the device; values after a trial's end mean nothing."""
 
     wrench: Float[Array, "trial time reading"]  # N and Nm, world frame
     joints: Float[Array, "trial time joint"]  # rad
     phase: Int[Array, "trial time"]  # numbered as the program does
-    seated: Bool[Array, "trial tab"]  # tabs past their lips at the end
+    past: Bool[Array, "trial time tab"]  # tabs past their lips, also in the period in which the trial had ended
     program: Program = field(default=ONE_ARM, metadata={"static": True})  # that logged
 
     @property
     def length(self) -> Int[Array, " trial"]:
         """Control periods until each trial ended."""
         return (self.phase < self.program.ended).sum(1, dtype=jnp.int32)
+
+    @property
+    def seated(self) -> Bool[Array, "trial tab"]:
+        """Tabs past their lips at the end."""
+        last = jnp.minimum(self.length, self.phase.shape[1] - 1)
+        return jnp.take_along_axis(self.past, last[:, None, None], axis=1)[:, 0]
 
 
 def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Rollouts:
@@ -114,8 +132,8 @@ def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], 
 
 def to_host(out: Outcome) -> Rollouts:
     """Copy what came of the trials to the host and cut it where they ended."""
-    wrench, joints, phase, seated = jax.device_get((out.wrench, out.joints, out.phase, out.seated))
-    return collect(wrench, joints, phase, seated, out.program)
+    wrench, joints, phase, past = jax.device_get((out.wrench, out.joints, out.phase, out.past))
+    return collect(wrench, joints, phase, past, out.program)
 
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
@@ -183,7 +201,7 @@ def _begin(layout: Layout, fixed: Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
-def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
+def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
     """``STRETCH`` control periods; the log leads with time.
 
     Settling goes through the same program as the trial, which the sensors then begin anew: physics takes a minute to
@@ -191,16 +209,16 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, LogRow]:
     """
     home = layout.program.home(fixed.params)
 
-    def period(state: State, _: None) -> tuple[State, LogRow]:
+    def period(state: State, _: None) -> tuple[State, Log]:
         body, settling = state.body, state.tick < 0
         loop = _chosen(state.tick > 0, state.loop, _begin(layout, fixed, body))
         joints = home + body.qpos[:, jnp.array(layout.joints)]
         loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
         before, after = (jnp.where(settling[:, None], 0.0, ends[:, i] - home) for i in (0, 1))
 
-        moved = _substeps(layout, fixed, body, lambda share: before + share * (after - before))
+        moved, past = _substeps(layout, fixed, body, lambda share: before + share * (after - before))
         moved = kept(body, moved, (log.phase == layout.program.ended) & ~settling)
-        return State(moved, loop, state.tick + 1), log
+        return State(moved, loop, state.tick + 1), Log(log.wrench, log.joints, log.phase, past)
 
     return jax.lax.scan(period, state, length=STRETCH)
 
@@ -210,24 +228,31 @@ def _chosen(which: Array, first: Any, second: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
 
 
-def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> Any:
-    """The physics steps of a control period, of which the last one's sensors are read."""
+def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> tuple[Any, Array]:
+    """The physics steps of a control period, of which the last one's sensors are read.
+
+    Returns:
+        the bodies after it, and which tabs were past their lips at its beginning [trial, tab].
+    """
     shares = jnp.arange(1, layout.substeps + 1, dtype=jnp.float32) / layout.substeps
     if fixed.model.impl == mjx.Impl.JAX:  # a second kind of step would take another minute to compile
-        return jax.lax.scan(lambda at, share: (_step(fixed, at, ctrl(share)), None), body, shares)[0]
+        moved, past = jax.lax.scan(lambda at, share: _step(layout, fixed, at, ctrl(share)), body, shares)
+        return moved, past[0]
     flags = fixed.model.opt.disableflags | mjx.DisableBit.SENSOR
     blind = dataclasses.replace(fixed, model=fixed.model.tree_replace({"opt.disableflags": flags}))
-    for share in shares[:-1]:  # quick to compile, and a loop would copy the buffers of Warp's kernels
-        body = _step(blind, body, ctrl(share))
-    return _step(fixed, body, ctrl(shares[-1]))
+    past = []
+    for step, share in enumerate(shares, 1):  # quick to compile, and a loop would copy the buffers of Warp's kernels
+        body, then = _step(layout, fixed if step == layout.substeps else blind, body, ctrl(share))
+        past.append(then)
+    return body, past[0]
 
 
-def _step(fixed: Fixed, body: Any, wanted: Array) -> Any:
-    """One physics step of all trials."""
+def _step(layout: Layout, fixed: Fixed, body: Any, wanted: Array) -> tuple[Any, Array]:
+    """One physics step of all trials, and which tabs were past their lips before it."""
 
-    def one(fields: dict[str, Array], at: Any, ctrl: Array) -> Any:
+    def one(fields: dict[str, Array], at: Any, ctrl: Array) -> tuple[Any, Array]:
         data = step_trial(fixed.model, fixed.empty, fields, at, ctrl)
-        return data if isinstance(at, mjx.Data) else body_of(data)
+        return data if isinstance(at, mjx.Data) else body_of(data), seated_tabs(layout, data)
 
     return jax.vmap(one)(fixed.fields, body, wanted)
 
@@ -257,14 +282,7 @@ def _raw(layout: Layout, body: Any) -> Array:
     return -body.sensordata[:, jnp.array(layout.readings)]
 
 
-def seated(layout: Layout, fixed: Fixed, state: State) -> Array:
-    def one(fields: dict[str, Array], qpos: Array) -> Array:
-        return seated_tabs(layout, mjx.kinematics(fixed.model.tree_replace(fields), fixed.empty.replace(qpos=qpos)))
-
-    return jax.vmap(one)(fixed.fields, state.body.qpos)
-
-
 def seated_tabs(layout: Layout, data: mjx.Data) -> Array:
     """Which tabs of one trial are past their lips, by the places in ``data``."""
     tips, lips = jnp.array(layout.tips), jnp.array(layout.lips)
-    return layout.seated(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips])
+    return layout.seated(from_lips(data.geom_xpos[tips], data.geom_xpos[lips], data.geom_xmat[lips]))

@@ -16,29 +16,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
-from sim_mjx.assembly.rollout import LogRow, Program, as_float32, batch_size
+from sim_mjx.assembly.rollout import Program, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
 from sim_mjx.engines.common import SETTLING, compiler_options
-from sim_mjx.engines.device import Fixed, Layout, Outcome, State
+from sim_mjx.engines.device import Fixed, Layout, Log, Outcome, State
 
 Trial = tuple[Hashable, int]  # key of its batch, and number in it
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Logs:
-    """What trials logged, each in a slot: blocks of one stretch; the last slot takes what nobody wants."""
-
-    wrench: Float[Array, "slot block time reading"]
-    joints: Float[Array, "slot block time joint"]
-    phase: Int[Array, "slot block time"]
-    seated: Bool[Array, "slot tab"]
 
 
 @dataclass
@@ -99,7 +88,7 @@ class Lanes:
         fixed = Fixed(model, fields, params, empty)  # lanes begin with the first trials; a spare one repeats the last
         state = programs.start(layout, fixed)
         table.begin(*queue.take(queue.left))
-        logs: Logs | None = None
+        logs: Log | None = None  # [slot, block, time ...]: blocks of one stretch; the last slot is what nobody wants
         while True:
             while len(idle := table.idle()) and table.free and queue.refilled(wait=len(idle) == lanes):
                 rows, trials = queue.take(min(len(idle), len(table.free), queue.left))
@@ -111,11 +100,10 @@ class Lanes:
                 break
             state, log = programs.stretch(layout, fixed, state)
             if logs is None:
-                logs = _empty(log, slots + 1, queue.blocks, len(layout.tips))
+                logs = _empty(log, slots + 1, queue.blocks)
             elif logs.phase.shape[1] < queue.blocks:
                 logs = _longer(logs, queue.blocks)
-            seated = programs.seated(layout, fixed, state)
-            logs = programs.write(logs, log, seated, table.slot, np.minimum(table.age, logs.phase.shape[1] - 1))
+            logs = programs.write(logs, log, table.slot, np.minimum(table.age, logs.phase.shape[1] - 1))
             ended, running = jax.device_get(programs.ended(layout.program, log))  # explicit: all that goes to the host
             moved = int(running[table.busy].sum())
             self._busy += moved
@@ -133,7 +121,7 @@ class Lanes:
                 yield self._taken_out(whole, logs)
                 table.free += [one.slot for one in whole]
 
-    def _taken_out(self, ready: list[_Ended], logs: Logs) -> tuple[list[Trial], Outcome]:
+    def _taken_out(self, ready: list[_Ended], logs: Log) -> tuple[list[Trial], Outcome]:
         trials, slots, ages = zip(*ready, strict=True)
         spare = self.at_once - len(ready)
         padded = (np.array([*values, *[values[-1]] * spare]) for values in (slots, ages))
@@ -282,7 +270,6 @@ class _Queue:
 class _Programs:
     start: Callable[..., Any]
     stretch: Callable[..., Any]
-    seated: Callable[..., Any]
     refill: Callable[..., Any]
     write: Callable[..., Any]
     ended: Callable[..., Any]
@@ -293,8 +280,8 @@ def _programs(backend: str) -> _Programs:
     """Compiled functions of a backend."""
     jit = partial(jax.jit, static_argnums=0, compiler_options=compiler_options(backend))
     return _Programs(
-        jit(device.start), jit(device.stretch, donate_argnums=2), jit(device.seated),
-        jit(_refill, donate_argnums=2), jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
+        jit(device.start), jit(device.stretch, donate_argnums=2), jit(_refill, donate_argnums=2),
+        jax.jit(_write, donate_argnums=0), jax.jit(_ended, static_argnums=0),
     )  # fmt: skip
 
 
@@ -313,40 +300,31 @@ def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) 
     return fixed, State(body, loop, tick)
 
 
-def _write(logs: Logs, log: LogRow, seated: Array, slot: Array, block: Array) -> Logs:
+def _write(logs: Log, log: Log, slot: Array, block: Array) -> Log:
     """The logs with one more stretch of every lane."""
-
-    def written(old: Array, rows: Array) -> Array:
-        return old.at[slot, block].set(jnp.swapaxes(rows, 0, 1))
-
-    wrench, joints = written(logs.wrench, log.wrench), written(logs.joints, log.joints)
-    return Logs(wrench, joints, written(logs.phase, log.phase), logs.seated.at[slot].set(seated))
+    return jax.tree.map(lambda old, rows: old.at[slot, block].set(jnp.swapaxes(rows, 0, 1)), logs, log)
 
 
-def _ended(program: Program, log: LogRow) -> tuple[Array, Array]:
+def _ended(program: Program, log: Log) -> tuple[Array, Array]:
     """Which lanes' trials have ended, and for how many control periods of the stretch they had not."""
     return log.phase[-1] == program.ended, (log.phase < program.ended).sum(0, dtype=jnp.int32)
 
 
-def _empty(log: LogRow, slots: int, blocks: int, tabs: int) -> Logs:
-
-    def zeros(leaf: Array) -> Array:
-        return jnp.zeros((slots, blocks, device.STRETCH, *leaf.shape[2:]), leaf.dtype)
-
-    return Logs(zeros(log.wrench), zeros(log.joints), zeros(log.phase), jnp.zeros((slots, tabs), jnp.bool_))
+def _empty(log: Log, slots: int, blocks: int) -> Log:
+    return jax.tree.map(lambda leaf: jnp.zeros((slots, blocks, device.STRETCH, *leaf.shape[2:]), leaf.dtype), log)
 
 
-def _longer(logs: Logs, blocks: int) -> Logs:
+def _longer(logs: Log, blocks: int) -> Log:
     """The logs with room for longer trials."""
 
     def grown(leaf: Array) -> Array:
         return jnp.pad(leaf, [(0, 0), (0, blocks - leaf.shape[1]), *[(0, 0)] * (leaf.ndim - 2)])
 
-    return Logs(grown(logs.wrench), grown(logs.joints), grown(logs.phase), logs.seated)
+    return jax.tree.map(grown, logs)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
-def _outcome(settling: int, blocks: int, program: Program, logs: Logs, slots: Array, ages: Array) -> Outcome:
+def _outcome(settling: int, blocks: int, program: Program, logs: Log, slots: Array, ages: Array) -> Outcome:
     """Some slots from time zero; ``ages`` are the blocks that each has written."""
 
     def whole(leaf: Array) -> Array:
@@ -355,4 +333,4 @@ def _outcome(settling: int, blocks: int, program: Program, logs: Logs, slots: Ar
 
     there = jnp.repeat(jnp.arange(blocks)[None] < ages[:, None], device.STRETCH, axis=1)[:, settling:]
     phase = jnp.where(there, whole(logs.phase), program.ended)
-    return Outcome(whole(logs.wrench), whole(logs.joints), phase, logs.seated[slots], program)
+    return Outcome(whole(logs.wrench), whole(logs.joints), phase, whole(logs.past), program)

@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float32, Float64, Int, Int32
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
+from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane
@@ -78,7 +79,7 @@ class _Run:
     wrench: Float32[np.ndarray, "time reading"]
     joints: Float32[np.ndarray, "time joint"]
     phase: Int32[np.ndarray, " time"]
-    seated: Bool[np.ndarray, " tab"]
+    past: Bool[np.ndarray, "time tab"]
 
 
 def _gathered(runs: list[_Run], program: Program) -> Rollouts:
@@ -88,10 +89,11 @@ def _gathered(runs: list[_Run], program: Program) -> Rollouts:
     wrench = np.zeros((len(runs), periods, runs[0].wrench.shape[1]), np.float32)
     joints = np.zeros((len(runs), periods, runs[0].joints.shape[1]), np.float32)
     phase = np.full((len(runs), periods), program.ended, np.int32)
+    past = np.zeros((len(runs), periods, runs[0].past.shape[1]), np.bool_)
     for row, run in enumerate(runs):
-        for whole, own in ((wrench, run.wrench), (joints, run.joints), (phase, run.phase)):
+        for whole, own in ((wrench, run.wrench), (joints, run.joints), (phase, run.phase), (past, run.past)):
             whole[row, : len(own)] = own
-    return collect(wrench, joints, phase, np.stack([run.seated for run in runs]), program)
+    return collect(wrench, joints, phase, past, program)
 
 
 class _Job:
@@ -131,7 +133,7 @@ class _Log:
 
     def __init__(self) -> None:
         self.count = 0  # periods kept
-        self.columns: tuple[NDArray[Any], ...] = ()  # wrench, joints, phase [period, lane, ...]
+        self.columns: tuple[NDArray[Any], ...] = ()  # wrench, joints, phase, past [period, lane, ...]
 
     def add(self, *rows: NDArray[Any]) -> None:
         if not self.columns:
@@ -168,6 +170,7 @@ class _Lanes:
         self.readings = np.zeros((LANES, scene.model.nsensordata))
         self.begin, self.control = _compiled(scene.program)
         self.share = (np.arange(1, scene.substeps + 1) / scene.substeps)[None, :, None]
+        self.places = scene.places[:, None] + np.arange(3)
         self.params: Any = None
         self.loop: Any = None
 
@@ -179,9 +182,11 @@ class _Lanes:
         """Trials that ended with the last period; their lanes are free again."""
         out = []
         for lane in np.flatnonzero(self.busy & (self.phase == self.job.scene.program.ended)).tolist():
-            wrench, joints, phase = self.log.of(lane, int(self.begun[lane]))
-            seated = tips_past_lips(self.job.scene, self.models[lane], self.state[lane])
-            out.append(_Run(int(self.trial[lane]), wrench, joints, phase, seated))
+            logs = self.log.of(lane, int(self.begun[lane]))
+            mujoco.mj_setState(self.models[lane], self.data, self.state[lane], STATE)
+            mujoco.mj_kinematics(self.models[lane], self.data)
+            logs[-1][-1] = seated_tabs(self.job.scene, self.data)  # no step has followed
+            out.append(_Run(int(self.trial[lane]), *logs))
             self.trial[lane] = -1
         return out
 
@@ -223,18 +228,21 @@ class _Lanes:
         joints = self.state[:, 1 + self.job.scene.joints].astype(np.float32)
         self.loop, command, log = self.control(self.params, self.loop, joints, self._raw())
         self.phase = np.asarray(log.phase)
-        self.log.add(np.asarray(log.wrench), np.asarray(log.joints), self.phase)
         going = self.busy & (self.phase < self.job.scene.program.ended)
         # a diverged trial stays as it is
         live = np.flatnonzero(going & sane(self.readings))
+        past = np.zeros((LANES, len(self.places)), np.bool_)
         if len(live) > 0:
-            self._step(pool, live, np.asarray(command)[live].astype(np.float64))
+            past[live] = self._step(pool, live, np.asarray(command)[live].astype(np.float64))
+        self.log.add(np.asarray(log.wrench), np.asarray(log.joints), self.phase, past)
         if self.job.progress is not None:
             with self.job.lock:
                 self.job.progress(int(going.sum()))
 
-    def _step(self, pool: mj_rollout.Rollout, live: NDArray[np.intp], command: NDArray[np.float64]) -> None:
-        """The physics of one control period."""
+    def _step(
+        self, pool: mj_rollout.Rollout, live: NDArray[np.intp], command: NDArray[np.float64]
+    ) -> Bool[np.ndarray, "row tab"]:
+        """The physics of one control period, and which tabs were past their lips at its beginning."""
         job, steps = self.job, self.job.scene.substeps
         before, after = command[:, :1], command[:, 1:]
         wanted = before + self.share * (after - before)
@@ -249,6 +257,7 @@ class _Lanes:
             with job.lock:
                 job.watch(self.trial[live], old, wanted, readings)
         self.state[live], self.readings[live] = states[:, -1], readings[:, -1]
+        return np.asarray(job.scene.seated(readings[:, 0, self.places]))  # a step leaves the places of its beginning
 
     def _raw(self) -> NDArray[np.float32]:
         """What the parts exert on the hands [lane, 6K]: the sensors report the opposite."""
@@ -280,17 +289,7 @@ def model_of(scene: Scene, part: Any) -> mujoco.MjModel:
     return model
 
 
-def tips_past_lips(
-    scene: Scene, model: mujoco.MjModel, state: Float64[np.ndarray, " state"]
-) -> Bool[np.ndarray, " tab"]:
-    """Which tabs have snapped in a full physics state."""
-    data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, state, STATE)
-    mujoco.mj_kinematics(model, data)
-    return seated_tabs(scene, data)
-
-
 def seated_tabs(scene: Scene, data: mujoco.MjData) -> Bool[np.ndarray, " tab"]:
     """Which tabs are past their lips, by the places in ``data``."""
     turns = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    return np.asarray(scene.seated(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns))
+    return np.asarray(scene.seated(from_lips(data.geom_xpos[scene.tips], data.geom_xpos[scene.lips], turns)))

@@ -14,7 +14,7 @@ from rcbht_jax.types import LabelTracks
 from sim_mjx.assembly.rollout import Rollouts, batch_size
 
 _OUT_OF_MEMORY = ("resource_exhausted", "out of memory", "failed to allocate")  # of XLA, CUDA, Warp
-_PADDED = {"wrench": 1, "joints": 1}  # field of Rollouts -> its dimension of time
+_PADDED = {"wrench": 1, "joints": 1, "past": 1}  # field of Rollouts -> its dimension of time
 
 
 class Halving:

@@ -135,7 +135,9 @@ class Draft:
 
 def _without(rows: Arrays, diverged: Bool[np.ndarray, " trial"]) -> Arrays:
     """The arrays of a shard with nothing in the rows of diverged trials, as long as the longest of the others."""
-    empty = {"length": 0, "wrench": 0, "onset": np.nan, "onset_harmonised": np.nan, "note": "", "seated": False}
+    empty = {
+        "length": 0, "wrench": 0, "onset": np.nan, "onset_harmonised": np.nan, "note": "", "seated": False, "passes": 0,
+    }  # fmt: skip
     out = dict(rows)
     if diverged.any():
         for name, nothing in empty.items():

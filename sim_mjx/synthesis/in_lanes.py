@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from rcbht_jax.encoding.batch import begin_encoding
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -23,6 +23,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.device import Outcome
 from sim_mjx.engines.lanes import Lanes
 from sim_mjx.synthesis import records
+from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.synthesis.records import Arrays
 from sim_mjx.synthesis.regroup import Regroup, Shard, Trial
 
@@ -40,6 +41,7 @@ class Measured(NamedTuple):
     length: Int[Array, " trial"]
     entered: Int[Array, "trial phase"]  # control period in which each began, -1 = never
     seated: Bool[Array, "trial tab"]
+    past: UInt8[Array, "trial time byte"]  # tabs past their lips, eight to a byte, the first one in its lowest bit
     diverged: Bool[Array, " trial"]
     tilt: Float[Array, "trial time"] | None  # rad, of the hand from the vertical; None = not asked for
 
@@ -145,9 +147,9 @@ def measure(out: Outcome, recorded: bool) -> Measured:
     jumped = ~(step <= records.MOST_STEP) & inside[:, 1:]
     diverged = (wild & inside).any(1) | jumped.any(1)
     wrench = jnp.where((inside & ~diverged[:, None])[..., None], out.wrench, 0.0)
-    return Measured(
-        wrench, length, entered, out.seated & ~diverged[:, None], diverged, _tilt(out.joints) if recorded else None
-    )
+    past = jnp.packbits(out.past, axis=2, bitorder="little")
+    tilt = _tilt(out.joints) if recorded else None
+    return Measured(wrench, length, entered, out.seated & ~diverged[:, None], past, diverged, tilt)
 
 
 def _tilt(joints: Float[Array, "trial time joint"]) -> Float[Array, "trial time"]:
@@ -163,10 +165,12 @@ def to_host(there: Measured, program: Program) -> Arrays:
     better, notes = onset, np.full(len(onset), "")
     if here.tilt is not None:
         better, notes = records.harmonised(onset, here.length, here.diverged, partial(_degrees, here.tilt))
+    samples, tabs = here.length.max(), here.seated.shape[1]
+    past = np.unpackbits(here.past[:, :samples], axis=2, count=tabs, bitorder="little").astype(np.bool_)
     return {
-        "wrench": here.wrench[:, : here.length.max()], "length": here.length,
+        "wrench": here.wrench[:, :samples], "length": here.length,
         "onset": onset, "onset_harmonised": better, "note": notes, "seated": here.seated,
-        "diverged": here.diverged,
+        "passes": passes_of(past, np.where(here.diverged, 0, here.length)), "diverged": here.diverged,
     }  # fmt: skip
 
 

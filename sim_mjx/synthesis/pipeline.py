@@ -4,8 +4,9 @@ The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``
 all are there it is completed and moved to its place. A trial depends on seed and index alone, so the shard size
 decides only how much an interruption costs and how the files of the store are divided. (On a GPU, engines do not give
 the same bytes twice.) The store holds no date. Its group ``simulation/`` has one row per recording: index, fault,
-failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). A two-arm trial is two
-recordings, right arm and left arm, as the importer stores them.
+failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). Passes of tabs are a track of
+annotations (``sim_mjx.synthesis.passes``). A two-arm trial is two recordings, right arm and left arm, as the importer
+stores them.
 
 Processes that are given the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on
 several that see the same folder. The last one completes the store.

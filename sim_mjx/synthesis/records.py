@@ -24,6 +24,7 @@ from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import blocks
+from sim_mjx.synthesis.passes import passes_of
 
 Arrays = dict[str, Shaped[np.ndarray, "_row ..."]]  # by name
 Span = tuple[int, slice]  # number of a trial, and samples of it
@@ -53,7 +54,7 @@ def of_trials(out: Rollouts, recorded: bool = True) -> Arrays:
     return {
         "wrench": wrench, "length": out.length,
         "onset": onset, "onset_harmonised": better, "note": notes, "seated": out.seated,
-        "diverged": diverged,
+        "passes": passes_of(out.past, np.where(diverged, 0, out.length)), "diverged": diverged,
     }  # fmt: skip
 
 

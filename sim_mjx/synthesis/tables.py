@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -14,6 +15,7 @@ from rcbht_jax.types import Recordings
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import Fault
 from sim_mjx.registry import Scenario
+from sim_mjx.synthesis import passes
 from sim_mjx.synthesis.records import Arrays
 
 PHASES = "phase"  # track of an assembly's phases
@@ -58,18 +60,21 @@ def recordings_of(
         "note": each(rows["note"]),
     }
     deviation = each(np.stack([fault.deviation for fault in faults]))
+    tracks = [passes.as_track(each(rows["passes"]), scenario.tabs)] if scenario.tabs else []
     if scenario.recorded:
-        return snap_recordings(
+        made = snap_recordings(
             **trials, deviation=deviation, onset=each(rows["onset"]), onset_harmonised=each(rows["onset_harmonised"]),
             failure_type=each(np.array([fault.failure_type for fault in faults], np.str_)),
         )  # fmt: skip
+        return replace(made, annotations=Annotations.join([made.annotations, *tracks]))
     columns = {
         "fault": each(np.array([fault.kind for fault in faults], np.str_)),
         "robot": np.full(len(deviation), scenario.robot),
         **dict(zip(DEVIATIONS, deviation.T, strict=True)),
     }
     marks = Annotations.from_starts(PHASES, scenario.states, each(rows["onset"]), trials["length"] * CONTROL_PERIOD)
-    return Recordings(**trials, annotations=marks, columns=columns)
+    # the phases come first: they are what a task is about where no track is named
+    return Recordings(**trials, annotations=Annotations.join([marks, *tracks]), columns=columns)
 
 
 def simulation_of(

@@ -213,9 +213,8 @@ def tab_states(scene: Scene, model: mujoco.MjModel, qpos: Positions) -> tuple[Pa
         mujoco.mj_kinematics(model, data)
         places[row], lips[row] = data.geom_xpos[scene.tips], data.geom_xpos[scene.lips]
         turns[row] = data.geom_xmat[scene.lips].reshape(-1, 3, 3)
-    past = np.asarray(scene.seated(places, lips, turns))
-    local = ((places - lips)[..., None, :] * np.swapaxes(turns, -1, -2)).sum(-1)
-    return past, local[..., 2] - scene.past
+    local = parts.from_lips(places, lips, turns)
+    return np.asarray(scene.seated(local)), local[..., 2] - scene.past
 
 
 def events(replay: Replay, recordings: Recordings, row: int) -> dict[str, float]:

@@ -6,7 +6,7 @@ simulation only a mild variation between trials is known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import jax
@@ -249,6 +249,4 @@ class SessionObjective:
 
 def part_of(run: Rollouts, rows: slice) -> Rollouts:
     """Some trials of a batch."""
-    return Rollouts(
-        run.wrench[rows], run.joints[rows], run.length[rows], run.onset[rows], run.seated[rows], run.diverged[rows]
-    )
+    return Rollouts(**{field.name: getattr(run, field.name)[rows] for field in fields(Rollouts)})

@@ -34,7 +34,9 @@ def fake_engine(params: TrialParams) -> Rollouts:
     onset = np.array([0.0, 0.01, 0.015, 0.03]) + np.zeros((count, 1))
     missing = np.asarray(params.parts.hook_overlap) < 0
     jammed = np.asarray(params.parts.friction)[:, None] > 1.0
-    return Rollouts(wrench, joints, length, onset, ~(missing | jammed), np.zeros(count, np.bool_))
+    seated, samples = ~(missing | jammed), np.arange(wrench.shape[1])[None, :, None]
+    past = seated[:, None] & (samples >= 6 + np.arange(4)) & (samples < length[:, None, None])
+    return Rollouts(wrench, joints, length, onset, seated, np.zeros(count, np.bool_), past)
 
 
 def logging_engine(log: Path, seconds: float = 0.0) -> Callable[[TrialParams], Rollouts]:

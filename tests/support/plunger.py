@@ -31,7 +31,8 @@ XML = f"""
   </worldbody>
   <contact><pair geom1="tip" geom2="floor"/></contact>
   <actuator><position joint="slide" kp="300"/></actuator>
-  <sensor><force site="wrist"/><torque site="wrist"/></sensor>
+  <sensor><force site="wrist"/><torque site="wrist"/>
+    <framepos objtype="geom" objname="tip" reftype="geom" refname="floor"/></sensor>
 </mujoco>
 """
 
@@ -61,7 +62,8 @@ def plunger() -> Scene:
     tips = np.array([model.geom("tip").id], np.int32)
     lips = np.array([model.geom("floor").id], np.int32)
     program = Program(_begin, _control, lambda params: params.home, lambda params: params.timeout, ENDED, _onsets)
-    return Scene(model, program, one, one, tips, lips, _fields, 1, _beneath)
+    places = np.array([6], np.int32)
+    return Scene(model, program, one, one, tips, lips, places, _fields, 1, _beneath)
 
 
 def _begin(params: PlungerParams, raw: Array) -> dict[str, Array]:
@@ -71,7 +73,7 @@ def _begin(params: PlungerParams, raw: Array) -> dict[str, Array]:
 def _control(params: PlungerParams, loop: dict[str, Array], joints: Array, raw: Array) -> Any:
     time = loop["tick"].astype(jnp.float32) * CONTROL_PERIOD
     phase = jnp.where(time > params.timeout, ENDED, (time > params.timeout / 2).astype(jnp.int32))
-    ends = params.home + params.speed * (time + jnp.array([[0.0], [CONTROL_PERIOD]], jnp.float32))
+    ends = params.home[None] + params.speed * (time + jnp.array([[0.0], [CONTROL_PERIOD]], jnp.float32))
     after = {"tick": loop["tick"] + 1, "least": jnp.minimum(loop["least"], raw[2])}
     reading = raw.at[0].set(after["least"])  # what the loop remembers shows in the log
     return after, ends, LogRow(reading, joints, phase)
@@ -85,5 +87,5 @@ def _fields(parts: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, Any]]:
     return {"dof_damping": np.asarray(parts)[..., None]}
 
 
-def _beneath(tips: Array, lips: Array, turns: Array) -> Array:
-    return tips[..., 2] < 0.03
+def _beneath(local: Array) -> Array:
+    return local[..., 2] < 0.03

@@ -21,6 +21,7 @@ from sim_mjx.assemblies.pressing import APPROACH, at_bottom, draw_task, press
 from sim_mjx.assemblies.scene import home
 from sim_mjx.assemblies.scene import scene as scene_of
 from sim_mjx.assembly.hook import mating_force
+from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import Rollouts, stack
 from sim_mjx.engines.native import model_of
 from sim_mjx.registry import Scenario, get_scenario, pair
@@ -134,7 +135,7 @@ def test_a_part_that_is_pulled_away_is_no_success(assembly: str) -> None:
 
     def seated(shift: tuple[float, float, float]) -> bool:
         tips = lips + np.array(inside[assembly]) + np.array(shift)
-        return bool(np.asarray(scene.seated(tips, lips, turns)).all())  # type: ignore[misc]
+        return bool(np.asarray(scene.seated(from_lips(tips, lips, turns))).all())  # type: ignore[misc]
 
     assert seated((0.0, 0.0, 0.0))
     assert not seated((0.0, 0.0, 3e-3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,16 @@ import pytest
 from PIL import Image
 
 from rcbht_jax.cli import main
+from rcbht_jax.errors import InputError
 from rcbht_jax.io.label_store import list_tracks
 from rcbht_jax.io.store import read_recordings, read_simulation
+from sim_mjx.assemblies.clip import CLIP as CLIP_PARTS
 from sim_mjx.assemblies.clip import LEAD
 from sim_mjx.assemblies.latch import HOOK
-from sim_mjx.registry import get_scenario
+from sim_mjx.registry import get_scenario, pair
+from sim_mjx.robots.ur5e import UR5E
 from sim_mjx.synthesis.draft import Draft
+from sim_mjx.synthesis.passes import TRACK
 from sim_mjx.validation import replay
 from tests.support.fake_simulation import tree
 
@@ -34,7 +39,8 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_store_has_phases_faults_labels_and_numbers(clips: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings, known = read_recordings(clips), read_simulation(clips)
     scenario = get_scenario("clip@ur5e")
-    assert recordings.annotations.labels == {"phase": scenario.states}
+    assert recordings.annotations.labels == {"phase": scenario.states, "passing": ("LATCH",)}
+    assert recordings.annotations.choose() == "phase"
     starts = recordings.starts("phase")
     done = recordings.outcome == "success"
     assert 0 < done.sum() < len(recordings)
@@ -60,7 +66,32 @@ def test_a_store_has_phases_faults_labels_and_numbers(clips: Path, capsys: pytes
     assert force[first:].max() > 8.0
     assert list_tracks(clips) == ["online-W5"]
     assert main.main(["info", str(clips)]) == 0
-    assert "task phase: approach" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "task phase: approach" in shown
+    assert "annotations passing: LATCH" in shown
+
+
+def test_the_passes_of_a_store_are_those_of_its_motions(clips: Path) -> None:
+    recordings = read_recordings(clips)
+    for row, length in enumerate(recordings.length.tolist()):
+        past = replay.simulated(clips, recordings, row).past[:, 0]
+        edges = np.flatnonzero(np.diff(past.astype(int), append=0))  # out, in, and out or over again
+        assert not past[0]
+        passes = recordings.annotations.of_recording(row).of(TRACK)
+        np.testing.assert_array_equal(np.rint(np.stack([passes.start, passes.end], 1) / 0.005).ravel(), edges + 1)
+        assert len(past) == length
+    assert len(recordings.annotations.of(TRACK)) > 0
+
+
+def test_a_peg_passes_no_lip(tmp_path: Path) -> None:
+    words = ["--assembly", "peg-in-hole", "--robot", "panda", "--trials", "2", "--max-seconds", "0.2"]
+    assert main.main(["simulate", str(tmp_path / "pegs.zarr"), *words]) == 0
+    assert read_recordings(tmp_path / "pegs.zarr").annotations.tracks == ("phase",)
+
+
+def test_tabs_are_named_all_or_none() -> None:
+    with pytest.raises(InputError, match="clip names 2 tabs and 1 marks"):
+        pair(replace(CLIP_PARTS, tabs=("FRONT", "REAR")), UR5E)
 
 
 def test_interrupted_and_called_again_it_gives_the_same_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,9 +21,9 @@ from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization import overrides, trials
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
+from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.validation import sessions, snaps
-from sim_mjx.validation.passing import moments
-from sim_mjx.validation.replay import Recorder, raw_force, tab_states
+from sim_mjx.validation.replay import Recorder, raw_force
 
 HOOKED_B = HOOKED["hooked-B"]
 PULL, HELD_FOR = 20.0, 0.5  # N on the female part, away from the hand; s
@@ -62,9 +62,8 @@ def after_a_pull(scene: Scene, qpos: np.ndarray, part: object) -> np.ndarray:
     data.qpos[:], data.ctrl[:] = qpos, qpos[scene.joints]
     data.xfrc_applied[model.body("MOUNT").id, 2] = -PULL
     mujoco.mj_step(model, data, round(HELD_FOR / model.opt.timestep))
-    state = np.zeros(mujoco.mj_stateSize(model, native.STATE))
-    mujoco.mj_getState(model, data, state, native.STATE)
-    return native.tips_past_lips(scene, model, state)
+    mujoco.mj_kinematics(model, data)
+    return native.seated_tabs(scene, data)
 
 
 def test_caught_hooks_hold_where_blocks_that_rub_let_go(pressed: tuple) -> None:
@@ -81,12 +80,10 @@ def test_beneath_is_not_beside_nor_below_the_floor() -> None:
     places = np.array(
         [[0.0, 0.0, -1e-4], [0.0, 0.0, 1e-4], [-radius * 1.01, 0.0, -1e-4], [0.0, 5e-3, -1e-4], [0.0, 0.0, -0.013]]
     )
-    zero, turn = np.zeros_like(places), np.broadcast_to(np.eye(3), (5, 3, 3))
-    np.testing.assert_array_equal(caught(places, zero, turn), [True, False, False, False, False])
-    half_turn = np.diag([-1.0, -1.0, 1.0])
-    np.testing.assert_array_equal(
-        caught(places @ half_turn.T, zero, np.broadcast_to(half_turn, (5, 3, 3))), [True, False, False, False, False]
-    )
+    np.testing.assert_array_equal(caught(places), [True, False, False, False, False])
+    half_turn, zero = np.diag([-1.0, -1.0, 1.0]), np.zeros_like(places)
+    local = parts.from_lips(places @ half_turn.T, zero, np.broadcast_to(half_turn, (5, 3, 3)))
+    np.testing.assert_array_equal(local, places)
 
 
 def test_tips_meet_the_lead_in_at_first_touch() -> None:
@@ -154,9 +151,8 @@ def test_only_hooks_have_wear() -> None:
 
 def test_rear_hooks_snap_unless_the_seat_holds_the_hand_up(pressed: tuple) -> None:
     """Pressed in mating, both give way at once; on a seat 1 mm higher the feet carry the hand."""
-    scene, run, recorder, part = pressed
-    past, _ = tab_states(scene, native.model_of(scene, part[0]), recorder.qpos(0))
-    rear = np.array([sample for sample, tab in moments(past) if tab >= 2])
+    _, run, recorder, _ = pressed
+    rear = np.array([start for tab, start, end in passes_of(run.past, run.length)[0].tolist() if end and tab >= 2])
     assert len(rear) == 2
     assert np.ptp(rear) <= snaps.FALL
     free, blocked = (snaps.find(raw_force(recorder, run, row)[:, 2], float(run.onset[row, 1])) for row in (0, 3))

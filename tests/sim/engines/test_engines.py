@@ -17,7 +17,7 @@ from mujoco import mjx
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx import engines
-from sim_mjx.assembly.parts import past_lips
+from sim_mjx.assembly.parts import from_lips, past_lips
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -171,7 +171,7 @@ def test_a_tab_is_past_its_lip_only_beneath_and_near_it() -> None:
     lip, turn = np.array([0.3, 0.0, 0.4]), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.004], [0.0, 0.01, 0.0], [0.008, 0.0, 0.0], [0.0, 0.006, 0.0]])
     # in the lip's turned frame: the world's y is its x, the world's -x its y
-    found = past_lips(lip + places, np.broadcast_to(lip, (5, 3)), np.broadcast_to(turn, (5, 3, 3)))
+    found = past_lips(from_lips(lip + places, np.broadcast_to(lip, (5, 3)), np.broadcast_to(turn, (5, 3, 3))))
     assert found.tolist() == [True, False, False, False, True]
 
 

@@ -35,7 +35,7 @@ def some(params: PlungerParams, rows: range) -> PlungerParams:
 
 def each(out: Rollouts) -> list[tuple[Any, ...]]:
     """Everything about each trial, cut where it ended."""
-    cut = [(out.wrench[row, :n], out.joints[row, :n]) for row, n in enumerate(out.length)]
+    cut = [(out.wrench[row, :n], out.joints[row, :n], out.past[row, :n]) for row, n in enumerate(out.length)]
     return [(*logs, out.onset[row], out.seated[row], out.diverged[row]) for row, logs in enumerate(cut)]
 
 

@@ -39,16 +39,16 @@ def out() -> device.Outcome:
     wrench = np.cumsum(rng.normal(size=(len(SPANS), samples, 6)) * steep[:, None], axis=1).astype(np.float32)
     wrench[phase == task.ENDED] = np.nan  # means nothing there
     wrench[4, 50, 2] = np.inf
-    seated = np.ones((len(SPANS), 4), bool)
-    seated[3, 1] = False
+    past = np.ones((len(SPANS), samples, 4), bool)
+    past[3, :, 1] = False
     joints = np.zeros((len(SPANS), samples, 6), np.float32)
-    return device.Outcome(*(jnp.asarray(leaf) for leaf in (wrench, joints, phase, seated)))
+    return device.Outcome(*(jnp.asarray(leaf) for leaf in (wrench, joints, phase, past)))
 
 
 def test_states_are_those_of_the_trials_on_the_host(out: device.Outcome) -> None:
     data = calibration_data.states_corpus(out, CONFIG)
     assert len(data) == 2  # "good" and "premating"
-    host = collect(*(np.asarray(leaf) for leaf in (out.wrench, out.joints, out.phase, out.seated)))
+    host = collect(*(np.asarray(leaf) for leaf in (out.wrench, out.joints, out.phase, out.past)))
     starts = np.rint(host.onset[:2] / CONTROL_PERIOD)
     np.testing.assert_array_equal(data.edges, np.c_[starts, host.length[:2]])
     np.testing.assert_array_equal(data.y, np.tile(np.arange(len(STATES)), (2, 1)))
@@ -75,4 +75,4 @@ def test_scores_of_rollouts_are_those_of_the_corpus(out: device.Outcome, monkeyp
     np.testing.assert_array_equal(made, score_candidates(calibration_data.states_corpus(out, CONFIG), CONFIG, limits))
     assert len(calibration_data.states_corpus(many, CONFIG)) == 6
     with pytest.raises(InputError, match="none of the"):
-        calibration_data.states_corpus(replace(out, seated=jnp.zeros_like(out.seated)), CONFIG)
+        calibration_data.states_corpus(replace(out, past=jnp.zeros_like(out.past)), CONFIG)

@@ -27,10 +27,10 @@ def outcome(seed: int) -> Outcome:
     joints[4, 0, 1], joints[5, 1:, 3] = np.nan, 4.0
     wrench[6, -1], joints[6, -1] = np.nan, np.nan  # after its end
     phase[6, -1] = ONE_ARM.ended
-    seated = rng.random((TRIALS, 4)) < 0.5
+    past = np.cumsum(rng.random((TRIALS, SAMPLES, 4)) < 0.05, axis=1) % 2 == 1  # in and out again
     return Outcome(
         jnp.asarray(wrench, jnp.float32), jnp.asarray(joints, jnp.float32), jnp.asarray(phase, jnp.int32),
-        jnp.asarray(seated),
+        jnp.asarray(past),
     )  # fmt: skip
 
 

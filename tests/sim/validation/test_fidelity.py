@@ -38,7 +38,8 @@ def run_of(seed: int, trials: int = 3) -> Rollouts:
         wrench[row, samples:] = 0
     onset = np.array([0.0, 0.2, 0.4, 0.7]) + np.zeros((trials, 1))
     joints = np.zeros_like(wrench)
-    return Rollouts(wrench, joints, length, onset, np.ones((trials, 4), bool), np.zeros(trials, bool))
+    past = np.zeros((*wrench.shape[:2], 4), bool)
+    return Rollouts(wrench, joints, length, onset, np.ones((trials, 4), bool), np.zeros(trials, bool), past)
 
 
 def test_rings_are_found() -> None:

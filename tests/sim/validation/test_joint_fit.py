@@ -32,7 +32,9 @@ def rollouts(wrench: np.ndarray, seated: np.ndarray) -> Rollouts:
     count, time, _ = wrench.shape
     onset = np.tile([0.0, 0.1, 0.2, 0.3], (count, 1))
     length = np.full(count, time, np.int32)
-    return Rollouts(wrench, np.zeros((count, time, 6), np.float32), length, onset, seated, np.zeros(count, np.bool_))
+    past = np.zeros((count, time, 4), np.bool_)
+    joints, diverged = np.zeros((count, time, 6), np.float32), np.zeros(count, np.bool_)
+    return Rollouts(wrench, joints, length, onset, seated, diverged, past)
 
 
 def test_own_parameters_belong_to_their_session_only() -> None:
