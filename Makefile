@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
-LONG ?= none
+LONGEST ?= none
 OUT ?= demo-out
 PEERS ?= .venv-peers
 AEON ?= .venv-aeon
@@ -31,8 +31,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install $(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-test: $(INSTALLED) ## run the tests but the longest; LONG=all runs every one, LONG=2/3 the second third of the longest too
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --long $(LONG)
+test: $(INSTALLED) ## run the tests but the longest; LONGEST=all runs every one, LONGEST=2/4 the second quarter of the longest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --long $(LONGEST)
 
 aeon: $(AEON)/.installed ## run aeon's own checks of our estimators, in an environment of their own
 	$(AEON)/bin/python -m pytest --noconftest --override-ini filterwarnings= tests/learning/test_aeon_estimators.py

@@ -11,7 +11,7 @@ from jaxtyping import install_import_hook
 import tests.support.typechecking  # noqa: F401  # the hook below finds it by attribute
 from tests.support.compiler import UNOPTIMISED
 from tests.support.garbage import collect_rarely, set_aside
-from tests.support.long_tests import HELP, OPTION, is_in, left_out
+from tests.support.long_tests import HELP, OPTION, chosen
 from tests.support.order import LONGEST, place
 from tests.support.small_blocks import shrink
 
@@ -64,10 +64,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first; what pytest has ordered stays in its order otherwise."""
-    away = left_out(config.getoption(OPTION))
-    deselected = [item for item in items if is_in(item.nodeid, away)]
-    config.hook.pytest_deselected(items=deselected)
-    items[:] = [item for item in items if not is_in(item.nodeid, away)]
+    runs = chosen(config.getoption(OPTION))
+    config.hook.pytest_deselected(items=[item for item in items if not runs(item.nodeid)])
+    items[:] = [item for item in items if runs(item.nodeid)]
     missing = [name for name in LONGEST if not (ROOT / name).is_file()]
     assert not missing, f"tests/support/order.py names files that are not there: {missing}"
     items.sort(key=lambda item: place(item.nodeid))

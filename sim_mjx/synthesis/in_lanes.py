@@ -59,9 +59,10 @@ def simulate_in_lanes(
     ready: Callable[[], bool] = lambda: True,
     room: Callable[[], bool] = lambda: True,
 ) -> Iterator[Shard]:
-    """Simulate and label batches that share the lanes of a device; each comes when its last trial has ended.
+    """Simulate and label batches that share the lanes of a device.
 
-    Copies to the host and what is done there overlap with the physics.
+    A batch comes when its last trial has ended, and the next trials that leave the device after it have: labels are
+    taken that much later. Copies to the host and what is done there overlap with the physics.
 
     Args:
         scene: what is simulated.
