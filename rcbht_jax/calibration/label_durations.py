@@ -132,7 +132,7 @@ def _paper_chain(
         return _pack(items), _labels(published)
 
     held = jnp.zeros((_ITEMS * _INTS, lanes), jnp.int32), jnp.zeros((_ITEMS * _REALS, lanes), dtype)
-    return _Chain(held, step, lambda held: encoder.drain_segments(config, _unpack(held)))
+    return _Chain(held, step, lambda held: [encoder.stack(x) for x in encoder.drain_segments(config, _unpack(held))])
 
 
 def _fit_chain(

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -313,11 +313,23 @@ def drain(config: EncoderConfig, state: EncoderState) -> LabelTracks:
     State lanes ``[lane]``; labels ``[lane, slot]`` with 2, 5 and 8 slots.
     """
     layers = drain_segments(config, unpack_segments(state.ints, state.reals))
-    return LabelTracks(*(_last_axis_track(layer, state.time) for layer in layers))
+    return LabelTracks(*(_last_axis_track(stack(layer), state.time) for layer in layers))
 
 
-def drain_segments(config: EncoderConfig, held: Sequence[Segment]) -> tuple[Segment, Segment, Segment]:
-    """What the eight held segments still publish, per layer: 2, 5 and 8 segments stacked in front of the lanes."""
+Push = Callable[[Any, Segment], tuple[Any, Segment]]  # (held, arrival) -> (held, what leaves)
+Pushes = Callable[[Push, Any, Sequence[Segment]], tuple[Any, list[Segment]]]  # the same for arrivals in order
+
+
+def pushed_in_scan(push: Push, held: Any, arrivals: Sequence[Segment]) -> tuple[Any, list[Segment]]:
+    """Arrivals one after the other, in a loop that is compiled once."""
+    held, out = jax.lax.scan(push, held, stack(arrivals))
+    return held, [jax.tree.map(lambda leaf, at=at: leaf[at], out) for at in range(len(arrivals))]
+
+
+def drain_segments(
+    config: EncoderConfig, held: Sequence[Segment], pushed: Pushes = pushed_in_scan
+) -> tuple[list[Segment], list[Segment], list[Segment]]:
+    """What the eight held segments still publish, per layer: 2, 5 and 8 segments in order of time, maybe empty."""
     pa, pb, hm, ma, mb, hl, la, lb = held
 
     def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
@@ -326,31 +338,27 @@ def drain_segments(config: EncoderConfig, held: Sequence[Segment]) -> tuple[Segm
     def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return composition.push_composition(h, x, config.short)
 
-    prims = _stack(*pipe.drain(pa, pb, config.rules(0)))
-    hm, out = jax.lax.scan(push_primitive, hm, prims)
-    mcs = _drain_pipe(config, 1, ma, mb, _append(out, composition.single_composition(hm)))
-    hl, out = jax.lax.scan(push_composition, hl, mcs)
-    llbs = _drain_pipe(config, 2, la, lb, _append(out, composition.single_behaviour(hl, config.short)))
+    def through_pipe(layer: int, a: Segment, b: Segment, arrivals: list[Segment]) -> list[Segment]:
+        rules = config.rules(layer)
+
+        def push(held: tuple[Segment, Segment], x: Segment) -> tuple[tuple[Segment, Segment], Segment]:
+            a, b, out = pipe.push(*held, x, rules)
+            return (a, b), out
+
+        (a, b), out = pushed(push, (a, b), arrivals)
+        return [*out, *pipe.drain(a, b, rules)]
+
+    prims = list(pipe.drain(pa, pb, config.rules(0)))
+    hm, out = pushed(push_primitive, hm, prims)
+    mcs = through_pipe(1, ma, mb, [*out, composition.single_composition(hm)])
+    hl, out = pushed(push_composition, hl, mcs)
+    llbs = through_pipe(2, la, lb, [*out, composition.single_behaviour(hl, config.short)])
     return prims, mcs, llbs
 
 
-def _drain_pipe(config: EncoderConfig, layer: int, a: Segment, b: Segment, arrivals: Segment) -> Segment:
-    rules = config.rules(layer)
-
-    def push(held: tuple[Segment, Segment], x: Segment) -> tuple[tuple[Segment, Segment], Segment]:
-        a, b, out = pipe.push(*held, x, rules)
-        return (a, b), out
-
-    (a, b), out = jax.lax.scan(push, (a, b), arrivals)
-    return _append(out, *pipe.drain(a, b, rules))
-
-
-def _stack(*parts: Segment) -> Segment:
+def stack(parts: Sequence[Segment]) -> Segment:
+    """Segments of the same lanes as one, along a new first axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
-
-
-def _append(stacked: Segment, *parts: Segment) -> Segment:
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), stacked, _stack(*parts))
 
 
 def _last_axis_track(stacked: Segment, time: Array) -> LabelTrack:

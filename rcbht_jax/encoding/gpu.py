@@ -2,9 +2,7 @@
 
 A scan on a GPU launches kernels for every window and keeps its state in memory; this kernel does the same arithmetic,
 with the same functions, in one launch. It writes labels in order of time first, so that neighbouring lanes write side
-by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit, but for ``avg`` and
-``grad`` of the words that end with the recording: XLA publishes them, whose quotient on a GPU may differ in the last
-digit.
+by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit.
 """
 
 from __future__ import annotations
@@ -24,9 +22,9 @@ from rcbht_jax.encoding import segments
 from rcbht_jax.encoding.encoder import (
     FLUSH_SLOTS,
     EncoderConfig,
-    EncoderState,
+    Push,
     chain,
-    drain,
+    drain_segments,
     track_of,
 )
 from rcbht_jax.encoding.segments import Divide
@@ -115,30 +113,34 @@ def encode(
     columns = [
         jax.ShapeDtypeStruct(((windows + extra) * lanes,), _dtype(name)) for extra in FLUSH_SLOTS for name in _FIELDS
     ]
-    state = [
+    held = [
         jax.ShapeDtypeStruct((3 * _HELD * lanes,), jnp.int32),
         jax.ShapeDtypeStruct((4 * _HELD * lanes,), jnp.float32),
-        jax.ShapeDtypeStruct((lanes,), jnp.int32),
     ]
-    call = pl.pallas_call(
-        partial(_kernel, config, samples, axes, lanes, block, jnp.true_divide if interpret else _divide),
+    divide = jnp.true_divide if interpret else _divide
+    call = partial(
+        pl.pallas_call,
         grid=(pl.cdiv(lanes, block),),
-        out_shape=[*columns, *state],
         compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
         interpret=interpret,
+    )
+    walk = call(
+        partial(_kernel, config, samples, axes, lanes, block, divide),
+        out_shape=[*columns, *held, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
         name="rcbht_encode",
     )
     # loaded, not compiled in: a compiler must not regroup products of what it knows
     table = jnp.asarray([*segments.squared_offsets(config.window, config.dt), config.dt], jnp.float32)
-    *begun, ints, reals, time = call(limits.reshape(-1), table, jnp.repeat(length, axes), wrench.reshape(-1))
-    ends = drain(config, EncoderState(time, ints.reshape(-1, lanes), reals.reshape(-1, lanes)))
-    tracks, width = [], len(_FIELDS)
-    for number, end in enumerate((ends.primitive, ends.mc, ends.llb)):
-        own = [column.reshape(-1, lanes) for column in begun[number * width : (number + 1) * width]]
-        last = [getattr(end, name).T for name in _FIELDS]
-        joined = (jax.lax.dynamic_update_slice(a, b, (windows, 0)) for a, b in zip(own, last, strict=True))  # in place
-        tracks.append(LabelTrack(*joined))
-    return LabelTracks(*tracks)
+    *begun, time = walk(limits.reshape(-1), table, length, wrench.reshape(-1))
+    # A kernel of its own: as the end of the first, it would take that one's registers and a minute to compile.
+    end = call(
+        partial(_end, config, windows, lanes, block, divide),
+        out_shape=[*columns, *held],
+        input_output_aliases={number: number for number in range(len(begun))},
+        name="rcbht_drain",
+    )
+    flat = iter(end(*begun, time))
+    return LabelTracks(*(LabelTrack(*(next(flat).reshape(-1, lanes) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
 
 
 def _dtype(name: str) -> Any:
@@ -181,7 +183,7 @@ def _kernel(
     trial = own.number // axes
     first = trial * (samples * axes) + (own.number - trial * axes)
     limits = tuple(own.row(limits_ref, row) for row in range(4))
-    length = own.row(length_ref, 0)
+    length = own.load(length_ref, trial)
     period = own.load(table_ref, jnp.full(block, config.window + 1, jnp.int32))
 
     def sample(index: int | Array) -> Array:
@@ -215,20 +217,70 @@ def _kernel(
         size = jnp.where(label > 0, count, 0)
         x = Segment(label, time, time + size, x.vmax, x.vmin, x.area, x.rise)
         held, out = chain(config, held, x)
-        for number, segment in enumerate(out):
-            layer = columns[number * len(_FIELDS) : (number + 1) * len(_FIELDS)]
-            own.publish(layer, window, segment, time + size, divide)
+        for layer, segment in enumerate(out):
+            own.publish(_of_layer(columns, layer), window, segment, time + size, divide)
         return time + size, held, following
 
     whole, real = jnp.zeros(block, jnp.int32), jnp.zeros(block, jnp.float32)
     empty = [Segment(whole, whole, whole, real, real, real, real)] * _HELD
     time, held, _ = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty, window_from(0)))
-    for number, segment in enumerate(held):
-        for place, values in enumerate((segment.label, segment.t0, segment.t1)):
-            own.store(ints_ref, 3 * number + place, values)
-        for place, values in enumerate((segment.vmax, segment.vmin, segment.area, segment.rise)):
-            own.store(reals_ref, 4 * number + place, values)
+    _Queue(own, ints_ref, reals_ref).fill(held)
     own.store(time_ref, 0, time)
+
+
+def _end(config: EncoderConfig, windows: int, lanes: int, block: int, divide: Divide, *refs: Any) -> None:
+    """What one block of lanes still holds, each layer drained into the next."""
+    time_ref, *outputs = refs[len(refs) // 2 :]  # before them the same memory as inputs
+    *columns, ints_ref, reals_ref = outputs
+    own = _Lanes(lanes, block)
+    queue, time = _Queue(own, ints_ref, reals_ref), own.row(time_ref, 0)
+    held = [queue.read(place) for place in range(_HELD)]
+    for layer, ends in enumerate(drain_segments(config, held, queue.pushed)):
+        queue.fill(ends)
+
+        def publish(place: Array, _: None, layer: int = layer) -> None:
+            own.publish(_of_layer(columns, layer), windows + place, queue.read(place), time, divide)
+
+        jax.lax.fori_loop(0, len(ends), publish, None)
+
+
+def _of_layer(columns: Sequence[Any], layer: int) -> Sequence[Any]:
+    return columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)]
+
+
+class _Queue:
+    """Segments of each lane in memory: Triton has no arrays to scan, and compiles repeated code slowly."""
+
+    def __init__(self, lanes: _Lanes, ints_ref: Any, reals_ref: Any) -> None:
+        self._lanes, self._ints, self._reals = lanes, ints_ref, reals_ref
+
+    def fill(self, segments: Sequence[Segment]) -> None:
+        """The rows from the first one on."""
+        for place, x in enumerate(segments):
+            self._write(place, x)
+
+    def read(self, place: Any) -> Segment:
+        """A row."""
+        ints = (self._lanes.row(self._ints, 3 * place + field) for field in range(3))
+        return Segment(*ints, *(self._lanes.row(self._reals, 4 * place + field) for field in range(4)))
+
+    def pushed(self, push: Push, held: Any, arrivals: Sequence[Segment]) -> tuple[Any, list[Segment]]:
+        """Arrivals one after the other, as :func:`rcbht_jax.encoding.encoder.pushed_in_scan`."""
+
+        def body(place: Array, held: Any) -> Any:
+            held, out = push(held, self.read(place))
+            self._write(place, out)
+            return held
+
+        self.fill(arrivals)
+        held = jax.lax.fori_loop(0, len(arrivals), body, held)
+        return held, [self.read(place) for place in range(len(arrivals))]
+
+    def _write(self, place: Any, x: Segment) -> None:
+        for field, values in enumerate((x.label, x.t0, x.t1)):
+            self._lanes.store(self._ints, 3 * place + field, values)
+        for field, values in enumerate((x.vmax, x.vmin, x.area, x.rise)):
+            self._lanes.store(self._reals, 4 * place + field, values)
 
 
 def _divide(x: Array, y: Array) -> Array:
