@@ -283,6 +283,20 @@ def checked_fields(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
 
+def checked_number(what: str, value: Any) -> float:
+    """A number of a file, finite: no text that could be read as one, since float("inf") is no error.
+
+    >>> checked_number("the level", 3)
+    3.0
+
+    Raises:
+        InputError: it is none.
+    """
+    if not _fits(value, float):
+        raise InputError(f"{what} is {str(value)[:40]!r}, no finite number")
+    return float(value)
+
+
 def checked_texts(what: str, values: Any, different: bool = False) -> tuple[str, ...]:
     """Texts of a file that become names: all of them texts that can be written, none absurdly long.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import tyro
 
+from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
 from rcbht_jax.errors import InputError
 
@@ -94,7 +95,7 @@ class Info(Command):
             if self.check:
                 verify(self.store)
                 verified = True
-        dt = float(attrs["dt"])
+        dt = checked_number("dt", attrs["dt"])
         return {
             "store": str(self.store),
             "recordings": there,

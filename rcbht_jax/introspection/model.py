@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.untrusted import checked_texts
+from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts
 from rcbht_jax.encoding.rules import (
     AnyConfig,
     AnyLimits,
@@ -209,10 +209,6 @@ def _read_head(
     machine = ProbabilisticSvm(svm, sigmoid)
     name, alarm = checked_texts("a head's name and alarm", [meta["name"], meta["alarm"]])
     # Files older than alarm levels and calibration by progress lack them.
-    level, progress = float(meta.get("alarm_level", 0.0)), meta.get("progress")
-    return Head(name, meta["scope"], view, machine, alarm, level, progress and _read_progress(progress))
-
-
-def _read_progress(meta: Mapping[str, Any]) -> ProgressCalibration:
-    parts = {name: tuple(float(value) for value in meta[name]) for name in ("temperature", "share", "prior")}
-    return ProgressCalibration(float(meta["planned"]), **parts)
+    level, progress = checked_number("alarm_level", meta.get("alarm_level", 0.0)), meta.get("progress")
+    calibration = progress and ProgressCalibration(**checked_fields(ProgressCalibration, progress))
+    return Head(name, meta["scope"], view, machine, alarm, level, calibration)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import wrench_digests
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
@@ -109,7 +110,7 @@ def schema_in(group: zarr.Group) -> Schema:
         zarr_io.subgroup(group, ANNOTATIONS)
         sub = group.get(SIMULATION)
         return Schema(
-            parts.layout_of(group), float(attrs["dt"]),
+            parts.layout_of(group), checked_number("dt", attrs["dt"]),
             tuple(zarr_io.read_array(group, "axis", "string").tolist()), tuple(map(str, attrs["axis_units"])),
             {track: tuple(map(str, names)) for track, names in attrs["annotation_labels"].items()},
             {name: made.dtype for name, made in columns.items()},

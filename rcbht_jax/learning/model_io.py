@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.untrusted import checked_fields, checked_texts, parse_json, read_arrays
+from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts, parse_json, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.scaling import KNOTS
@@ -103,7 +103,7 @@ def read_svm(
     arrays.setdefault("knots", np.zeros((0, features)))  # files written before there were ranks
     svm = SvmModel(
         spec=SvmSpec(**checked_fields(SvmSpec, meta["spec"])),
-        gamma=float(meta["gamma"]),
+        gamma=checked_number("gamma", meta["gamma"]),
         classes=checked_texts("its classes", meta["classes"], different=True),
         **arrays,
     )

@@ -169,9 +169,9 @@ def results_html(results: Results) -> str:
             body.append(f'<tr><th scope="row">{escape(what)}</th>{written}<td>{marks}</td></tr>')
     footnotes = "".join(f'<li id="note-{n}">{escape(results.notes[flag])}</li>' for n, flag in enumerate(notes, 1))
     listed = "".join(
-        f"<tr><td>{escape(file)}</td><td><code>{escape(command)}</code></td><td>{escape(date)}</td>"
-        f"<td>{escape(machine)}</td></tr>"
-        for file, command, date, machine in results.sources
+        f"<tr><td>{escape(one.file)}</td><td><code>{escape(one.command)}</code></td><td>{escape(one.date)}</td>"
+        f"<td>{escape(one.machine)}</td></tr>"
+        for one in results.sources
     )
     return (
         '<h2 id="results">Results</h2><div class="wide" role="region" tabindex="0" aria-label="results">'

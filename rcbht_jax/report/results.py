@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from rcbht_jax._util.untrusted import load_json
+from rcbht_jax._util.untrusted import checked_fields, load_json
 from rcbht_jax.errors import InputError
 
 SCHEMA = "rcbht-results-rows-1"
 
 
-class Peer(NamedTuple):
+@dataclass(frozen=True)
+class Peer:
     """The best of the other methods on the same folds; the best of several is slightly optimistic."""
 
     name: str
@@ -35,7 +36,8 @@ class Row:
     source: str  # file that holds the numbers
 
 
-class Source(NamedTuple):
+@dataclass(frozen=True)
+class Source:
     """A file with results, and how it was made."""
 
     file: str
@@ -72,7 +74,7 @@ def read_results(folder: Path) -> Results:
         try:
             notes |= {str(flag): str(sentence) for flag, sentence in record["notes"].items()}
             rows += [_row(entry, notes) for entry in record["rows"]]
-            sources += [Source(**source) for source in record["sources"]]
+            sources += [Source(**checked_fields(Source, source)) for source in record["sources"]]
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             reason = f"{type(error).__name__}: {error}"
             raise InputError(f"{path} does not follow the schema {SCHEMA} ({reason}).") from error
@@ -93,22 +95,8 @@ def _record(path: Path) -> dict[str, Any]:
 def _row(entry: dict[str, Any], notes: dict[str, str]) -> Row:
     if unknown := set(entry["flags"]) - set(notes):
         raise KeyError(f"no note for the flag {', '.join(sorted(unknown))}")
-    peer = entry["peer"]
-    return Row(
-        **entry
-        | {
-            "ours": float(entry["ours"]),
-            "interval": None if entry["interval"] is None else _interval(entry["interval"]),
-            "peer": None if peer is None else Peer(peer["name"], float(peer["mean"]), _interval(peer["interval"])),
-            "duration": None if entry["duration"] is None else float(entry["duration"]),
-            "flags": tuple(entry["flags"]),
-        }
-    )
-
-
-def _interval(values: list[Any]) -> tuple[float, float]:
-    low, high = map(float, values)
-    return low, high
+    peer = None if entry["peer"] is None else Peer(**checked_fields(Peer, entry["peer"]))
+    return Row(**checked_fields(Row, entry | {"peer": peer}))
 
 
 def cells(row: Row) -> tuple[str, str, str, str, str, str]:

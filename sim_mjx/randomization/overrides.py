@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.untrusted import load_json
+from rcbht_jax._util.untrusted import checked_number, load_json
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
@@ -121,7 +121,7 @@ def read(path: Path) -> Physical:
         content = load_json(path)
         if content["format"] != FORMAT:
             raise KeyError("format")
-        physical = tuple((str(name), float(value)) for name, value in content["values"].items())
+        physical = tuple((name, checked_number(name, value)) for name, value in content["values"].items())
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f'{path} holds no physical parameters; expected a file of "rcbht fidelity fit".') from error
     check(physical)

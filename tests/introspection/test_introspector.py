@@ -217,11 +217,14 @@ def test_model_files_that_do_not_fit(tmp_path):
         write_archive(path, meta | wrong, members)
         with pytest.raises(InputError):
             model_files.load(path)
-    for wrong in ({"prior": [1.0]}, {"share": [2.0] * 4}, {"temperature": None}, {"planned": 0}):
+    for wrong in ({"prior": [1.0]}, {"share": [2.0] * 4}, {"temperature": None}, {"planned": 0}, {"planned": "9.0"}):
         last = meta["heads"][2] | {"progress": meta["heads"][2]["progress"] | wrong}
         write_archive(path, meta | {"heads": [*meta["heads"][:2], last]}, members)
         with pytest.raises(InputError):
             model_files.load(path)
+    write_archive(path, meta | {"heads": [head | {"alarm_level": "0.5"} for head in meta["heads"]]}, members)
+    with pytest.raises(InputError, match="alarm_level is '0.5', no finite number"):
+        model_files.load(path)
     path.write_bytes(b"PK\3\4 nothing")
     with pytest.raises(InputError, match="not a readable model"):
         model_files.load(path)

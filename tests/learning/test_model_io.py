@@ -141,7 +141,8 @@ def test_what_cannot_be_written_is_refused(model, tmp_path):
     [
         {"classes": ["a", "a", "b"]}, {"classes": [1, 2, 3]}, {"classes": [["a"], ["b"], ["c"]]}, {"classes": "abc"},
         {"classes": [None] * 3}, {"classes": ["a", "b", "\ud800"]}, {"classes": ["a", "b", "x" * 2000]},
-        {"feature_names": [1, 2, 3, 4]}, {"task": None}, {"encoder": []}, {"extra": "x"}, {"version": 1.0},
+        {"feature_names": [1, 2, 3, 4]}, {"gamma": "0.5"}, {"task": None}, {"encoder": []}, {"extra": "x"},
+        {"version": 1.0},
     ],
 )  # fmt: skip
 def test_names_in_a_model_are_texts(change, model, tmp_path):

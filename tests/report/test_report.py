@@ -252,8 +252,10 @@ def test_the_committed_rows_can_be_read() -> None:
     "changed",
     [
         {"rows": [{}]}, {"rows": 1}, {"notes": {}}, {"notes": None}, {"sources": [{"file": "a.json"}]},
-        {"rows": [{"group": "g", "what": "w", "paper": "", "ours": "high", "interval": None, "flags": [], "peer": None,
-                   "duration": None, "source": "a.json"}]},
+        *({"rows": [{"group": "g", "what": "w", "paper": "", "ours": 1, "interval": None, "flags": [], "peer": None,
+                     "duration": None, "source": "a.json"} | wrong]}
+          for wrong in ({"ours": "high"}, {"ours": "0.5"}, {"duration": "inf"}, {"interval": ["inf", 1]},
+                        {"interval": [1]}, {"what": 5}, {"peer": {"name": "p", "mean": "inf", "interval": [0, 1]}})),
     ],
 )  # fmt: skip
 def test_rows_outside_the_schema_are_one_sentence(changed: dict[str, Any], tmp_path: Path) -> None:
