@@ -223,7 +223,7 @@ def test_model_files_that_do_not_fit(tmp_path):
         with pytest.raises(InputError):
             model_files.load(path)
     write_archive(path, meta | {"heads": [head | {"alarm_level": "0.5"} for head in meta["heads"]]}, members)
-    with pytest.raises(InputError, match="alarm_level is '0.5', no finite number"):
+    with pytest.raises(InputError, match=r"alarm_level is '0\.5', no finite number"):
         model_files.load(path)
     path.write_bytes(b"PK\3\4 nothing")
     with pytest.raises(InputError, match="not a readable model"):
