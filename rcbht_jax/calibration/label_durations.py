@@ -151,8 +151,7 @@ def _fit_chain(
         return state, _labels(stages[::2])
 
     def rest(state: EncoderState) -> Sequence[Segment]:
-        return [jax.tree.map(lambda *leaves: jnp.stack(leaves), *stage)
-                for stage in list(zip(*fit.drain_stages(config, limits, state), strict=True))[::2]]  # fmt: skip
+        return fit.stacked([stages[::2] for stages in fit.drain_stages(config, limits, state)], 0)
 
     return _Chain(fit.init(config, length.shape, line.dtype), step, rest)
 

@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,9 +33,9 @@ class Bench(Command):
     """Measure speed and memory of encoders and store: lines "name value unit", medians, compile time separately.
 
     A line ratio/... compares with a reference that took turns in the same run, so that it depends little on the
-    machine: the encoder with bare line fits of its windows, a streaming step with an empty one, reading of a store with
-    loading and hashing the same bytes. The extra "bench" installs other symbolic representations (tslearn, fABBA),
-    which are measured on the same array.
+    machine: the encoder with bare line fits of its windows, a streaming step with an empty one, the fit rule with the
+    published rule, reading of a store with loading and hashing the same bytes. The extra "bench" installs other
+    symbolic representations (tslearn, fABBA), which are measured on the same array.
 
     Example: rcbht bench --trials 100
 
@@ -122,19 +123,22 @@ def measure(wrench: NDArray[np.float32]) -> tuple[Values, dict[str, float]]:
     """All values by name, and the ratios to their references."""
     values: Values = {}
     ratios: dict[str, float] = {}
-    announce(1, 5, "batch encoder")
+    announce(1, 6, "batch encoder")
     for window in (5, 20):
         found, ratios[f"encode/W={window}"] = batch_encoder(wrench, window)
         values |= found
-    announce(2, 5, "streaming encoder")
+    announce(2, 6, "rule fit")
+    found, some = fit_rule(wrench)
+    values, ratios = values | found, ratios | some
+    announce(3, 6, "streaming encoder")
     found, ratios["step"] = streaming_step()
     values |= found
-    announce(3, 5, "offline encoder")
+    announce(4, 6, "offline encoder")
     values["offline/33_s"] = (offline_trial(), "s")
-    announce(4, 5, "store")
+    announce(5, 6, "store")
     if importlib.util.find_spec("zarr") is not None:
         values["store/read"], ratios["store/read"] = store_reading(wrench)
-    announce(5, 5, "other representations")
+    announce(6, 6, "other representations")
     ours = values["encode/W=5"][0]
     for name, speed in peers(wrench, 5).items():
         values[f"peer/{name.replace(' ', '_')}"] = (speed, "samples/s")
@@ -205,6 +209,40 @@ def _line_fits(window: int, wrench: Any) -> Any:
     time = (np.arange(window) - (window - 1) / 2) * DT
     weights = jnp.asarray(time / (time**2).sum(), wrench.dtype)
     return jnp.einsum("nwta,t->nwa", cut, weights), cut.mean(2)
+
+
+def fit_rule(wrench: NDArray[np.float32], window: int = 5) -> tuple[Values, dict[str, float]]:
+    """A data set as ``encode`` labels it, and a step inside a scan; their speed in units of the published rule's."""
+    import jax
+    import jax.numpy as jnp
+
+    from rcbht_jax._util.ratios import interleaved
+    from rcbht_jax.encoding import encoder, fit
+    from rcbht_jax.encoding.batch import encode_batch
+    from rcbht_jax.encoding.thresholds import preset
+    from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+
+    ours, published = fit.FitConfig(window=window, dt=DT), encoder.EncoderConfig(window=window, dt=DT)
+    length = np.full(len(wrench), wrench.shape[1], np.int32)
+    limits = FitLimits(np.asarray(preset().limits), auto_tolerance(wrench, length, ours.needed))
+    batch = interleaved(
+        lambda: encode_batch(ours, limits, wrench, length),
+        lambda: encode_batch(published, preset(), wrench, length),
+        _REPEATS,
+    )
+    count = wrench.shape[1] // window
+    samples = jnp.asarray(wrench[0, : count * window].reshape(count, window, -1))
+    stacked = jnp.asarray(limits.stacked(), samples.dtype)
+    fitted = jax.jit(lambda x: jax.lax.scan(partial(fit.step, ours, stacked), fit.init(ours), x))
+    paper = jax.jit(lambda x: jax.lax.scan(partial(encoder.step, published, stacked[:, :4]), encoder.init(), x))
+    step = interleaved(
+        lambda: jax.block_until_ready(fitted(samples)), lambda: jax.block_until_ready(paper(samples)), _REPEATS
+    )
+    values: Values = {
+        f"fit/encode/W={window}": (wrench.size / batch.seconds, "samples/s"),
+        "fit/step/scan": (step.seconds / count * 1e6, "us"),
+    }
+    return values, {f"fit/encode/W={window}": batch.ratio, "fit/step": step.ratio}
 
 
 def streaming_step(window: int = 5, windows: int = 2000) -> tuple[Values, float]:

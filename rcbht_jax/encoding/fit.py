@@ -30,6 +30,7 @@ from rcbht_jax.encoding.encoder import (
 )
 from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
 from rcbht_jax.encoding.segments import gradient_label, whole_windows
+from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC, Primitive
 from rcbht_jax.types import Array, LabelTracks, Segment
@@ -250,8 +251,13 @@ def _scan(
 
 def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderState) -> LabelTracks:
     """The run, then all held words, each layer drained into the next: labels ``[*lanes, 5]``."""
-    layers = stacked(drain_stages(config, limits, state), -1)[::2]
-    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
+    return tracks_of([stages[::2] for stages in drain_stages(config, limits, state)], state.time)
+
+
+def tracks_of(rounds: Rounds, now: Array) -> LabelTracks:
+    """The three layers of each step of a drain as labels ``[*lanes, step]``."""
+    layers = stacked(rounds, -1)
+    emit = jnp.broadcast_to(now[..., None], layers[0].label.shape)
     return LabelTracks(*(track_of(layer, emit) for layer in layers))
 
 
@@ -275,12 +281,6 @@ def stacked(rounds: Rounds, axis: int) -> list[Segment]:
 def _published(stages: list[Segment], now: Array) -> PackedLabels:
     """The layers among five stages: what a composer says stays inside until an accumulator lets it go."""
     return PackedLabels(*pack_segments(stages[::2]), now)
-
-
-def by_lane(limits: Array, like: Array) -> Array:
-    """Limits ``[..., axis, 5]`` as ``[5, *lanes]`` in the dtype of the signal."""
-    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*like.shape[1:], limits.shape[-1]))
-    return jnp.moveaxis(wide, -1, 0)
 
 
 def opened(state: EncoderState) -> tuple[Array, Array, Line, list[Segment]]:

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import fit, pipe
-from rcbht_jax.encoding.encoder import EncoderState, join_tracks, track_of, unpack
-from rcbht_jax.encoding.fit import FitConfig, by_lane, primitive_of
+from rcbht_jax.encoding.encoder import EncoderState, join_tracks, unpack
+from rcbht_jax.encoding.fit import FitConfig, primitive_of
 from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
+from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.types import Array, LabelTracks, Segment
 
 
@@ -59,9 +60,7 @@ def labels(
     parts = [*held, primitive_of(config, lanes, t0, t1, line)]
     rounds = fit.drain_stages(config, lanes, state, later)
     rounds = [[_so_far(word, parts, state.time) for word in stages[::2]] for stages in rounds]
-    layers = fit.stacked(rounds, -1)
-    emit = jnp.broadcast_to(state.time[..., None], layers[0].label.shape)
-    return join_tracks(first, LabelTracks(*(track_of(layer, emit) for layer in layers)))
+    return join_tracks(first, fit.tracks_of(rounds, state.time))
 
 
 def _missing(config: FitConfig, tolerance: Array, state: EncoderState, samples: Array, stop: Array) -> Array:

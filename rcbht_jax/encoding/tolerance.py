@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
@@ -54,6 +55,12 @@ class FitLimits:
         if not (np.isfinite(tolerance).all() and (tolerance > 0).all()):
             raise InputError("A tolerance must be a finite, positive number.")
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
+
+
+def by_lane(limits: Array, like: Array) -> Array:
+    """Limits ``[..., axis, 5]`` as ``[5, *lanes]`` in the dtype of the signal."""
+    wide = jnp.broadcast_to(jnp.asarray(limits, like.dtype), (*like.shape[1:], limits.shape[-1]))
+    return jnp.moveaxis(wide, -1, 0)
 
 
 def auto_tolerance(

@@ -38,7 +38,7 @@ def measured(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_is_lines_of_name_value_unit(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [record] = json.loads(measured.read_text())
-    assert set(record["ratios"]) == {"encode/W=5", "encode/W=20", "step", "store/read"}
+    assert set(record["ratios"]) == {"encode/W=5", "encode/W=20", "fit/encode/W=5", "fit/step", "step", "store/read"}
     assert all(ratio > 0 for ratio in record["ratios"].values())
     command = bench.Bench(trials=2, samples=40)
     lines = command.text({**record, "compared_with": None, "fallen": []}).splitlines()
@@ -67,7 +67,7 @@ def test_a_fall_is_an_exit_status(
     monkeypatch.setattr(bench, "measure", measure(0.75))
     assert main([*SMALL, "--check", str(path), "--history", str(path)]) == 2
     assert "25 % below the earlier" in capsys.readouterr().out
-    assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 4, 4, 4]
+    assert [len(run["ratios"]) for run in json.loads(path.read_text())] == [1, 6, 6, 6]
     assert main([*SMALL[:2], "3", *SMALL[3:], "--check", str(path)]) == 2
     assert "has no run of 3 trials" in capsys.readouterr().err
 

@@ -17,9 +17,11 @@ from rcbht_jax.io.rosbags import WRENCH, messages, open_bag
 
 MAX_ELEMENTS = 64  # of an array in a message
 TEXT = "std_msgs/msg/String"
-UNITS = {"force": "N", "torque": "Nm"}  # REP 103 prescribes them for wrenches
-_PARTS = {
-    f"{prefix}{part}.{axis}": unit for prefix in ("", "wrench.") for part, unit in UNITS.items() for axis in "xyz"
+_UNITS = {  # of wrenches, as REP 103 prescribes
+    f"{prefix}{part}.{axis}": unit
+    for prefix in ("", "wrench.")
+    for part, unit in (("force", "N"), ("torque", "Nm"))
+    for axis in "xyz"
 }
 
 
@@ -98,7 +100,7 @@ class _Topic:
         values = np.frombuffer(self._values).reshape(len(self.received), -1)
         columns = dict(zip(("stamp", *self._names), np.ascontiguousarray(values.T), strict=True))
         # a file may define the type with other fields, of which nobody knows the unit
-        units = {key: _PARTS[key] for key in self._names if key in _PARTS} if self._wrench else {}
+        units = {key: _UNITS[key] for key in self._names if key in _UNITS} if self._wrench else {}
         flags = (*notes, f"other-shape:{self.other}") if self.other else notes
         first, last = self.received[0], self.received[-1]
         return Table(name, columns, units=units, intervals=tuple(_spoken(spoken, first, last)), notes=flags)
