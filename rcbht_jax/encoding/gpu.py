@@ -1,8 +1,9 @@
-"""The published rules as one GPU kernel: a thread walks a lane's windows with the encoder's state in registers.
+"""The published rules as two GPU kernels: a thread walks a lane's windows with the encoder's state in registers.
 
-A scan on a GPU launches kernels for every window and keeps its state in memory; this kernel does the same arithmetic,
-with the same functions, in one launch. It writes labels in order of time first, so that neighbouring lanes write side
-by side. Written in Pallas for Triton. Its labels are those of the scan on a CPU bit for bit.
+A scan on a GPU launches kernels for every window and keeps its state in memory; the first kernel does the same
+arithmetic, with the same functions, in one launch, and the second one publishes what is held at the end. They write
+labels in order of time first, so that neighbouring lanes write side by side. Written in Pallas for Triton. The labels
+are those of the scan on a CPU bit for bit.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ _LARGEST = 2**31 - 1  # elements that 32-bit offsets reach
 
 
 def fits(config: EncoderConfig, wrench: Array) -> bool:
-    """Whether the kernel can encode recordings ``[trial, time, axis]``: single precision, 32-bit offsets."""
+    """Whether the kernels can encode recordings ``[trial, time, axis]``: single precision, 32-bit offsets."""
     windows = -(-wrench.shape[1] // config.window)
-    slots = (windows + max(FLUSH_SLOTS)) * wrench.shape[0] * wrench.shape[2]
-    return wrench.dtype == jnp.float32 and max(slots, wrench.size) <= _LARGEST
+    rows = max(windows + max(FLUSH_SLOTS), 4 * _HELD)
+    return wrench.dtype == jnp.float32 and max(rows * wrench.shape[0] * wrench.shape[2], wrench.size) <= _LARGEST
 
 
 Scan = Callable[[EncoderConfig, Array, Array, Array], LabelTracks]
@@ -125,14 +126,14 @@ def encode(
         interpret=interpret,
     )
     walk = call(
-        partial(_kernel, config, samples, axes, lanes, block, divide),
+        partial(_walk, config, samples, axes, lanes, block, divide),
         out_shape=[*columns, *held, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
         name="rcbht_encode",
     )
     # loaded, not compiled in: a compiler must not regroup products of what it knows
     table = jnp.asarray([*segments.squared_offsets(config.window, config.dt), config.dt], jnp.float32)
     *begun, time = walk(limits.reshape(-1), table, length, wrench.reshape(-1))
-    # A kernel of its own: as the end of the first, it would take that one's registers and a minute to compile.
+    # A kernel of its own: in the first one it would cost registers of the walk, and half a minute of compilation.
     end = call(
         partial(_end, config, windows, lanes, block, divide),
         out_shape=[*columns, *held],
@@ -173,7 +174,7 @@ class _Lanes:
             self.store(ref, row, getattr(track, name))
 
 
-def _kernel(
+def _walk(
     config: EncoderConfig, samples: int, axes: int, lanes: int, block: int, divide: Divide,
     limits_ref: Any, table_ref: Any, length_ref: Any, wrench_ref: Any, *outputs: Any,
 ) -> None:  # fmt: skip

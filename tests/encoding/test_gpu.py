@@ -64,3 +64,4 @@ def test_what_the_kernel_cannot_do_is_left_to_the_scan() -> None:
     assert gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float32))
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float64))
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((4_000_000, 100, 6), jnp.float32))
+    assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((12_000_000, 5, 6), jnp.float32))  # what lanes hold
