@@ -1,4 +1,4 @@
-"""The tests that take longest, some five per cent of all and more than half of the time, in ``long_tests.txt``."""
+"""The tests that take longest, less than a tenth of all and more than half of the time, in ``long_tests.txt``."""
 
 from __future__ import annotations
 

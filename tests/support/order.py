@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-LONGEST = (  # over a minute each on two cores, the longest first
-    "tests/project/test_docs.py",
-    "tests/project/test_standard_compiler.py",
-    "tests/reference/test_published_golden.py",
+LONGEST = (  # over half a minute each on two cores without the longest tests, the longest first
     "tests/sim/synthesis/test_resume.py",
-    "tests/cli/test_stream.py",
-    "tests/sim/validation/test_replay.py",
     "tests/sim/engines/test_engines.py",
-    "tests/sim/validation/test_fidelity.py",
-    "tests/sim/env/test_physics.py",
-    "tests/sim/assemblies/test_assemblies.py",
-    "tests/cli/test_from_file.py",
-    "tests/util/test_compile_cache.py",
+    "tests/encoding/test_provisional.py",
+    "tests/project/test_examples.py",
+    "tests/sim/synthesis/test_pipeline.py",
+    "tests/project/test_docs.py",
+    "tests/encoding/test_encoder.py",
+    "tests/sim/engines/test_lanes.py",
+    "tests/reference/test_golden.py",
+    "tests/sim/assemblies/test_assembly_stores.py",
+    "tests/plots/test_plots.py",
+    "tests/encoding/test_fit.py",
 )
 
 
