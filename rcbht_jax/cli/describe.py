@@ -35,7 +35,7 @@ class Describe(Command):
 
         recordings = read_recordings(self.store)
         index = find_recording(recordings, self.trial, self.arm, self.source)
-        snaps = detector_of(self.snap, 1 / recordings.dt, 5)
+        snaps = detector_of(self.snap, 1 / recordings.dt)
         told = describe_recording(recordings, index, self.least, self.task, snaps)
         return {"trial": self.trial, "sentences": [{"seconds": seconds, "text": text} for seconds, text in told]}
 

@@ -106,7 +106,7 @@ class MonitorWatch(Command):
                 f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
                 f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
             )
-        alarms, snaps = 0, detector_of(self.snap, monitor.rate, 5)
+        alarms, snaps = 0, detector_of(self.snap, monitor.rate)
         columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)
         for row, part in enumerate(series):
             scores = monitor.scores(part)

@@ -21,19 +21,18 @@ SnapSize = Annotated[
 ]
 
 
-def detector_of(sizes: tuple[str, ...], rate: float, window: int) -> SnapDetector | None:
+def detector_of(sizes: tuple[str, ...], rate: float) -> SnapDetector | None:
     """The detector that the option asks for; None = none.
 
     Args:
         sizes: the option.
         rate: samples per second.
-        window: samples for each step.
 
     Raises:
         InputError: an option that cannot be read, or an axis twice.
 
     Example:
-        >>> detector_of(("Fz=3", "Mx=0.2,1"), 200.0, 5).sizes.most.tolist()
+        >>> detector_of(("Fz=3", "Mx=0.2,1"), 200.0).sizes.most.tolist()
         [inf, 1.0]
     """
     import numpy as np
@@ -55,4 +54,4 @@ def detector_of(sizes: tuple[str, ...], rate: float, window: int) -> SnapDetecto
             raise InputError(f"--snap names {axis} twice.")
         table[axis] = values + [float("inf"), 0.0, float("inf")][len(values) - 1 :]
     least, most, low, high = np.array(list(table.values())).T
-    return SnapDetector(rate, tuple(table), least, most, (low, high), window)
+    return SnapDetector(rate, tuple(table), least, most, (low, high))

@@ -102,7 +102,7 @@ class Source(RuleCommand):
             if beside:
                 others, messages = self._words(messages, say)
                 introspector = Together(introspector, others)
-        if snaps := detector_of(self.snap, 1 / introspector.config.dt, introspector.config.window):
+        if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, snaps=snaps)
         return Session(introspector, self.max_gap), messages if live else paced(messages, self.speed)
 

@@ -1,9 +1,9 @@
 """Snaps on words: a force that was built up slowly and is released within a fraction of a second, as when a tab passes.
 
-Reads the lines of the fit rule's primitives, published ones and the running one, once for each window. :func:`init` and
-:func:`steps` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A snap is seen as
-soon as the running line tells of it, and published when the published words alone do. :class:`SnapDetector` is these
-functions for people.
+Reads the lines of the fit rule's primitives, published ones and the running one, a hundred times a second.
+:func:`init` and :func:`steps` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A
+snap is seen as soon as the running line tells of it, and published when the published words alone do.
+:class:`SnapDetector` is these functions for people.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ AllFlags = Bool[np.ndarray, "window *lanes"]
 
 LOAD = np.array([1.0, -1.0])  # ways in which an axis can be loaded
 NEVER = -(2**40)  # a sample long before the first one
+LOOK = 0.01  # s of each window, if it has two samples in this time
 TOLERANCES = 10.0  # of the words in the smallest fall
 NOTHING = -1e30  # the highest value where no line is: finite, so that differences are numbers
 
@@ -277,7 +278,7 @@ class SnapDetector:
         least: smallest fall that is a snap, N or Nm: a number, or one for each axis.
         most: largest fall.
         load: smallest and largest value, either way from zero, from which it falls; numbers, or one for each axis.
-        window: samples for each step of the encoder: a snap is seen at the end of one.
+        window: samples for each step of the encoder, >= 2: a snap is seen at the end of one. Default 10 ms of them.
         tolerance: of the words; default a tenth of the smallest fall.
         config: what else counts as a snap.
 
@@ -288,7 +289,7 @@ class SnapDetector:
         >>> force = np.interp(np.arange(600) / 200, [0, 0.5, 2.0, 2.03, 3], [0, 0, 9, 2, 2])  # let go after 2 s
         >>> seen, published = SnapDetector(200.0, ["Fz"], least=3.0).push(force[:, None])
         >>> seen.begin, seen.seen, round(seen.fall, 1), published.seen, published.published, round(published.fall, 1)
-        (400, 2.025, 4.7, 2.025, 2.05, 5.8)
+        (400, 2.02, 3.5, 2.02, 2.04, 5.8)
     """
 
     def __init__(
@@ -298,7 +299,7 @@ class SnapDetector:
         least: ArrayLike,
         most: ArrayLike = math.inf,
         load: tuple[ArrayLike, ArrayLike] = (0.0, math.inf),
-        window: int = 5,
+        window: int | None = None,
         tolerance: ArrayLike | None = None,
         config: SnapConfig = SnapConfig(),
     ) -> None:
@@ -306,7 +307,7 @@ class SnapDetector:
             raise InputError(f"The rate is {rate:g} samples per second; expected a positive, finite number.")
         self.axes, self.config = tuple(axes), config
         self.sizes = _sizes(len(self.axes), least, most, *load)
-        self._words = FitConfig(window, 1 / rate)
+        self._words = FitConfig(max(2, round(LOOK * rate)) if window is None else window, 1 / rate)
         wide = self.sizes.least / TOLERANCES if tolerance is None else np.asarray(tolerance, np.float64)
         slopes = np.tile([4.0, 3.0, 2.0, 1.0], (len(self.axes), 1))  # labels do not matter here, but lines
         self._limits = FitLimits(slopes, wide)

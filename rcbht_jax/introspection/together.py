@@ -32,7 +32,7 @@ class Together:
         >>> words = WordIntrospector(rj.EncoderConfig(), rj.preset("hiro", ["Fz"]), ["Fz"])
         >>> events = Together(words, snaps=SnapDetector(200.0, ["Fz"], least=3.0)).push(force)
         >>> [event.published for event in events if type(event).__name__ == "Snap"]
-        [None, 2.05]
+        [None, 2.04]
     """
 
     def __init__(
