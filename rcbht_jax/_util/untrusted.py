@@ -293,7 +293,7 @@ def checked_number(what: str, value: Any) -> float:
         InputError: it is none.
     """
     if not _fits(value, float):
-        raise InputError(f"{what} is {str(value)[:40]!r}, no finite number")
+        raise InputError(f"{what} is {str(value)[:40]!r}, no finite number.")
     return float(value)
 
 

@@ -95,7 +95,7 @@ class Info(Command):
             if self.check:
                 verify(self.store)
                 verified = True
-        dt = checked_number("dt", attrs["dt"])
+        dt = checked_number(f"{self.store}: dt", attrs["dt"])
         return {
             "store": str(self.store),
             "recordings": there,

@@ -110,7 +110,7 @@ def schema_in(group: zarr.Group) -> Schema:
         zarr_io.subgroup(group, ANNOTATIONS)
         sub = group.get(SIMULATION)
         return Schema(
-            parts.layout_of(group), checked_number("dt", attrs["dt"]),
+            parts.layout_of(group), checked_number(f"{group.store_path}: dt", attrs["dt"]),
             tuple(zarr_io.read_array(group, "axis", "string").tolist()), tuple(map(str, attrs["axis_units"])),
             {track: tuple(map(str, names)) for track, names in attrs["annotation_labels"].items()},
             {name: made.dtype for name, made in columns.items()},

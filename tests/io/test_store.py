@@ -331,3 +331,11 @@ def test_attributes_must_be_json(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be stored as JSON"):
         store.write_recordings(tmp_path / "x.zarr", simple(), {"a": np.nan})
     folder_is_clean(tmp_path)
+
+
+def test_a_period_that_is_no_number_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "x.zarr"
+    store.write_recordings(path, simple(), {})
+    zarr.open_group(path, mode="r+").attrs["dt"] = "inf"
+    with pytest.raises(InputError, match=r"x\.zarr: dt is 'inf', no finite number\."):
+        store.read_recordings(path)
