@@ -34,6 +34,7 @@ from rcbht_jax.types import Array, LabelTrack, LabelTracks, Segment
 BLOCK = 128  # lanes of one program
 WARPS = 4  # one lane a thread
 _HELD = 8
+_ROWS = max(_HELD, *FLUSH_SLOTS)  # of a queue: what is held at first, then what a layer publishes at the end
 _AHEAD = 32  # windows up to this many samples are read one window ahead
 _INTEGERS = ("label", "t0", "t1", "emit")
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
@@ -43,7 +44,7 @@ _LARGEST = 2**31 - 1  # elements that 32-bit offsets reach
 def fits(config: EncoderConfig, wrench: Array) -> bool:
     """Whether the kernels can encode recordings ``[trial, time, axis]``: single precision, 32-bit offsets."""
     windows = -(-wrench.shape[1] // config.window)
-    rows = max(windows + max(FLUSH_SLOTS), 4 * _HELD)
+    rows = max(windows + max(FLUSH_SLOTS), 4 * _ROWS)
     return wrench.dtype == jnp.float32 and max(rows * wrench.shape[0] * wrench.shape[2], wrench.size) <= _LARGEST
 
 
@@ -114,9 +115,9 @@ def encode(
     columns = [
         jax.ShapeDtypeStruct(((windows + extra) * lanes,), _dtype(name)) for extra in FLUSH_SLOTS for name in _FIELDS
     ]
-    held = [
-        jax.ShapeDtypeStruct((3 * _HELD * lanes,), jnp.int32),
-        jax.ShapeDtypeStruct((4 * _HELD * lanes,), jnp.float32),
+    queue = [
+        jax.ShapeDtypeStruct((3 * _ROWS * lanes,), jnp.int32),
+        jax.ShapeDtypeStruct((4 * _ROWS * lanes,), jnp.float32),
     ]
     divide = jnp.true_divide if interpret else _divide
     call = partial(
@@ -127,7 +128,7 @@ def encode(
     )
     walk = call(
         partial(_walk, config, samples, axes, lanes, block, divide),
-        out_shape=[*columns, *held, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
+        out_shape=[*columns, *queue, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
         name="rcbht_encode",
     )
     # loaded, not compiled in: a compiler must not regroup products of what it knows
@@ -136,7 +137,7 @@ def encode(
     # A kernel of its own: in the first one it would cost registers of the walk, and half a minute of compilation.
     end = call(
         partial(_end, config, windows, lanes, block, divide),
-        out_shape=[*columns, *held],
+        out_shape=[*columns, *queue],
         input_output_aliases={number: number for number in range(len(begun))},
         name="rcbht_drain",
     )
