@@ -56,7 +56,10 @@ def data_hash(recordings: Any, wrenches: Iterable[NDArray[Any]] | None = None, s
         wrenches, samples = [recordings.wrench], recordings.wrench.shape[1]
     digest.update(f"wrench {(len(recordings.length), samples, recordings.wrench.shape[2])} ".encode())
     for wrench in wrenches:
-        digest.update(np.pad(wrench, ((0, 0), (0, samples - wrench.shape[1]), (0, 0))).tobytes())
+        rest = bytes((samples - wrench.shape[1]) * wrench[0, :1].nbytes) if len(wrench) else b""
+        for row in wrench:  # a copy of a whole padded batch would take several times its memory
+            digest.update(np.ascontiguousarray(row).data)
+            digest.update(rest)
     for name, values in fields.items():
         digest.update(f"{name} {values.shape} ".encode())
         digest.update("\n".join(values.tolist()).encode() if values.dtype.kind == "U" else values.tobytes())
