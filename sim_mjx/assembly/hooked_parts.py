@@ -43,6 +43,7 @@ class HookedParams(PartParams):
     hook_wear: Float[Array, "*batch 4"]  # m, rubbed off each hook's head, which then reaches less far
     tab_cut: Float[Array, "*batch 4"]  # m, broken off each tab's end; more than the depth of the seat = no hook is left
     stop_play: Float[Array, "*batch"]  # m, between the stop of a whole hook and the edge of its lip
+    foot_reach: Float[Array, "*batch"]  # m, of the rim that meets the seat, beyond the tips: a tilted hand stands on it
     lip_impedance: Float[Array, "*batch 4"]  # least one of a tip on its lip; the nearer to 1, the less it creeps
 
     widest: ClassVar[float] = 2.8e-3  # m, width of a lip's lead-in
@@ -100,6 +101,7 @@ def model_fields(model: mujoco.MjModel, params: HookedParams, arm: str = "R") ->
         geoms |= {f"{arm}TIP_{name}": _tip(index, params), f"{arm}STOP_{name}": _stop(index, params)}
         for geom, place in geoms.items():
             out["geom_pos"][..., model.geom(geom).id, :] = place
+        out["geom_pos"][..., model.geom(f"{arm}FOOT_{name}").id, 2] -= _outward(index) * params.foot_reach
         least, lip = params.lip_impedance[..., index], model.pair(f"{arm}TIP_{name}:LIP_{name}").id
         # under load a third of the compliance is left, as in the nominal hook
         out["pair_solimp"][..., lip, :2] = placed(least, 1 - (1 - least) / 3)

@@ -27,6 +27,7 @@ CAMERA = HookedParams(
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
     stop_play=np.array(0.1e-3),
+    foot_reach=np.array(0.0),
     lip_impedance=np.full(4, 0.97),
     slot_play=np.array(1.358e-3),
     seat_depth=np.array(3.85e-3),

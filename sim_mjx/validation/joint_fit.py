@@ -7,6 +7,7 @@ a search finds parts whose feet slide over the seat and whose hooks touch nothin
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,14 +23,17 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets.session_a import SESSION_A
 from sim_mjx.randomization.overrides import Physical
+from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.validation import gate, sessions, snaps
 from sim_mjx.validation.dynamics import dynamics
 from sim_mjx.validation.sessions import Target
 from sim_mjx.validation.system_id import Losses, Values
 
 CELL_WEIGHT, WORST_CELL, SIGN_WEIGHT, EVENT_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT = 0.25, 4.0, 0.05, 0.3, 1.0, 0.5
+WAIT_WEIGHT, WAIT, WAITS = 0.5, 7.4, 20.0  # median time of a recorded last snap, s into mating; ratio that counts whole
 SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
 LONGEST = 13.0  # s of mating that are simulated: by then nearly all recorded tabs are in
+OWNED = re.compile(r"(?:([^:\[]+):)?(.+)")  # a colon in brackets is a range of elements
 IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or told
 
 
@@ -47,9 +51,11 @@ def physical(values: Values, session: str) -> Physical:
     Example:
         >>> physical({"parts.friction": 0.3, "A:parts.roll": 0.01, "B:parts.roll": 0.02}, "B")
         (('parts.friction', 0.3), ('parts.roll', 0.02))
+        >>> physical({"parts.hook_overlap[2:4]": 8e-4}, "B")
+        (('parts.hook_overlap[2:4]', 0.0008),)
     """
-    named = [(name.rpartition(":"), value) for name, value in values.items()]
-    return tuple((name, value) for (owner, _, name), value in named if owner in ("", session))
+    owned = [(OWNED.fullmatch(name), value) for name, value in values.items()]
+    return tuple((found[2], value) for found, value in owned if found and found[1] in (None, session))
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,7 @@ def session_loss(share: Share, run: Rollouts) -> float:
     signs = gate.wrong_signs(target.profiles, simulated).sum()
     total += CELL_WEIGHT * away + SIGN_WEIGHT * signs + EVENT_WEIGHT * _events(target, run)
     if target.snaps is not None and snaps.share(target.snaps) > 0:
-        total += SNAP_WEIGHT * _missing_snaps(share, run)
+        total += SNAP_WEIGHT * _missing_snaps(share, run) + WAIT_WEIGHT * _wrong_wait(share, run)
     return float(total)
 
 
@@ -148,6 +154,17 @@ def _missing_snaps(share: Share, run: Rollouts) -> float:
     begin, end = run.onset[:, 3] + RUNG, run.length * CONTROL_PERIOD
     fall = quickest_fall(force, begin, end) - quickest_fall(-force, begin, end)
     return float((1.0 - np.clip(fall / SNAP, 0.0, 1.0))[seats(share)].mean())
+
+
+def _wrong_wait(share: Share, run: Rollouts) -> float:
+    """Mean logarithm of the ratio between when the last tab passed and when recorded ones do, at most 1; 1 where none
+    has passed in mating.
+    """
+    passes = passes_of(run.past, run.length)
+    last = [max((start for _, start, end in each.tolist() if end), default=0) * CONTROL_PERIOD for each in passes]
+    wait = np.array(last) - np.nan_to_num(run.onset[:, 3], nan=np.inf)
+    away = np.abs(np.log(np.maximum(wait, WAIT / WAITS) / WAIT)) / np.log(WAITS)
+    return float(np.minimum(away, 1.0)[seats(share)].mean())
 
 
 def quickest_fall(
