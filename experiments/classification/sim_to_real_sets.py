@@ -27,6 +27,7 @@ from sim_mjx.presets import ONE_ARM as PRESETS
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
+from sim_mjx.synthesis.workers import SynthesisProgress
 
 SEED = 20
 ONE = (1.0, 1.0)
@@ -138,7 +139,7 @@ def make(folder: Path, level: str, preset: str) -> None:
         spec = replace(spec, sensor=WORN)
     job = SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 
-    def progress(now: pipeline.SynthesisProgress) -> None:
+    def progress(now: SynthesisProgress) -> None:
         print(f"{target.name}: {now.done}/{now.total}, {now.per_minute:.0f} a minute", flush=True)
 
     print(pipeline.synthesise(target, job, progress=progress), flush=True)

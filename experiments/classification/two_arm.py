@@ -161,7 +161,7 @@ def way_of_left_hand(run: Rollouts) -> dict[str, Any]:
         back.append(way[:, 0].max())
         across.append(np.hypot(way[:, 1], way[:, 2]).max())
         final.append(way[-1, 0])
-    push = np.nanmedian(np.abs(run.wrench[..., 6] - presets.OFFSET[6]).max(1))
+    push = np.nanmedian(np.abs(run.wrench[..., 6] - TWO_ARM["two"].offset[6]).max(1))
     return {
         "largest, along the hand, median mm": round(float(np.median(back)), 3),
         "largest, across, median mm": round(float(np.median(across)), 3),

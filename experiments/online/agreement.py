@@ -32,7 +32,8 @@ def painted(label: np.ndarray, t0: np.ndarray, t1: np.ndarray, samples: int) -> 
 
 def ours(track: LabelTrack, row: int, axis: int, samples: int) -> np.ndarray:
     used = track.label[row, axis] > 0
-    return painted(*(getattr(track, name)[row, axis][used] for name in ("label", "t0", "t1")), samples)
+    label, begin, end = (getattr(track, name)[row, axis][used] for name in ("label", "t0", "t1"))
+    return painted(label, begin, end, samples)
 
 
 def reference(source: str) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], int]]:

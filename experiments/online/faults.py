@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
-from experiments.online.fault_trials import GRADES, NOMINAL, TAIL, Trials
+from experiments.online.fault_trials import GRADES, TAIL, Trials
 from experiments.online.fault_watch import CONFIG, Watched, alarms, monitor, watched
-from rcbht_jax.introspection.fault_monitor import FaultMonitor
+from rcbht_jax.introspection.fault_monitor import NOMINAL, FaultMonitor
 from rcbht_jax.learning.metrics import corrected_interval
 from rcbht_jax.robots.snap_assembly import RECORDED
 

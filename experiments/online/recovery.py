@@ -31,7 +31,7 @@ from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.scene import one_arm
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, horizontal
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
 from sim_mjx.randomization import trials as randomize
@@ -54,7 +54,7 @@ Floats = NDArray[np.float64]
 def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
     """Trials with the hand ``offsets`` [trial, 2] (m) beside the part, mildly randomised otherwise."""
     trials, _ = randomize.sample_batch(preset(PRESET), seed, range(first, first + len(offsets)), MILD)
-    moved = trials.task.way_position + np.pad(offsets, ((0, 0), (0, 1)))[:, None]
+    moved = trials.task.way_position + horizontal(offsets)[:, None]
     return native.simulate(one_arm(), replace(trials, task=replace(trials.task, way_position=moved)))
 
 

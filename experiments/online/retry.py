@@ -25,6 +25,7 @@ from experiments.online.recovery import DIRECTIONS, DOUBT, HOLD, MILD, PRESET, S
 from rcbht_jax.introspection.introspector import FAILURE_TYPE
 from rcbht_jax.introspection.model import IntrospectionModel
 from sim_mjx import env
+from sim_mjx.assembly.task import horizontal
 from sim_mjx.env.environment import State
 from sim_mjx.registry import get_scenario
 
@@ -74,7 +75,7 @@ class Bench:
         seeds = np.random.default_rng([self.seed, number]).integers(0, 2**32, (count, 2), dtype=np.uint32)
         state: State = self.begin(self.scene.trials, jnp.arange(count), seeds)
         task = state.data.params.task
-        moved = jnp.asarray(np.pad(self.faults + correction, ((0, 0), (0, 1))), jnp.float32)[:, None]
+        moved = jnp.asarray(horizontal(self.faults + correction), jnp.float32)[:, None]
         task = replace(task, way_position=task.way_position + moved)
         params = replace(state.data.params, task=task)
         state = replace(state, data=replace(state.data, params=params))

@@ -167,7 +167,8 @@ def summary(runs: list[Any]) -> Any:
         return with_interval(stacked, places=4)
     # Unbounded: None = never in most repeats. Undefined (an empty bin): None.
     middle = np.median(stacked, axis=0) if np.isinf(stacked).any() else _mean(stacked)
-    return np.where(np.isfinite(middle), middle.round(4), None).tolist()
+    told: Any = np.where(np.isfinite(middle), middle.round(4), None)
+    return told.tolist()
 
 
 def _mean(stacked: Floats) -> Floats:

@@ -17,6 +17,7 @@ import tyro
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
+from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.presets import HOOKED, ONE_ARM
 from sim_mjx.presets.session import SessionPreset

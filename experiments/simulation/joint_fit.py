@@ -1,12 +1,14 @@
 """One set of parts for sessions A and B, identified from A and half of the grid of B; the rest and C are predicted.
 
 CMA-ES over what all sessions share (the parts) and what each has of its own (place and stand). The cells of B's grid
-are divided like a chess board. The search resumes from its checkpoint.
-Run: python -m experiments.simulation.joint_fit --engine warp --population 128 --generations 40
+are divided like a chess board. The search begins at the presets, or at the start of an earlier result (--first), and
+resumes from its checkpoint.
+Run: python -m experiments.simulation.joint_fit --engine warp --population 128 --generations 45 --spread 0.06 --seed 2
 """
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Literal
@@ -22,7 +24,7 @@ from sim_mjx.presets import HOOKED
 from sim_mjx.randomization import overrides
 from sim_mjx.validation import sessions, system_id
 from sim_mjx.validation.joint_fit import JointObjective, Share
-from sim_mjx.validation.system_id import Bound, Fit, Generation, Search
+from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, Values
 
 SHARED = {
     "parts.tab_stiffness": Bound(7e3, 1.05e4, True),
@@ -66,8 +68,10 @@ def shares(recordings: Recordings, names: tuple[str, ...]) -> dict[str, Share]:
     return out
 
 
-def search(names: tuple[str, ...], population: int, generations: int, spread: float, seed: int) -> Search:
-    """From the presets' present values."""
+def search(
+    names: tuple[str, ...], population: int, generations: int, spread: float, seed: int, first: Values | None = None
+) -> Search:
+    """From the presets' present values, or from those of ``first`` where it has some."""
     bounds = dict(SHARED)
     start = {name: _present(names[0], name) for name in SHARED}
     for session in names:
@@ -76,6 +80,7 @@ def search(names: tuple[str, ...], population: int, generations: int, spread: fl
         }
         for name, bound in (OWN | around).items():
             bounds[f"{session}:{name}"], start[f"{session}:{name}"] = bound, _present(session, name)
+    start |= {name: value for name, value in (first or {}).items() if name in bounds}
     start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
     return Search(bounds, population, generations, seed, start, spread, {"sessions": list(names)})
 
@@ -92,6 +97,7 @@ def main(
     spread: float = 0.12,
     seed: int = 0,
     store: Path | None = None,
+    first: Path | None = None,
     checkpoint: Path = Path("joint_fit.json"),
     max_seconds: float = np.inf,
 ) -> None:
@@ -109,7 +115,8 @@ def main(
         if took > max_seconds:
             raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
-    how = search(tuple(seen), population, generations, spread, seed)
+    values = None if first is None else json.loads(first.read_text())["result"]["start"]
+    how = search(tuple(seen), population, generations, spread, seed, values)
     best = system_id.fit(
         JointObjective(HOOKED[session[0]].scene(), seen, engine, seed),
         how,
@@ -120,7 +127,8 @@ def main(
         name for name, bound in how.bounds.items() if min(abs(best.values[name] - end) for end in bound[:2]) < 1e-9
     ]
     result = {
-        "values": best.values, "loss": best.loss, "generations": len(best.generations), "at_bound": at_bound,
+        "start": how.start, "values": best.values, "loss": best.loss, "generations": len(best.generations),
+        "at_bound": at_bound,
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip

@@ -82,8 +82,8 @@ def streamed(config: AnyConfig, limits: AnyLimits, recordings: Recordings) -> li
         wrench = np.zeros((LONGEST, len(recordings.axes)), np.float32)  # one shape, one compilation
         wrench[:samples] = recordings.wrench[row, :samples]
         out = snapshots(config, table, jnp.asarray(wrench.reshape(-1, WINDOW, wrench.shape[1])))
-        said = jax.tree.map(lambda leaf, end=samples // WINDOW: np.asarray(leaf)[:end], out)
-        found.append(Trial(*said, wrench[:samples]))
+        published, held, ended = jax.tree.map(lambda leaf, end=samples // WINDOW: np.asarray(leaf)[:end], out)
+        found.append(Trial(published, held, ended, wrench[:samples]))
     return found
 
 

@@ -43,7 +43,8 @@ def of_noise(name: str, rule: str, seed: int) -> dict[str, Any]:
             first, second = (_best(data, copy, window) for copy in copies)
             found[f"{level:g}"] = {"primitive": rounded(agreement(zip(first, second, strict=True), WINDOW))}
         else:
-            found[f"{level:g}"] = _agreement(*(_labels(data, rule, copy, window) for copy in copies), data, WINDOW)
+            first, second = (_labels(data, rule, copy, window) for copy in copies)
+            found[f"{level:g}"] = _agreement(first, second, data, WINDOW)
     return found
 
 

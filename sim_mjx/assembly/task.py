@@ -55,6 +55,15 @@ class TaskParams:
     rest: Float[Array, "*batch"]  # s, recorded after mating, the robot keeping still
 
 
+def horizontal(offset: Float64[np.ndarray, "*batch 2"]) -> Float64[np.ndarray, "*batch 3"]:
+    """An offset in the plane, m, as one in space.
+
+    >>> horizontal(np.array([1e-3, -2e-3])).tolist()
+    [0.001, -0.002, 0.0]
+    """
+    return np.concatenate([offset, np.zeros((*offset.shape[:-1], 1))], axis=-1)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TaskState:

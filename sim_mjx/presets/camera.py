@@ -2,10 +2,10 @@
 
 The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood
 and how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest
-was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``). Then the heights of
-rear lips, feet and seat, the rear overlap, the play of the stop and the stand of B were set by hand, so that the rear
-hooks carry the whole push and the hand may fall when they let go (``docs/snap_fit.md``). C was not fitted: its part
-stands where the preset of session C has it, relative to B's.
+was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``). Then the depth of the
+seat, the play of the slots, overlap and impedance of the rear hooks, friction, and the place of B's part from left to
+right were set by hand on the same half (``docs/snap_fit.md``). C was not fitted: its part stands where the preset of
+session C has it, relative to B's.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from sim_mjx.presets.session_b import SESSION_B
 from sim_mjx.presets.session_c import SESSION_C
 
 CAMERA = HookedParams(
-    tab_stiffness=np.full(4, 10.24e3),
+    tab_stiffness=np.full(4, 10.28e3),
     tab_damping=np.full(4, 64.0),  # critical, with the armature of a tab
-    hook_overlap=np.array([0.833e-3, 0.833e-3, 1.02e-3, 1.02e-3]),
+    hook_overlap=np.array([0.703e-3, 0.703e-3, 1e-3, 1e-3]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    stop_play=np.array(0.1e-3),
-    foot_reach=np.array(0.0),
-    lip_impedance=np.full(4, 0.97),
-    slot_play=np.array(1.358e-3),
-    seat_depth=np.array(3.85e-3),
-    foot_spread=np.array(10.9e-3),
-    foot_offset=np.array([-7.915e-3, -6.705e-3]),
-    rear_rise=np.array([-1.4e-3, 0.0]),
-    foot_contact=np.array([0.02452, 0.9175, 0.96, 0.2741e-3]),
-    friction=np.array(0.308),  # plastic on plastic: 0.2 to 0.4
-    mount_stiffness=np.array([4139.0, 3184.0, 6500.0]),
-    mount_damping=np.array([127.2, 39.65, 200.0]),
-    position=np.array([0.174e-3, -1.641e-3, 2.8e-3]),
-    roll=np.array(0.01435),
+    stop_play=np.array(0.248e-3),
+    foot_reach=np.array(0.526e-3),
+    lip_impedance=np.array([0.964, 0.964, 0.988, 0.988]),
+    slot_play=np.array(1e-3),
+    seat_depth=np.array(3.55e-3),
+    foot_spread=np.array(10.18e-3),
+    foot_offset=np.array([-1.819e-3, -4.293e-3]),
+    rear_rise=np.array([-1.115e-3, -0.2224e-3]),
+    foot_contact=np.array([0.01366, 0.8737, 0.96, 0.5971e-3]),
+    friction=np.array(0.25),  # plastic on plastic: 0.2 to 0.4
+    mount_stiffness=np.array([3833.0, 3394.0, 6581.0]),
+    mount_damping=np.array([181.3, 81.25, 154.1]),
+    position=np.array([-3.227e-3, -1.6e-3, 1.224e-3]),
+    roll=np.array(0.03253),
 )
 
 
@@ -55,10 +55,10 @@ def hooked(session: SessionPreset, parts: HookedParams) -> SessionPreset:
 
 _STAND_OF_A = replace(
     CAMERA,
-    mount_stiffness=np.array([3914.0, 5718.0, 6481.0]),
-    mount_damping=np.array([19.31, 200.2, 55.8]),
-    position=np.array([-1.123e-3, 2.345e-3, 1.42e-3]),
-    roll=np.array(0.01158),
+    mount_stiffness=np.array([2267.0, 2258.0, 7209.0]),
+    mount_damping=np.array([21.64, 178.7, 49.11]),
+    position=np.array([-2.043e-3, 1.709e-3, 1.841e-3]),
+    roll=np.array(0.02494),
 )
 _FROM_B_TO_C = SESSION_C.parts.position - SESSION_B.parts.position
 HOOKED_A = hooked(SESSION_A, _STAND_OF_A)

@@ -21,7 +21,7 @@ from sim_mjx.assembly import parts
 from sim_mjx.assembly.parts import TABS, PartParams
 from sim_mjx.assembly.rollout import TrialParams, repeated
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorParams
-from sim_mjx.assembly.task import TaskParams
+from sim_mjx.assembly.task import TaskParams, horizontal
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import Range, SessionPreset
 from sim_mjx.randomization import overrides
@@ -227,7 +227,7 @@ def sample_batch(
     if preset.real or spec.sensor is not None:
         sensor = _measured(sensor, drawn)
     parts.check(part)
-    away = hand - np.pad(faulty.part, ((0, 0), (0, 1)))
+    away = hand - horizontal(faulty.part)
     faults = [Fault(*one) for one in zip(kinds, faulty.failure_type, away, strict=True)]
     return TrialParams(task, sensor, part, lag, key), faults
 
@@ -329,7 +329,7 @@ def _parts(part: PartParams, drawn: _Numbers, faulty: _Faulty) -> PartParams:
         tab_stiffness=part.tab_stiffness * drawn["stiffness"],
         mount_stiffness=part.mount_stiffness * drawn["mount"],
         friction=part.friction * (drawn["friction"][:, 0] * faulty.friction),
-        position=part.position + np.pad(faulty.part, ((0, 0), (0, 1))),
+        position=part.position + horizontal(faulty.part),
     )
     return part.with_overlap(
         np.where(np.isnan(faulty.hooks), part.hook_overlap * (drawn["overlap"] * faulty.overlap), faulty.hooks)

@@ -20,7 +20,7 @@ from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED, RECORDED, snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, horizontal
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
 from sim_mjx.presets.session import SessionPreset
@@ -76,7 +76,7 @@ def trials_of(
     drawn, _ = trials.sample_batch(session, seed, range(count), spec)
     way = drawn.task.way_position
     if cells:
-        way = way + np.pad(np.array(cells[:count]) * 1e-3, ((0, 0), (0, 1)))[:, None]
+        way = way + horizontal(np.array(cells[:count]) * 1e-3)[:, None]
     return replace(drawn, task=replace(drawn.task, way_position=way, mating_time=np.full(count, mating)))
 
 

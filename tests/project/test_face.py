@@ -20,6 +20,7 @@ def test_every_name_has_an_example(name: str) -> None:
 
 def test_there_are_few_names_and_they_are_listed() -> None:
     assert 20 <= len(rj.__all__) <= 30
+    assert rj.__all__ == sorted(rj._HOME)
     assert set(rj.__all__) <= set(dir(rj))
     with pytest.raises(AttributeError, match="no attribute 'encoder_config'"):
         rj.encoder_config  # noqa: B018

@@ -41,6 +41,9 @@ def test_own_parameters_belong_to_their_session_only() -> None:
     values = {"parts.friction": 0.3, "hooked-A:parts.roll": 0.01, "hooked-B:parts.roll": 0.02}
     assert physical(values, "hooked-A") == (("parts.friction", 0.3), ("parts.roll", 0.01))
     assert physical(values, "hooked-C") == (("parts.friction", 0.3),)
+    ranges = {"parts.hook_overlap[2:4]": 8e-4, "hooked-B:parts.lip_impedance[0:2]": 0.98}  # their colons are no owner's
+    assert physical(ranges, "hooked-A") == (("parts.hook_overlap[2:4]", 8e-4),)
+    assert physical(ranges, "hooked-B") == (("parts.hook_overlap[2:4]", 8e-4), ("parts.lip_impedance[0:2]", 0.98))
 
 
 def test_outcomes_are_those_of_the_placements() -> None:
@@ -82,6 +85,19 @@ def test_a_tab_that_gives_way_counts_and_ringing_does_not() -> None:
     assert missing["level"] > 0.95
     assert missing["ringing"] > 0.9
     assert missing["snap"] < 0.1
+
+
+def test_the_wait_for_the_last_tab_is_compared_with_the_recorded_one() -> None:
+    samples, mating = 4000, 0.3
+    run = rollouts(np.zeros((2, samples, 6), np.float32), np.ones((2, 4), np.bool_))
+    wrong = {}
+    for wait in (-0.2, joint_fit.WAIT / 4, joint_fit.WAIT):
+        run.past[...] = False
+        run.past[:, round((mating + wait) / CONTROL_PERIOD) :] = True
+        wrong[wait] = joint_fit._wrong_wait(share(), run)
+    run.past[...] = False  # none passes
+    assert wrong[joint_fit.WAIT] < 0.01 < wrong[joint_fit.WAIT / 4] < 0.5
+    assert wrong[-0.2] == joint_fit._wrong_wait(share(), run) == 1.0
 
 
 def test_impossible_parts_are_the_worst_and_others_are_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
