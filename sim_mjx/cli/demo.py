@@ -19,7 +19,6 @@ from rcbht_jax.cli.learning import Evaluate, Train
 from rcbht_jax.cli.store import ImportHiro
 from rcbht_jax.errors import InputError
 from sim_mjx.cli.simulate import Simulate
-from sim_mjx.cli.view import View
 
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
@@ -103,14 +102,18 @@ class Demo(Command):
     def _draw(self, store: Path) -> list[Path]:
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import label_map, save
+        from sim_mjx.plots.trial_overview import trial_overview
+        from sim_mjx.validation.replay import events, simulated
 
         recordings, (_, tracks, _) = read_recordings(store), drawn_words(store, "", self.rule)
         paths = []
         for name, fault in (("success", "none"), ("failure", "jamming")):
-            trial = _first(recordings, store, fault, name)
-            if trial is not None:
+            row = _first(recordings, store, fault, name)
+            if row is not None:
                 paths.append(self.out / f"{name}.png")
-                View(store, trial, paths[-1], rule=self.rule).run()
+                replay = simulated(store, recordings, row)
+                times = events(replay, recordings, row)
+                save(trial_overview(replay, recordings, tracks, row, times, SAYS[self.rule]), paths[-1])
         paths.append(self.out / "label-map.png")
         rows = recordings.outcome == "success"
         title = f"simulated trials that succeeded, {SAYS[self.rule]}"
@@ -119,12 +122,12 @@ class Demo(Command):
         return paths
 
 
-def _first(recordings: Recordings, store: Path, fault: str, outcome: str) -> str | None:
-    """Name of the first trial with a fault and an outcome."""
+def _first(recordings: Recordings, store: Path, fault: str, outcome: str) -> int | None:
+    """Row of the first trial with a fault and an outcome."""
     from rcbht_jax.io.store import read_simulation
 
     rows = np.flatnonzero((read_simulation(store)["fault"] == fault) & (recordings.outcome == outcome))
-    return str(recordings.trial[rows[0]]) if len(rows) else None
+    return int(rows[0]) if len(rows) else None
 
 
 def _summary(result: dict[str, Any]) -> str:

@@ -135,7 +135,7 @@ CELLS = [
      ".2f hook_bench > parts > four tabs, two after two > press"),
     ("snap-needs", "seat 0.4 mm higher", "fall, N", ".2f snap_needs > rows > seat 0.4 mm higher > fall, N"),
     ("snap-creep", "3", "0.95 mm", ".2f snap_creep > sweep > 3 > 0.95 > s after mating began"),
-    ("snap-holds", "rear lips hold", "coverage", ".3f snap_creep > gate > rear lips hold > coverage > mean"),
+    ("snap-holds", "rear lips hold harder", "coverage", ".3f snap_creep > gate > rear lips hold harder > coverage > mean"),
     ("solver", "`mjx`, one H200 | 6/4", "million steps per second",
      ".2f/1e6 engines_gpu > mjx > solver > 0 > steps_per_s"),
     ("speed", "`warp`, one H200 | 8,192", "million steps per second",
