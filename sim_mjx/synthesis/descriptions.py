@@ -40,9 +40,13 @@ def are_intact(folder: Path, store: Path) -> bool:
 
 def _holds_files(store: Path, noted: Collection[str]) -> bool:
     """Whether there are only files and folders, and chunks in folders: no part is written through a link."""
-    odd = (path for path in [store, *store.rglob("*")] if path.is_symlink() or not (path.is_dir() or path.is_file()))
-    chunks = (path for path in store.rglob("c") if str(path.relative_to(store)) not in noted)  # that of a scalar is
-    return not any(odd) and all(path.is_dir() for path in chunks)
+    return all(_is_part(path, str(path.relative_to(store)) in noted) for path in [store, *store.rglob("*")])
+
+
+def _is_part(path: Path, noted: bool) -> bool:
+    if path.is_symlink():
+        return False
+    return path.is_dir() or (path.is_file() and (noted or path.name != "c"))  # that of a scalar is noted
 
 
 def _text(file: Path) -> str:
