@@ -43,12 +43,12 @@ def changed(
     impratio: float = SESSION.impratio, overlap: float | None = None, held: float | None = None
 ) -> SessionPreset:
     """The preset with another ``impratio``, rear hooks that reach ``overlap`` mm and whose contacts hold harder."""
-    own, parts = CAMERA, dict[str, Any]()
+    parts = CAMERA
     if overlap is not None:
-        parts["hook_overlap"] = np.where(REAR > 0, overlap * 1e-3, own.hook_overlap)
+        parts = replace(parts, hook_overlap=np.where(REAR > 0, overlap * 1e-3, parts.hook_overlap))
     if held is not None:
-        parts["lip_impedance"] = np.where(REAR > 0, held, own.lip_impedance)
-    return replace(SESSION, impratio=impratio, parts=replace(own, **parts))
+        parts = replace(parts, lip_impedance=np.where(REAR > 0, held, parts.lip_impedance))
+    return replace(SESSION, impratio=impratio, parts=parts)
 
 
 def candidates() -> dict[str, SessionPreset]:

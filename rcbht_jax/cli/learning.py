@@ -98,11 +98,16 @@ class _Learning(Command):
 
     def read_data(self) -> tuple[Recordings, WrenchFacts]:
         """The recordings without their samples, and what is needed of these."""
-        from rcbht_jax.io.store import longest_of, read_batches, read_table
-        from rcbht_jax.learning.wrench_facts import WrenchFacts
+        return table_and_facts(self.store)
 
-        recordings = read_table(self.store)
-        return recordings, WrenchFacts.of(recordings, read_batches(self.store), longest_of(self.store))
+
+def table_and_facts(store: Path) -> tuple[Recordings, WrenchFacts]:
+    """The recordings of a store without their samples, and what is needed of these, which are read part by part."""
+    from rcbht_jax.io.store import longest_of, read_batches, read_table
+    from rcbht_jax.learning.wrench_facts import WrenchFacts
+
+    recordings = read_table(store)
+    return recordings, WrenchFacts.of(recordings, read_batches(store), longest_of(store))
 
 
 @dataclass(frozen=True)

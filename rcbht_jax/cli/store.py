@@ -77,27 +77,17 @@ class Info(Command):
     """Read all of a large store too and compare it with its checksums."""
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.cli.learning import table_and_facts
         from rcbht_jax.io.label_store import list_tracks
-        from rcbht_jax.io.store import (
-            SMALL_BYTES,
-            longest_of,
-            progress_of,
-            read_attrs,
-            read_batches,
-            read_summary,
-            read_table,
-            verify,
-        )
+        from rcbht_jax.io.store import SMALL_BYTES, progress_of, read_attrs, read_summary, verify
         from rcbht_jax.io.summary import summary_of
         from rcbht_jax.learning.tasks import task_names
-        from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         there, expected, axes, size = progress_of(self.store)
         attrs, tasks, verified = read_attrs(self.store), dict[str, Any](), False
         if there == expected and size <= SMALL_BYTES:
-            recordings = read_table(self.store)
+            recordings, facts = table_and_facts(self.store)
             summary, verified = summary_of(recordings), True
-            facts = WrenchFacts.of(recordings, read_batches(self.store), longest_of(self.store))
             tasks = {name: _task(recordings, name, facts) for name in task_names(recordings)}
         else:
             summary = read_summary(self.store)
