@@ -28,7 +28,7 @@ from sim_mjx.validation.replay import Recorder, raw_force
 
 SESSION = HOOKED["hooked-B"]
 CELLS = ((0, 0), (2, 0), (1, 1), (0, -1), (-1, 0), (-2, 1))  # mm, placements that were recorded to seat
-LONGEST = 10.0  # s of mating
+LONGEST = 12.0  # s of mating
 REAR = np.array([0.0, 0.0, 1.0, 1.0])  # of the four tabs
 
 

@@ -21,26 +21,29 @@ from sim_mjx.presets.session_b import SESSION_B
 from sim_mjx.presets.session_c import SESSION_C
 
 CAMERA = HookedParams(
-    tab_stiffness=np.full(4, 10.28e3),
+    tab_stiffness=np.full(4, 10.23e3),
     tab_damping=np.full(4, 64.0),  # critical, with the armature of a tab
-    hook_overlap=np.array([0.703e-3, 0.703e-3, 1e-3, 1e-3]),
+    hook_overlap=np.array([0.7197e-3, 0.7197e-3, 0.95e-3, 0.95e-3]),
     hook_wear=np.zeros(4),
     tab_cut=np.zeros(4),
-    stop_play=np.array(0.248e-3),
-    foot_reach=np.array(0.526e-3),
-    lip_impedance=np.array([0.964, 0.964, 0.988, 0.988]),
-    slot_play=np.array(1e-3),
-    seat_depth=np.array(3.55e-3),
-    foot_spread=np.array(10.18e-3),
-    foot_offset=np.array([-1.819e-3, -4.293e-3]),
-    rear_rise=np.array([-1.115e-3, -0.2224e-3]),
-    foot_contact=np.array([0.01366, 0.8737, 0.96, 0.5971e-3]),
-    friction=np.array(0.25),  # plastic on plastic: 0.2 to 0.4
+    stop_play=np.array(0.2531e-3),
+    foot_reach=np.array(1.33e-3),
+    lip_impedance=np.array([0.9633, 0.9633, 0.9805, 0.9805]),
+    slot_play=np.array(1.073e-3),
+    seat_depth=np.array(3.763e-3),
+    foot_spread=np.array(9.613e-3),
+    foot_offset=np.array([-2.311e-3, -2.764e-3]),
+    rear_rise=np.array([-1.303e-3, -0.2567e-3]),
+    foot_contact=np.array([0.01216, 0.8851, 0.96, 0.6658e-3]),
+    friction=np.array(0.2275),  # plastic on plastic: 0.2 to 0.4
     mount_stiffness=np.array([3833.0, 3394.0, 6581.0]),
     mount_damping=np.array([181.3, 81.25, 154.1]),
     position=np.array([-3.227e-3, -1.6e-3, 1.224e-3]),
-    roll=np.array(0.03253),
+    roll=np.array(0.03577),
 )
+
+
+IMPRATIO = 3.0  # of scenes with hooks: with 1 resting contacts creep, and hooks let go seconds too early
 
 
 def hooked(session: SessionPreset, parts: HookedParams) -> SessionPreset:
@@ -50,15 +53,15 @@ def hooked(session: SessionPreset, parts: HookedParams) -> SessionPreset:
         >>> hooked(SESSION_B, CAMERA).name
         'hooked-B'
     """
-    return replace(session, name=f"hooked-{session.name}", parts=parts)
+    return replace(session, name=f"hooked-{session.name}", parts=parts, impratio=IMPRATIO)
 
 
 _STAND_OF_A = replace(
     CAMERA,
-    mount_stiffness=np.array([2267.0, 2258.0, 7209.0]),
-    mount_damping=np.array([21.64, 178.7, 49.11]),
-    position=np.array([-2.043e-3, 1.709e-3, 1.841e-3]),
-    roll=np.array(0.02494),
+    mount_stiffness=np.array([2488.0, 2131.0, 7256.0]),
+    mount_damping=np.array([15.2, 199.5, 37.16]),
+    position=np.array([-1.265e-3, 0.2848e-3, 1.382e-3]),
+    roll=np.array(0.02275),
 )
 _FROM_B_TO_C = SESSION_C.parts.position - SESSION_B.parts.position
 HOOKED_A = hooked(SESSION_A, _STAND_OF_A)

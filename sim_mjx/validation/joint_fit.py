@@ -32,7 +32,7 @@ from sim_mjx.validation.system_id import Losses, Values
 CELL_WEIGHT, WORST_CELL, SIGN_WEIGHT, EVENT_WEIGHT, OUTCOME_WEIGHT, SNAP_WEIGHT = 0.25, 4.0, 0.05, 0.3, 1.0, 0.5
 WAIT_WEIGHT, WAIT, WAITS = 0.5, 7.4, 20.0  # median time of a recorded last snap, s into mating; ratio that counts whole
 SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
-LONGEST = 10.0  # s of mating that are simulated: by then three quarters of the recorded tabs are in
+LONGEST = 12.0  # s of mating that are simulated: by then most of the recorded tabs are in
 OWNED = re.compile(r"(?:([^:\[]+):)?(.+)")  # a colon in brackets is a range of elements
 IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or told
 
