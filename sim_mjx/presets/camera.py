@@ -2,10 +2,9 @@
 
 The same plastic parts were used in sessions A, B and C: what differs between sessions is where the female part stood
 and how its stand yields. Angles and tip come from the drawing (:data:`sim_mjx.assembly.hooked_parts.HOOK`), the rest
-was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``). Then the depth of the
-seat, the play of the slots, overlap and impedance of the rear hooks, friction, and the place of B's part from left to
-right were set by hand on the same half (``docs/snap_fit.md``). C was not fitted: its part stands where the preset of
-session C has it, relative to B's.
+was identified from A and one half of B's grid (``python -m experiments.simulation.joint_fit``), twice, and partly set
+by hand on the same half: the part lies halfway between the two results (``docs/snap_fit.md``). C was not fitted: its
+part stands where the preset of session C has it, relative to B's.
 """
 
 from __future__ import annotations

@@ -136,7 +136,8 @@ def test_friction_and_lips_hold_as_the_preset_and_the_part_say() -> None:
     held = replace(HOOKED_B.parts, lip_impedance=np.array([0.97, 0.97, 0.99, 0.99]))
     scene = replace(HOOKED_B, impratio=10.0, parts=held).scene()
     assert scene.model.opt.impratio == 10.0
-    assert get_scenario("hooked-B").scene().model.opt.impratio == get_scenario("B").scene().model.opt.impratio == 1.0
+    assert get_scenario("hooked-B").scene().model.opt.impratio == HOOKED_B.impratio == 3.0
+    assert get_scenario("B").scene().model.opt.impratio == 1.0
     model = native.model_of(scene, held)
     front, rear = (model.pair(f"RTIP_{tab}:LIP_{tab}").solimp[:2] for tab in ("FR", "RR"))
     np.testing.assert_allclose([front, rear], [[0.97, 0.99], [0.99, 0.99667]], atol=1e-5)
