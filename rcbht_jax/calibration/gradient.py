@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -139,6 +139,7 @@ def calibrate(
     options: GradientOptions,
     *,
     held_out: CalibrationData | None = None,
+    devices: Sequence[jax.Device] | None = None,
     progress: Callable[[int], None] | None = None,
     rest: RestSlopes | RestRuns | None = None,
 ) -> TrainResult:
@@ -150,6 +151,7 @@ def calibrate(
         start: initial limits ``[6, 4]``, strictly ordered; by the fit rule FitLimits.
         options: settings of the training.
         held_out: trials whose loss at the temperature of each step is recorded; they are not used otherwise.
+        devices: that share the trials of a step; sums over trials then differ in their last digits. None = the default.
         progress: called with the number of steps done since the last call.
         rest: its soft penalty is added to the loss where rest is not labelled constant.
 
@@ -166,6 +168,12 @@ def calibrate(
     state = _optimizer(fixed).init(parameters)
     batch = batch_of(data, config)
     other = None if held_out is None else batch_of(held_out, config)
+    shared = None
+    if devices:
+        mesh = jax.sharding.Mesh(np.array(devices), ("trial",))
+        shared = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("trial"))
+        everywhere = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
+        parameters, state, batch, other, rest = jax.device_put((parameters, state, batch, other, rest), everywhere)
     history: list[tuple[float, float, float]] = []
     path, began = [], time.perf_counter()
     temperatures = np.geomspace(*options.temperature, options.steps).astype(np.float32)
@@ -173,7 +181,7 @@ def calibrate(
         # copies are explicit, so that a transfer guard can show that nothing else leaves the device
         now, chosen = jax.device_put((temperature, rows.astype(np.int32)))
         outside = np.nan if other is None else float(jax.device_get(_loss(config, fixed, parameters, other, now)))
-        parameters, state, inside = _step(config, fixed, parameters, state, batch, chosen, now, rest)
+        parameters, state, inside = _step(config, fixed, shared, parameters, state, batch, chosen, now, rest)
         value, limits = jax.device_get((inside, _limits(parameters.free)))
         history.append((time.perf_counter() - began, float(value), outside))
         path.append(limits.astype(np.float64))
@@ -221,10 +229,11 @@ def _optimizer(options: GradientOptions) -> optax.GradientTransformation:
     )
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _step(
     config: AnyConfig,
     options: GradientOptions,
+    shared: jax.sharding.NamedSharding | None,
     parameters: Parameters,
     state: Any,
     batch: Batch,
@@ -233,6 +242,8 @@ def _step(
     rest: RestSlopes | RestRuns | None,
 ) -> tuple[Parameters, Any, Array]:
     some = jax.tree.map(lambda leaf: leaf[rows], batch) if options.batch else batch
+    if shared is not None:
+        some = jax.lax.with_sharding_constraint(some, shared)
 
     def total(parameters: Parameters) -> tuple[Array, Array]:
         value = loss(config, options, parameters, some, temperature)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,15 +23,17 @@ from rcbht_jax._util import checkpoint as files
 from rcbht_jax._util import cma
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
-from rcbht_jax.calibration.objective import SCORES, Objective, scores
+from rcbht_jax.calibration.objective import SCORES, Objective, begin_scores
 from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.calibration.rest_runs import RANGE, RestRuns
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, gradients_of
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
+from rcbht_jax.types import Array
 
 Floats = NDArray[np.float64]
+Scores = NDArray[np.float32]
 TOLERANCES = (float(RANGE[0]), float(RANGE[-1]))  # least and largest of a search, in tolerances of its base
 # Candidates x recordings encoded at once, which fit the cache of a core or fill a GPU, ...
 _TOGETHER = {"cpu": (128, 1), "gpu": (4096, 8)}
@@ -165,7 +167,8 @@ def score_candidates(
     *,
     chunk: int | None = None,
     group: int | None = None,
-    progress: Callable[[int, NDArray[np.float32]], None] | None = None,
+    devices: Sequence[jax.Device] | None = None,
+    progress: Callable[[int, Scores], None] | None = None,
 ) -> Float[np.ndarray, "candidate score"]:
     """Scores of candidate thresholds, float32 in the order of :data:`rcbht_jax.calibration.objective.SCORES`.
 
@@ -175,6 +178,8 @@ def score_candidates(
         thresholds: candidates ``[candidate, 6, 4]``, of the fit rule FitLimits.
         chunk: candidates encoded at once, which bounds memory; the result does not depend on it.
         group: recordings encoded at once; the result does not depend on it.
+        devices: that take turns with the chunks, all of one kind; the result does not depend on how many there are.
+            None = where the data are, or JAX's default device.
         progress: called after each chunk with the index of its first candidate and its scores.
 
     Raises:
@@ -182,19 +187,28 @@ def score_candidates(
     """
     limits = checked_limits(config, thresholds)
     backend = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    given, places = (data.signal(config), data.edges, data.y), devices or (None,)
+    turns = [(place, *jax.device_put(given, place)) for place in places]
     # a power of two, so that few sizes are compiled
-    chunk = min(chunk or _chunk(backend, data), 1 << (len(limits) - 1).bit_length())
+    chunk = min(chunk or _chunk(backend, data), 1 << (-(-len(limits) // len(turns)) - 1).bit_length())
     group = group or min(max(1, math.prod(_TOGETHER[backend]) // chunk), len(data))
-    signal, edges, y = jax.device_put((data.signal(config), data.edges, data.y))
     dtype = data.windows.slope.dtype
-    out = []
-    for start in range(0, len(limits), chunk):
+
+    def begin(start: int, place: jax.Device | None, signal: Any, edges: Array, y: Array) -> Callable[[], Scores]:
+        """Ask a device for the scores of one chunk."""
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
-        times = label_durations(config, jax.device_put(padded), signal, edges, group=group)
-        out.append(scores(times, y, len(data.classes))[: len(some)])
-        if progress is not None:
-            progress(start, out[-1])
+        times = label_durations(config, jax.device_put(padded, place), signal, edges, group=group)
+        return begin_scores(times, y, len(data.classes))
+
+    out = list[Scores]()
+    for first in range(0, len(limits), chunk * len(turns)):
+        starts = range(first, min(first + chunk * len(turns), len(limits)), chunk)
+        begun = [begin(start, *turn) for start, turn in zip(starts, turns, strict=False)]
+        for start, ended in zip(starts, begun, strict=True):
+            out.append(ended()[: len(limits) - start])
+            if progress is not None:
+                progress(start, out[-1])
     return np.concatenate(out)
 
 
@@ -214,16 +228,17 @@ class _Run:
         options: SearchOptions,
         stored: ScoreCheckpoint,
         chunk: int | None,
+        devices: Sequence[jax.Device] | None,
         rest: RestSlopes | RestRuns | None,
     ):
-        self.rest = rest
+        self.devices, self.rest = devices, rest
         self.data, self.config, self.options, self.stored, self.chunk = data, config, options, stored, chunk
         self.weights = options.objective.weights()
         self.number = 0
         self.history: list[tuple[int, float, float]] = []
         self.start = time.perf_counter()
 
-    def __call__(self, points: Floats, trials: float, progress: Callable[[int], None] | None) -> NDArray[np.float32]:
+    def __call__(self, points: Floats, trials: float, progress: Callable[[int], None] | None) -> Scores:
         rows = np.arange(len(self.data))
         if trials < 1:
             shuffled = np.random.default_rng(self.options.seed).permutation(len(rows))
@@ -232,7 +247,7 @@ class _Run:
         known = self.stored.read(first, len(points))
         done = len(known)
 
-        def keep(start: int, new: NDArray[np.float32]) -> None:
+        def keep(start: int, new: Scores) -> None:
             self.stored.write(first + done + start, new)
             if progress is not None:
                 progress(len(new))
@@ -242,12 +257,12 @@ class _Run:
         if done < len(points):
             part = self.data if trials == 1 else self.data.take(rows)
             candidates = self.options.space.thresholds(points[done:])
-            new = score_candidates(part, self.config, candidates, chunk=self.chunk, progress=keep)
+            new = score_candidates(part, self.config, candidates, chunk=self.chunk, devices=self.devices, progress=keep)
             known = np.concatenate([known.reshape(-1, new.shape[1]), new])
         self.number += len(points)
         return known
 
-    def values(self, scores: NDArray[np.float32], points: Floats) -> Floats:
+    def values(self, scores: Scores, points: Floats) -> Floats:
         """Weighted sum less the penalty, rounded so that ties do not depend on the last bit of a device."""
         value = scores.astype(np.float64) @ self.weights
         if self.rest is not None:
@@ -265,6 +280,7 @@ def search(
     options: SearchOptions,
     *,
     chunk: int | None = None,
+    devices: Sequence[jax.Device] | None = None,
     checkpoint: Path | None = None,
     progress: Callable[[int], None] | None = None,
     rest: RestSlopes | RestRuns | None = None,
@@ -276,6 +292,7 @@ def search(
         config: static configuration of the encoder.
         options: space, objective and budget.
         chunk: candidates encoded at once; the result does not depend on it.
+        devices: that share the work, see :func:`score_candidates`.
         checkpoint: file for the scores, from which a search with the same data and options resumes.
         progress: called with the number of candidates done since the last call.
         rest: its penalty is subtracted from the objective of a candidate that does not label rest as constant.
@@ -286,7 +303,7 @@ def search(
     if len(np.unique(jax.device_get(data.y))) < 2:
         raise InputError("Thresholds can only be searched on sentences of at least two classes.")
     made_by = None if checkpoint is None else _made_by(data, config, options)
-    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, rest)
+    run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, devices, rest)
     points = options.points()
     for rung in options.rungs:
         scores = run(points, rung, progress)
@@ -341,11 +358,11 @@ class ScoreCheckpoint:
         stored = None if path is None else files.load(path, made_by)
         self._scores = np.zeros((0, 0), np.float32) if stored is None else np.array(stored, np.float32)
 
-    def read(self, first: int, count: int) -> NDArray[np.float32]:
+    def read(self, first: int, count: int) -> Scores:
         """Known scores of evaluations ``first`` and following, at most ``count``."""
         return self._scores[first : first + count]
 
-    def write(self, first: int, scores: NDArray[np.float32]) -> None:
+    def write(self, first: int, scores: Scores) -> None:
         """Append scores of evaluations ``first`` and following, which must come right after the last known one."""
         if first != len(self._scores):
             raise ValueError(f"evaluation {first} does not follow the {len(self._scores)} known ones")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
+from rcbht_jax._util.devices import wanted
 from rcbht_jax.cli.command import (
     Arm,
     Boundaries,
@@ -20,11 +21,14 @@ from rcbht_jax.cli.command import (
     Store,
     Task,
     checked_tolerance,
+    option,
     progress_bar,
 )
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
+    import jax
+
     from rcbht_jax.calibration.dataset import CalibrationData
     from rcbht_jax.calibration.rest import RestSlopes
     from rcbht_jax.calibration.rest_runs import RestRuns
@@ -83,6 +87,7 @@ class Calibrate(RuleCommand):
     """Loss of the classifier (gradient)."""
     straight_through: Flag = False
     """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
+    devices: Annotated[str | None, option("GPUs of this machine that share the work (search, gradient).", "1")] = None
     rest_weight: float = 1.0
     """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = rest does not matter. The
     context method then takes what rest does as the least constant limit."""
@@ -113,6 +118,9 @@ class Calibrate(RuleCommand):
             raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
         if self.method == "context" and self.thresholds is not None:
             raise InputError("--thresholds is for the methods search and gradient; the method context reads --robot.")
+        if self.devices is not None and self.method not in ("search", "gradient"):
+            raise InputError("--devices is for the methods search and gradient; leave it out.")
+        self._chosen_devices()  # wrong ones are said before the work
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
         if self.method == "rest":
@@ -249,6 +257,11 @@ class Calibrate(RuleCommand):
         context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
+    def _chosen_devices(self) -> list[jax.Device] | None:
+        import jax
+
+        return None if self.devices is None else jax.devices()[: wanted(self.devices, len(jax.devices()))]
+
     def _search(
         self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
     ) -> tuple[AnyLimits, dict[str, Any]]:
@@ -265,7 +278,10 @@ class Calibrate(RuleCommand):
         )
         slopes = self._slopes(recordings, data)
         with progress_bar("search", "candidates") as bar:
-            best = search(data, config, options, checkpoint=self.checkpoint, progress=bar.update, rest=slopes)
+            best = search(
+                data, config, options, devices=self._chosen_devices(), checkpoint=self.checkpoint, progress=bar.update,
+                rest=slopes,
+            )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 
@@ -281,8 +297,9 @@ class Calibrate(RuleCommand):
             seed=self.seed,
             temperature=FIT_TEMPERATURE if self.rule == "fit" else GradientOptions.temperature,
         )
+        devices, rest = self._chosen_devices(), self._slopes(recordings, data)
         with progress_bar("train", "steps", self.steps) as bar:
-            trained = calibrate(data, config, base, options, progress=bar.update, rest=self._slopes(recordings, data))
+            trained = calibrate(data, config, base, options, devices=devices, progress=bar.update, rest=rest)
         losses = [trained.history[0][1], trained.history[-1][1]]
         return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}
 

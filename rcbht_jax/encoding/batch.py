@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -233,6 +233,7 @@ def encode_on_device(
     length: Int[Array, " recording"],
     *,
     batch: int = 2048,
+    devices: Sequence[jax.Device] | None = None,
 ) -> LabelTracks:
     """Labels of a batch of recordings in the compact form, without a transfer to the host.
 
@@ -245,17 +246,24 @@ def encode_on_device(
         wrench: float32 on the device, N and Nm, padded with anything finite.
         length: int32, samples that count.
         batch: recordings that are scanned at once; bounds the memory, about 14 kB per recording and window.
+        devices: that take turns with the batches; None = the one that has the wrench.
 
     Returns:
-        device arrays ``[recording, axis, slot]``; unused slots are at the end and zero.
+        device arrays ``[recording, axis, slot]``, on the first device; unused slots are at the end and zero.
     """
+    places = devices or (None,)
     count = len(wrench)
     spare = -count % batch if count > batch else 0  # whole batches: one compiled program
     wrench, length = jnp.pad(wrench, ((0, spare), (0, 0), (0, 0))), jnp.pad(length, (0, spare))
     limits = jnp.broadcast_to(limits_of(thresholds), (count, wrench.shape[2], 4))
     limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
-    rows = [slice(start, start + batch) for start in range(0, count, batch)]
-    pieces = [begin_encoding(config, limits[which], wrench[which], length[which])() for which in rows]
+    pieces = list[LabelTracks]()
+    for first in range(0, count, batch * len(places)):
+        begun = []
+        for start, place in zip(range(first, count, batch), places, strict=False):
+            some = (array[start : start + batch] for array in (limits, wrench, length))
+            begun.append(begin_encoding(config, *jax.device_put(tuple(some), place)))
+        pieces += [jax.device_put(ended(), places[0]) for ended in begun]
     return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
 
 

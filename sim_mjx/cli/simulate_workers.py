@@ -7,6 +7,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rcbht_jax._util.devices import checked, wanted
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,15 +73,11 @@ def _environments(devices: str, gpus: bool) -> list[dict[str, str]]:
     """For each GPU to use the variables of its worker; engines without a GPU have one worker."""
     from sim_mjx.synthesis import launch
 
-    if devices != "all" and not (devices.isdecimal() and int(devices)):
-        raise InputError(f'--devices is {devices!r}; expected "all", or a number of GPUs.')
     if not gpus:
+        checked(devices)
         return [{}]
     present = launch.visible_devices()
-    wanted = len(present) if devices == "all" else int(devices)
-    if wanted > max(1, len(present)):
-        raise InputError(f"--devices is {wanted}; this machine has {len(present)}.")
-    return [{launch.DEVICES: name} for name in present[:wanted]]
+    return [{launch.DEVICES: name} for name in present[: wanted(devices, len(present))]]
 
 
 def be_worker(

@@ -1,0 +1,71 @@
+"""One device against two, in a process whose CPU says it is two devices: search, gradients and labels.
+
+Raises:
+    AssertionError: the results differ.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from rcbht_jax.calibration import gradient
+from rcbht_jax.calibration.dataset import device_calibration_data
+from rcbht_jax.calibration.search import SearchOptions, score_candidates, search
+from rcbht_jax.encoding.batch import encode_on_device
+from rcbht_jax.encoding.encoder import EncoderConfig, encode
+from rcbht_jax.encoding.thresholds import preset
+
+CONFIG = EncoderConfig(5, 0.005)
+TRIALS, SAMPLES = 6, 200
+
+
+def same(one: object, other: object) -> None:
+    """The same bits in all leaves."""
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def main() -> None:
+    both = jax.devices()
+    assert len(both) == 2
+    rng = np.random.default_rng(0)
+    wrench = np.cumsum(rng.normal(0, 0.3, (TRIALS, SAMPLES, 6)), 1).astype(np.float32)
+    edges = np.tile(np.array([0, 100, SAMPLES], np.int32), (TRIALS, 1))
+    y = np.tile(np.arange(2, dtype=np.int32), (TRIALS, 1))
+    data = device_calibration_data(CONFIG, *jax.device_put((wrench, edges, y)), ("a", "b"))
+
+    options = SearchOptions(candidates=5, generations=1, population=4)
+    one, two = search(data, CONFIG, options), search(data, CONFIG, options, devices=both)
+    same((one.thresholds, one.scores, one.value), (two.thresholds, two.scores, two.value))
+    seen = list[int]()
+    limits = options.space.thresholds(options.points())
+    again = score_candidates(data, CONFIG, limits, chunk=2, devices=both, progress=lambda start, _: seen.append(start))
+    same(score_candidates(data, CONFIG, limits), again)
+    assert seen == [0, 2, 4]
+
+    steps = gradient.GradientOptions(steps=3)
+    alone, shared = (gradient.calibrate(data, CONFIG, preset(), steps, devices=some) for some in (None, both))
+    np.testing.assert_allclose(shared.path, alone.path, rtol=1e-5)  # sums over trials have another order
+
+    length = np.array([SAMPLES, 7, 0, 199, 100, 50], np.int32)
+    there = jnp.asarray(wrench), jnp.asarray(length)
+    first = encode_on_device(CONFIG, preset(), *there, batch=2)
+    second = encode_on_device(CONFIG, preset(), *there, batch=2, devices=both)
+    same(first, second)
+    assert {device for leaf in jax.tree.leaves(second) for device in leaf.devices()} == {both[0]}
+
+    rows, everywhere = PartitionSpec("recording"), PartitionSpec()
+    halves = jax.shard_map(
+        partial(encode, CONFIG), mesh=Mesh(np.array(both), ("recording",)), in_specs=(everywhere, rows, rows),
+        out_specs=rows, check_vma=False,
+    )  # fmt: skip
+    limits_there = jnp.asarray(preset().limits, jnp.float32)
+    same(jax.jit(partial(encode, CONFIG))(limits_there, *there), jax.jit(halves)(limits_there, *there))
+
+
+if __name__ == "__main__":
+    main()
