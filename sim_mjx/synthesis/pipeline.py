@@ -48,6 +48,7 @@ Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 Helpers = Callable[[Callable[[], None]], None]
 LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
 GROUP = 512  # trials that leave a device together: the encoder takes as long for half of them
+PATIENCE = 5.0  # s in which workers that are started together have all begun
 LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
 
 
@@ -107,7 +108,8 @@ def synthesise(
     if not finished:
         if helpers is not None:
             helpers(lambda: tally.show(shards.finished(folder)))
-        _work(draft, simulate, tally, notice, lanes)
+        if shards.finished(folder) != everything:  # to ask a device for its memory takes seconds
+            _work(draft, simulate, tally, notice, lanes)
     with claims.wait_for(folder, "join") as ours:
         if ours and shards.has_plan(folder):
             if finished:
@@ -153,7 +155,7 @@ def work_on(
         store.check_target(target, False)
     shards.begin(folder, manifest)
     draft = Draft(folder, job, scenario, manifest)
-    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice, lanes)
+    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice, lanes, PATIENCE)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
@@ -209,6 +211,7 @@ def _work(
     tally: Tally,
     notice: Callable[[str], None] | None,
     lanes: int | None,
+    patience: float = 0.0,
 ) -> int:
     """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
     made, job, scenario = 0, draft.job, draft.scenario
@@ -235,7 +238,7 @@ def _work(
                 room=room,
             )
 
-        made = workers.work_in_lanes(draft, stream, count, tally)
+        made = workers.work_in_lanes(draft, stream, count, tally, patience)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
 
 
