@@ -1,8 +1,15 @@
-"""Which devices of this machine a command uses."""
+"""Which devices of this machine a command uses, and work that is shared among them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import TypeVar
+
 from rcbht_jax.errors import InputError
+
+Result = TypeVar("Result")
 
 
 def checked(devices: str) -> str:
@@ -30,3 +37,23 @@ def wanted(devices: str, present: int) -> int:
     if count > max(1, present):
         raise InputError(f"--devices is {count}; this machine has {present}.")
     return count
+
+
+def in_turn(tasks: Sequence[Callable[[], Result]], devices: int) -> Iterator[Result]:
+    """Results of tasks in their order, of which each device has every n-th.
+
+    A program with loops whose end the device decides keeps the thread that started it: each device has one of its own.
+
+    Example:
+        >>> list(in_turn([lambda: "a", lambda: "b", lambda: "c"], devices=2))
+        ['a', 'b', 'c']
+    """
+    if devices < 2:
+        yield from (task() for task in tasks)
+        return
+    with ExitStack() as stack:
+        threads = [stack.enter_context(ThreadPoolExecutor(1)) for _ in range(devices)]
+        for thread in threads:
+            stack.callback(thread.shutdown, wait=False, cancel_futures=True)
+        begun = [threads[number % devices].submit(task) for number, task in enumerate(tasks)]
+        yield from (one.result() for one in begun)

@@ -7,7 +7,7 @@ between 0 and 1 (``fit`` may be negative), and larger is better.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -103,16 +103,9 @@ def scores(
     times: Int[Array, "candidate recording sentence 6 25"], y: Int[Array, "recording sentence"], classes: int
 ) -> Float[np.ndarray, "candidate score"]:
     """:func:`score_block` for any number of candidates; a candidate's scores do not depend on the others."""
-    return begin_scores(times, y, classes)()
-
-
-def begin_scores(
-    times: Int[Array, "candidate recording sentence 6 25"], y: Int[Array, "recording sentence"], classes: int
-) -> Callable[[], Float[np.ndarray, "candidate score"]]:
-    """:func:`scores` in two halves: this one asks the device of the times for them, what it returns waits for them."""
     y_true = jax.device_put(y)
     blocks = [score_block(block, y_true, classes=classes) for block in _blocks(times)]
-    return lambda: np.concatenate(jax.device_get(blocks))[: len(times)]
+    return np.concatenate(jax.device_get(blocks))[: len(times)]
 
 
 @jax.jit

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,10 @@ from scipy.stats import qmc
 
 from rcbht_jax._util import checkpoint as files
 from rcbht_jax._util import cma
+from rcbht_jax._util.devices import in_turn
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
-from rcbht_jax.calibration.objective import SCORES, Objective, begin_scores
+from rcbht_jax.calibration.objective import SCORES, Objective, scores
 from rcbht_jax.calibration.rest import RestSlopes
 from rcbht_jax.calibration.rest_runs import RANGE, RestRuns
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, gradients_of
@@ -194,21 +196,20 @@ def score_candidates(
     group = group or min(max(1, math.prod(_TOGETHER[backend]) // chunk), len(data))
     dtype = data.windows.slope.dtype
 
-    def begin(start: int, place: jax.Device | None, signal: Any, edges: Array, y: Array) -> Callable[[], Scores]:
-        """Ask a device for the scores of one chunk."""
+    def scored(start: int, place: jax.Device | None, signal: Any, edges: Array, y: Array) -> Scores:
+        """Scores of one chunk, by a device."""
         some = limits[start : start + chunk].astype(dtype)
         padded = np.concatenate([some, np.repeat(some[-1:], chunk - len(some), 0)])
         times = label_durations(config, jax.device_put(padded, place), signal, edges, group=group)
-        return begin_scores(times, y, len(data.classes))
+        return scores(times, y, len(data.classes))[: len(some)]
 
+    starts = range(0, len(limits), chunk)
+    tasks = [partial(scored, start, *turns[number % len(turns)]) for number, start in enumerate(starts)]
     out = list[Scores]()
-    for first in range(0, len(limits), chunk * len(turns)):
-        starts = range(first, min(first + chunk * len(turns), len(limits)), chunk)
-        begun = [begin(start, *turn) for start, turn in zip(starts, turns, strict=False)]
-        for start, ended in zip(starts, begun, strict=True):
-            out.append(ended()[: len(limits) - start])
-            if progress is not None:
-                progress(start, out[-1])
+    for start, found in zip(starts, in_turn(tasks, len(turns)), strict=True):
+        out.append(found)
+        if progress is not None:
+            progress(start, found)
     return np.concatenate(out)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.devices import in_turn
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
@@ -257,13 +258,14 @@ def encode_on_device(
     wrench, length = jnp.pad(wrench, ((0, spare), (0, 0), (0, 0))), jnp.pad(length, (0, spare))
     limits = jnp.broadcast_to(limits_of(thresholds), (count, wrench.shape[2], 4))
     limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
-    pieces = list[LabelTracks]()
-    for first in range(0, count, batch * len(places)):
-        begun = []
-        for start, place in zip(range(first, count, batch), places, strict=False):
-            some = (array[start : start + batch] for array in (limits, wrench, length))
-            begun.append(begin_encoding(config, *jax.device_put(tuple(some), place)))
-        pieces += [jax.device_put(ended(), places[0]) for ended in begun]
+
+    def piece(start: int, place: jax.Device | None) -> LabelTracks:
+        some = tuple(array[start : start + batch] for array in (limits, wrench, length))
+        return jax.device_put(begin_encoding(config, *jax.device_put(some, place))(), places[0])
+
+    starts = enumerate(range(0, count, batch))
+    tasks = [partial(piece, start, places[number % len(places)]) for number, start in starts]
+    pieces = list(in_turn(tasks, len(places)))
     return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
 
 

@@ -38,6 +38,7 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
         InputError: impossible numbers of workers or devices, or options that exclude each other.
     """
     from sim_mjx.synthesis import launch
+    from sim_mjx.synthesis.plan import in_shards
 
     count, gpus, words = command.processes, command.engine != "native", words_of(command)
     if count is not None and count < 1:
@@ -56,7 +57,7 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     if len(environments) < 2:
         return None
     if gpus and command.lanes is None:  # the first worker must not take all trials
-        words += ["--lanes", str(-(-command.trials // len(environments)))]
+        words += ["--lanes", str(in_shards(-(-command.trials // len(environments)), command.shard))]
     return lambda look: launch.local(words, environments, look, notice)
 
 

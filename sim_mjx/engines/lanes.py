@@ -112,9 +112,10 @@ class Lanes:
                 progress(moved)
             for one in table.end(ended, queue.blocks):
                 done.add(one)
-            more = queue.refilled(wait=False)
+            waiting = len(table.idle())
+            more = waiting > 0 and queue.refilled(wait=False)  # trials are asked for when lanes wait for them
             while True:
-                short, last = more and len(table.free) < len(table.idle()), not table.busy.any()
+                short, last = more and len(table.free) < waiting, not table.busy.any()
                 wanted = short or last or room()
                 if not wanted or not (whole := done.take(queue.sizes, short, last and not more)):
                     break

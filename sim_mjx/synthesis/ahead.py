@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Generic, TypeVar
 
 Item = TypeVar("Item")
+_ON_DEMAND = 2
 
 
 class _End:
@@ -23,31 +24,32 @@ class Ahead(Generic[Item]):
     Args:
         items: iterated in the thread only.
         first: items that are asked for at once at the beginning.
-        most: how many items are asked for ahead from then on, 1 or more; called when one is taken.
+        more: how many more items to ask for ahead; called when one is taken, with the number asked for so far and how
+            many of them are not taken yet. Where none is coming, two are asked for when one is wanted.
 
-    >>> with Ahead(iter("abc"), first=2, most=lambda: 1) as letters:
+    >>> with Ahead(iter("abc"), first=2, more=lambda asked, coming: 1 - coming) as letters:
     ...     list(letters)
     ['a', 'b', 'c']
     """
 
-    def __init__(self, items: Iterable[Item], first: int, most: Callable[[], int]) -> None:
-        self._items, self._most = iter(items), most
+    def __init__(self, items: Iterable[Item], first: int, more: Callable[[int, int], int]) -> None:
+        self._items, self._more = iter(items), more
         self._thread = ThreadPoolExecutor(1)
-        self._coming = deque[Future[Item | _End]]()
-        for _ in range(max(first, 1)):
-            self._ask()
+        self._coming, self._asked = deque[Future[Item | _End]](), 0
+        self._ask(max(first, 1))
 
     def ready(self) -> bool:
         """Whether the next item, or the end, is there without waiting."""
+        self._want()
         return self._coming[0].done()
 
     def __iter__(self) -> Iterator[Item]:
         return self
 
     def __next__(self) -> Item:
+        self._want()
         item = self._coming.popleft().result()
-        for _ in range(len(self._coming), max(self._most(), 1)):
-            self._ask()
+        self._ask(self._more(self._asked, len(self._coming)))
         if isinstance(item, _End):
             raise StopIteration
         return item
@@ -60,5 +62,11 @@ class Ahead(Generic[Item]):
     ) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _ask(self) -> None:
-        self._coming.append(self._thread.submit(next, self._items, _End()))
+    def _want(self) -> None:
+        if not self._coming:
+            self._ask(_ON_DEMAND)
+
+    def _ask(self, count: int) -> None:
+        for _ in range(count):
+            self._coming.append(self._thread.submit(next, self._items, _End()))
+        self._asked += max(count, 0)

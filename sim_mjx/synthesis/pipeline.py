@@ -48,7 +48,6 @@ Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 Helpers = Callable[[Callable[[], None]], None]
 LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
 GROUP = 512  # trials that leave a device together: the encoder takes as long for half of them
-PATIENCE = 5.0  # s in which workers that are started together have all begun
 LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
 
 
@@ -155,7 +154,8 @@ def work_on(
         store.check_target(target, False)
     shards.begin(folder, manifest)
     draft = Draft(folder, job, scenario, manifest)
-    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice, lanes, PATIENCE)
+    share = None if lanes is None else -(-lanes // job.shard)
+    made = _work(draft, simulate, Tally(job, shards.finished(folder), progress), notice, lanes, share)
     claim = claims.take(folder, "join")
     if claim is not None:
         try:
@@ -211,7 +211,7 @@ def _work(
     tally: Tally,
     notice: Callable[[str], None] | None,
     lanes: int | None,
-    patience: float = 0.0,
+    share: int | None = None,
 ) -> int:
     """Simulate and write the missing shards: on a device as its lanes become free, and what is left by batches."""
     made, job, scenario = 0, draft.job, draft.scenario
@@ -238,7 +238,7 @@ def _work(
                 room=room,
             )
 
-        made = workers.work_in_lanes(draft, stream, count, tally, patience)
+        made = workers.work_in_lanes(draft, stream, count, tally, share)
     return made + workers.work(draft, Halving(_labelled(job, scenario, simulate), notice), tally)
 
 

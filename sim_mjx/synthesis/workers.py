@@ -10,10 +10,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from rcbht_jax.errors import InputError
@@ -119,7 +117,7 @@ def work(draft: Draft, simulate: Callable[[Any], Labelled], tally: Tally) -> int
 Stream = Callable[[Iterator[tuple[int, Any]], Callable[[], bool], Callable[[], bool]], Iterator[Shard]]
 
 
-def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, patience: float = 0.0) -> int:
+def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share: int | None = None) -> int:
     """Simulate and write the missing shards that nobody holds, as many at once as a device has lanes for.
 
     A shard is claimed when lanes become free for its trials, and written beside the simulation of others. Shards
@@ -131,20 +129,18 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, patien
             order. It is also given functions that say whether the next one is there without waiting, and whether
             another one can be written at once.
         lanes: trials that it simulates together.
-        patience: s from the first claim on in which no more is claimed than fills the lanes, so that workers that begin
-            at the same time find work; for who draws ahead at once would leave them less than fills theirs.
+        share: shards that this worker claims before lanes are free for them; those beyond it are left to workers whose
+            lanes are free, since a lane that waits for a trial and one that has two last twice as long. None = all.
 
     Returns:
         trials of the shards of this worker.
     """
-    folder, ended, begun = draft.folder, Event(), time.monotonic()
+    folder = draft.folder
     held: dict[int, tuple[claims.Claim, Drawn]] = {}
     done: set[int] = set()
 
     def batches() -> Iterator[tuple[int, Any]]:
         while is_open(folder):
-            if len(held) + len(done) == fill:
-                ended.wait(max(0.0, begun + patience - time.monotonic()))
             skip = shards.finished(folder) | set(held) | done | set(_failed(folder))
             claimed = _claim(folder, [shard for shard in range(draft.shards) if shard not in skip])
             if claimed is None:
@@ -161,17 +157,17 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, patien
         done.add(shard)
         held.pop(shard)[0].done()
 
-    def ahead() -> int:
+    def ahead(asked: int, coming: int) -> int:
         missing = draft.shards - len(shards.finished(folder)) - len(held)
-        return max(AHEAD, min(fill, missing // SHARE))
+        more = max(AHEAD, min(fill, missing // SHARE)) - coming
+        return more if share is None else min(more, share - asked)
 
     def room() -> bool:
         return sum(not written.done() for _, written in writing) < writers.count
 
     fill = -(-lanes // draft.job.shard)
     try:
-        with Ahead(batches(), fill, ahead) as coming, Writers(draft) as writers, ExitStack() as first:
-            first.callback(ended.set)
+        with Ahead(batches(), fill, ahead) as coming, Writers(draft) as writers:
             for made in stream(coming, coming.ready, room):
                 shard = int(str(made.key))
                 drawn = held[shard][1]

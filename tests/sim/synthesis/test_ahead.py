@@ -29,7 +29,7 @@ def test_items_come_in_order_and_are_made_no_further_ahead_than_asked() -> None:
             made.append(number)
             yield number
 
-    with Ahead(items(), first=5, most=lambda: 2) as coming:
+    with Ahead(items(), first=5, more=lambda asked, coming: 2 - coming) as coming:
         until(lambda: len(made) == 5)
         for number in range(20):
             assert next(coming) == number
@@ -47,12 +47,28 @@ def test_it_is_ready_when_the_next_item_is_there() -> None:
         assert go.wait(LIMIT)
         yield 2
 
-    with Ahead(items(), first=1, most=lambda: 1) as coming:
+    with Ahead(items(), first=1, more=lambda asked, coming: 1 - coming) as coming:
         assert next(coming) == 1
         assert not coming.ready()
         go.set()
         until(coming.ready)
         assert next(coming) == 2
+
+
+def test_what_nobody_asks_for_ahead_is_made_when_it_is_wanted() -> None:
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for number in range(7):
+            made.append(number)
+            yield number
+
+    with Ahead(items(), first=3, more=lambda asked, coming: 4 - asked) as coming:
+        assert [next(coming) for _ in range(4)] == [0, 1, 2, 3]
+        time.sleep(0.05)
+        assert made == [0, 1, 2, 3]
+        until(coming.ready)
+        assert [*coming] == [4, 5, 6]
 
 
 def test_an_error_comes_in_the_place_of_its_item_and_leaving_ends_the_thread() -> None:
@@ -61,7 +77,7 @@ def test_an_error_comes_in_the_place_of_its_item_and_leaving_ends_the_thread() -
         raise ValueError("no second one")
 
     before = threading.active_count()
-    with Ahead(items(), first=4, most=lambda: 1) as coming:
+    with Ahead(items(), first=4, more=lambda asked, coming: 1 - coming) as coming:
         assert next(coming) == 1
         with pytest.raises(ValueError, match="no second one"):
             next(coming)

@@ -26,13 +26,13 @@ def fake_rows(params: Any) -> records.Arrays:
     return records.of_trials(fake_engine(params))
 
 
-def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB, patience: float = 0.0) -> Path:
+def run(tmp_path: Path, stream: Any, job: SynthesisConfig = JOB, share: int | None = None) -> Path:
     """Work of one worker in lanes on a new plan."""
     target = tmp_path / "lanes.zarr"
     folder = shards.folder_of(target)
     shards.begin(folder, manifest_of(job))
     draft = Draft(folder, job, get_scenario(job.preset), manifest_of(job))
-    workers.work_in_lanes(draft, stream, 4, Tally(job, set(), None), patience)
+    workers.work_in_lanes(draft, stream, 4, Tally(job, set(), None), share)
     return target
 
 
@@ -57,21 +57,21 @@ def test_the_store_is_that_of_one_shard_after_the_other(tmp_path: Path) -> None:
     assert tree(target) == tree(tmp_path / "plain.zarr")
 
 
-@pytest.mark.parametrize(("patience", "most"), [(60.0, 1), (0.0, 3)])
-def test_what_fills_no_lane_is_left_to_workers_that_begin(tmp_path: Path, patience: float, most: int) -> None:
+@pytest.mark.parametrize(("share", "most"), [(None, 3), (2, 2), (1, 1)])
+def test_beyond_its_share_a_worker_claims_when_lanes_wait(tmp_path: Path, share: int | None, most: int) -> None:
     held: MADE = []
 
-    def fills_its_lanes(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
+    def looks(batches: Iterator[tuple[int, Any]], *_: Callable[[], bool]) -> Iterator[Shard]:
         shard, params = next(batches)
         time.sleep(0.5)  # a thread claims meanwhile
         board = claims.board(shards.folder_of(tmp_path / "lanes.zarr"))
         held.append(sum(one.state == "held" for tries in board.values() for one in tries))
-        yield Shard(shard, fake_rows(params), None)
+        for number, drawn in [(shard, params), *batches]:
+            yield Shard(number, fake_rows(drawn), None)
 
-    begun = time.monotonic()
-    run(tmp_path, fills_its_lanes, patience=patience)
+    target = run(tmp_path, looks, share=share)
     assert held == [most]
-    assert time.monotonic() - begun < 30.0  # nobody waits for what is not wanted any more
+    assert shards.finished(shards.folder_of(target)) == set(range(12))
 
 
 def test_what_others_hold_is_left_to_them(tmp_path: Path) -> None:
