@@ -73,20 +73,14 @@ def of_linear(one: dict[str, Any], all_of_them: dict[str, Any], key: str) -> flo
 
 
 def simulation(folder: Path, each: int, gpus: list[str]) -> dict[str, Any]:
-    """As many trials a device, and as many trials in all, on one device and on all."""
+    """The same number of trials a device, on one and on all."""
     command = partial(simulated, folder)
     command(each, gpus[:1])  # compiles
-    rows = {
-        "one": command(each, gpus[:1]), "all, as many each": command(each * len(gpus), gpus),
-        "one, as many in all": command(each * len(gpus), gpus[:1]),
-    }  # fmt: skip
-    shared = rows["all, as many each"]
-    pairs = {"as many each": rows["one"], "as many in all": rows["one, as many in all"]}
+    one, shared = command(each, gpus[:1]), command(each * len(gpus), gpus)
     return {
-        "rows": rows,
-        "of linear": {name: of_linear(one, shared, "of_work") for name, one in pairs.items()},
-        "of linear, start included": {name: of_linear(one, shared, "seconds") for name, one in pairs.items()},
-    }
+        "one": one, "all": shared, "of linear": of_linear(one, shared, "of_work"),
+        "of linear, start included": of_linear(one, shared, "seconds"),
+    }  # fmt: skip
 
 
 def seconds_of(work: Callable[[], Any]) -> float:
@@ -155,7 +149,7 @@ def compact_labels(count: int, window: int) -> dict[str, Any]:
 
 def main(
     folder: Annotated[Path, tyro.conf.Positional],
-    each: int = 30_000,
+    each: int = 20_480,
     candidates: int = 16_384,
     trials: int = 64,
     samples: int = 2000,
