@@ -3,14 +3,16 @@
 A resting contact of MuJoCo creeps under a tangential force. The option ``impratio`` divides that in all contacts, the
 impedance of a pair in one. Of every ``impratio`` and overlap of the rear hooks: their passes on six placements, as in
 ``snap_needs``. Then the gate over all placements and several seeds, with the last snap of each trial that seated, and
-the same of the recordings. The preset itself stays as it is.
+the same of the recordings; snaps of the recorded size are also counted on the white cells, to which the part was
+fitted, and on the black ones. At last the preset with half the physics step, and with more iterations of the solver:
+by how much they move the passes of tabs and the force. The preset itself stays as it is.
 Run: python -m experiments.simulation.snap_creep
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,12 +22,17 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
 from experiments.simulation.fidelity_gate import row
+from experiments.simulation.joint_fit import SEEN
 from experiments.simulation.snap_needs import CELLS, REAR, SESSION, passes, summary
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
+from sim_mjx.assembly.rollout import Rollouts
+from sim_mjx.assembly.scene import HOOK_SUBSTEPS, ITERATIONS, LS_ITERATIONS, Scene, hooked
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets.camera import CAMERA
 from sim_mjx.presets.session import SessionPreset
+from sim_mjx.synthesis.passes import passes_of
 from sim_mjx.validation import sessions, snaps
 from sim_mjx.validation.dynamics import dynamics
 from sim_mjx.validation.fidelity import snap_shares
@@ -37,6 +44,20 @@ LONGEST = 12.0  # s of mating
 AT_ONCE = -0.1  # s from the start of mating, when a push may already let hooks go
 GIVES, HOLDS = 0.95, 0.99  # impedance of the rear lips' contacts, in place of 0.9805
 MEASURES = ("coverage", "W1/sd", "DTW/sd", "wrong signs", "snaps")  # of the gate
+HALF = "half the physics step"
+FINER: dict[str, dict[str, int]] = {  # of the scene
+    HALF: {"substeps": 2 * HOOK_SUBSTEPS},
+    "twice the solver's iterations": {"iterations": 2 * ITERATIONS, "ls_iterations": 2 * LS_ITERATIONS},
+}
+FZ = 2
+
+
+class Gated(NamedTuple):
+    """Whole trials on all placements, of one seed."""
+
+    measures: dict[str, float]  # what the gate says
+    last: list[float]  # when the last snap comes, s after mating began, of each trial that seated and has one
+    colours: dict[str, tuple[int, int]]  # cells -> trials that seated, and of those with a snap as recorded
 
 
 def changed(
@@ -52,9 +73,10 @@ def changed(
 
 
 def candidates() -> dict[str, SessionPreset]:
-    """What the gate is asked about."""
+    """What the gate is asked about, with the physics step of the preset; and once with half of it."""
     return {
         "the preset": changed(),
+        HALF: changed(),
         "impratio 1": changed(1.0),
         "impratio 10, rear hooks 0.8 mm": changed(10.0, 0.8),
         "rear lips give way": changed(held=GIVES),
@@ -81,29 +103,40 @@ def last_snaps(found: dict[int, list[snaps.Snap]], mating: NDArray[np.float64]) 
     return [max(each) for each in times if each]
 
 
-def gated(session: SessionPreset, target: sessions.Target, seed: int) -> tuple[dict[str, float], list[float]]:
-    """What the gate says of whole trials on all placements, and the last snaps of those that seated."""
-    scene = session.scene()
+def by_colour(found: dict[int, list[snaps.Snap]], cells: tuple[tuple[int, int], ...]) -> dict[str, tuple[int, int]]:
+    """Of the cells that the fit saw, and of the others: trials that seated, and those with a snap as recorded."""
+    out = {}
+    for colour, seen in (("white", True), ("black", False)):
+        each = [trial for at, trial in found.items() if (cells[at] in SEEN) is seen]
+        out[colour] = len(each), sum(any(map(snaps.as_recorded, trial)) for trial in each)
+    return out
+
+
+def gated(session: SessionPreset, scene: Scene, target: sessions.Target, seed: int) -> Gated:
+    """Whole trials on all placements before the gate."""
     recorder = Recorder(scene, len(session.placements))
     run = native.simulate(scene, sessions.trials_of(session, seed=seed), watch=recorder.watch)
-    events = dynamics(run.wrench[..., 2], run.length, run.onset[:, 1], run.onset[:, 3])
+    events = dynamics(run.wrench[..., FZ], run.length, run.onset[:, 1], run.onset[:, 3])
     pair = None if target.dynamics is None else (target.dynamics, events)
     found = find_snaps(run, recorder)
     shares = snap_shares(target, snaps.summary(list(found.values())))
     checks = row(session, target.profiles, sessions.profiles(run), pair, shares)["checks"]
     told = {name: checks[name]["value"] for name in MEASURES}
     told |= {"outcomes as recorded": sessions.agreement(session, run)}
-    return told, last_snaps(found, run.onset[:, 3])
+    return Gated(told, last_snaps(found, run.onset[:, 3]), by_colour(found, session.placements))
 
 
-def over_seeds(session: SessionPreset, target: sessions.Target, seeds: int) -> dict[str, Any]:
-    """Means over seeds, their lowest and highest values, and quartiles of the last snaps of all."""
-    told = [gated(session, target, seed) for seed in range(seeds)]
+def over_seeds(session: SessionPreset, scene: Scene, target: sessions.Target, seeds: int) -> dict[str, Any]:
+    """Means over seeds, their lowest and highest values, quartiles of the last snaps of all, and snaps by colour."""
+    told = [gated(session, scene, target, seed) for seed in range(seeds)]
     out: dict[str, Any] = {}
-    for name in told[0][0]:
-        values = [float(row[name]) for row, _ in told]
+    for name in told[0].measures:
+        values = [float(each.measures[name]) for each in told]
         out[name] = {"mean": float(np.mean(values)), "lowest": min(values), "highest": max(values)}
-    return out | quartiles([time for _, times in told for time in times])
+    for colour in told[0].colours:
+        seated, snapped = (sum(counts) for counts in zip(*(each.colours[colour] for each in told), strict=True))
+        out[f"{colour} cells"] = {"seated": seated, "with a snap as recorded": snapped}
+    return out | quartiles([time for each in told for time in each.last])
 
 
 def quartiles(last: list[float]) -> dict[str, Any]:
@@ -118,12 +151,59 @@ def as_recorded(recordings: Recordings) -> dict[str, Any]:
     return {"trials": len(found)} | quartiles(last_snaps(found, recordings.starts(RECORDED)[:, 3]))
 
 
+def finer(cells: tuple[tuple[int, int], ...]) -> dict[str, Any]:
+    """By how much half the physics step, or more iterations, change trials of the preset on a few placements."""
+    batch = sessions.trials_of(SESSION, placements=cells, longest=LONGEST)
+
+    def simulated(**options: int) -> tuple[Rollouts, Recorder]:
+        scene = hooked(impratio=SESSION.impratio, **options)
+        recorder = Recorder(scene, len(cells))
+        return native.simulate(scene, batch, watch=recorder.watch), recorder
+
+    preset = simulated()
+    return {name: changes(*preset, *simulated(**options)) for name, options in FINER.items()}
+
+
+def changes(run: Rollouts, recorder: Recorder, other: Rollouts, watched: Recorder) -> dict[str, Any]:
+    """Medians and largest changes between the same trials, simulated twice: of passes, rear snaps and logged Fz."""
+    rows, both = range(len(run.length)), np.minimum(run.length, other.length)
+    times = [(stays(run, at), stays(other, at)) for at in rows]
+    moved = [abs(now[tab] - then[tab]) * 1e3 for then, now in times for tab in then.keys() & now.keys()]
+    told = [(passes(run, recorder, at), passes(other, watched, at)) for at in rows]
+    rear = np.array([np.abs(np.subtract(now, then)) for then, now in told if then and now]).reshape(-1, 3)
+    force = [np.abs(run.wrench[at, : both[at], FZ] - other.wrench[at, : both[at], FZ]) for at in rows]
+    columns = {
+        "pass, ms": np.array(moved),
+        "release, N": rear[:, 1],
+        "fall, N": rear[:, 2],
+        "Fz, N": np.concatenate(force),
+    }
+    spreads = {
+        name: {"median": round(float(np.median(each)), 3), "largest": round(float(each.max()), 3)}
+        for name, each in columns.items()
+        if len(each)
+    }
+    alike = sum(then.keys() == now.keys() for then, now in times)
+    return {"trials": len(rows), "with the same tabs in": alike, "passes": len(moved), **spreads}
+
+
+def stays(run: Rollouts, at: int) -> dict[int, float]:
+    """When each tab of a trial passed that is still in at its end, s."""
+    found = passes_of(run.past[at : at + 1], run.length[at : at + 1])[0].tolist()
+    return {tab: start * CONTROL_PERIOD for tab, start, end in found if end == run.length[at]}
+
+
 def main(trials: int = len(CELLS), seeds: int = 3, only: tuple[str, ...] = tuple(candidates())) -> None:
     recordings = recorded()
     target = sessions.recorded(recordings, SESSION.name)
     swept = {f"{impratio:g}": sweep(impratio, CELLS[:trials]) for impratio in IMPRATIOS}
-    rows = {name: over_seeds(session, target, seeds) for name, session in candidates().items() if name in only}
+    rows = {
+        name: over_seeds(session, hooked(impratio=session.impratio, **FINER.get(name, {})), target, seeds)
+        for name, session in candidates().items()
+        if name in only
+    }
     result = {"sweep": swept, "gate": rows, "seeds": seeds, "recorded": as_recorded(recordings)}
+    result["finer"] = finer(CELLS[:trials])
     write_result("snap_creep", "python -m experiments.simulation.snap_creep", result, seed=0)
 
 
