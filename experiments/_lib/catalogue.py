@@ -205,4 +205,5 @@ EXPERIMENTS = (
         elsewhere=GPU,
     ),
     Experiment("simulate_gpu", "simulation.simulate_gpu", 8, ("{work}",), elsewhere=GPU),
+    Experiment("scaling", "simulation.scaling", 8, ("{work}",), elsewhere="needs several GPUs"),
 )  # fmt: skip

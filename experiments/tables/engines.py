@@ -163,6 +163,25 @@ def synthesis(result: Result) -> str:
     return markdown(head, lines)
 
 
+@table("scaling", "scaling")
+def scaling(result: Result) -> str:
+    """All devices of a machine against one."""
+    simulated, found = result["simulation"], result["search"]
+    counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
+    seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
+    lines = [(f"trials with labels, stored: {counts[0]}, {counts[1]}", *seconds, f"{simulated['of linear']:.2f}", "–")]
+    about = f"search: {found['candidates']:,} thresholds on {found['trials']} trials"
+    shared = [(about, found)]
+    for row in result["labels"]:
+        kind = "compact labels" if "compact" in row else "dense labels"
+        shared.append((f"{kind}: {row['recordings']:,} recordings, window {row['window']}", row))
+    for title, row in shared:
+        bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
+        times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]
+        lines.append((title, *times, f"{row['of linear']:.2f}", bits))
+    return markdown(("", "one GPU, s", "both, s", "of linear", "same bits"), lines)
+
+
 @table("repeatability", "repeatability")
 def repeatability(result: Result) -> str:
     """The same trials simulated twice on a GPU."""
