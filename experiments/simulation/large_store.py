@@ -90,8 +90,11 @@ def repeat(chunks: Path, first: int, second: int) -> None:
 
 def rcbht(*words: str | Path) -> tuple[float, float]:
     """Run a command; seconds and the largest resident memory in GB."""
+    # users keep what Python has compiled: without that, a command compiles all that it imports each time
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "rcbht_jax.cli", *map(str, words)], stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "rcbht_jax.cli", *map(str, words)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=env)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise RuntimeError(f"rcbht {words[0]} failed")
