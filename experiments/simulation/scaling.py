@@ -27,9 +27,9 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from experiments._lib.random_walks import recordings
 from experiments._lib.results_io import machine, write_result
 from experiments.simulation.simulate_gpu import COMMAND
-from experiments.words.encoder_speed import recordings
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates
 from rcbht_jax.encoding.batch import encode_on_device

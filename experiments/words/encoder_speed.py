@@ -18,20 +18,15 @@ import jax.numpy as jnp
 import tyro
 from jax.experimental.layout import Format, Layout
 
+from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding import encoder, gpu
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.types import Array, LabelTracks
 
-SAMPLES, AXES, SEED = 2000, 6, 0
+SEED = 0
 SCANNED = 1024  # recordings of the comparison with the scan
-
-
-def recordings(count: int) -> Array:
-    """Random walks [count, SAMPLES, AXES], N and Nm."""
-    steps = jax.random.normal(jax.random.key(SEED), (count, SAMPLES, AXES), jnp.float32)
-    return jnp.cumsum(0.3 * steps, 1)
 
 
 def timed(work: Callable[[], Any], repeats: int) -> dict[str, Any]:
