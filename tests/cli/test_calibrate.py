@@ -33,8 +33,8 @@ def store(tmp_path_factory) -> Path:
     ("method", "options"),
     [
         ("context", ["--own-axes"]),
-        ("search", ["--candidates", "2", "--generations", "0"]),
-        ("gradient", ["--steps", "2"]),
+        ("search", ["--candidates", "2", "--generations", "0", "--devices", "all"]),
+        ("gradient", ["--steps", "2", "--devices", "1"]),
     ],
 )
 def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, options):
@@ -117,6 +117,14 @@ def test_limits_of_the_fit_rule_go_wherever_limits_go(store, tmp_path, capsys):
         rj.encode(wrench, thresholds=limits)
     features = rj.WrenchFeatures(rule="fit", thresholds=limits).fit(wrench[None])
     np.testing.assert_array_equal(features.tolerance_, limits.tolerance)
+
+
+def test_devices_that_are_not_there_or_not_used_are_refused(store, tmp_path, capsys):
+    for method, devices, sentence in (("search", "9", "this machine has 1"), ("rest", "all", "search and gradient")):
+        words = ["calibrate", str(store), "-o", str(tmp_path / "no.json"), "--method", method, "--devices", devices]
+        assert main(words) == 2
+        assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "no.json").exists()
 
 
 def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_used(tmp_path):

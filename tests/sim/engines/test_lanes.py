@@ -89,6 +89,22 @@ def test_lanes_that_wait_for_nobody_are_busy() -> None:
     assert lanes.utilisation > 2.0 * (params.timeout + 0.5).sum() / (8 * longest)
 
 
+def test_nobody_asks_for_trials_while_all_lanes_are_busy() -> None:
+    """What is asked for is claimed, and another device could have begun it."""
+    params, done, asked = plunger_trials(np.full(16, 1.0)), [0], list[int]()
+    lanes = Lanes(SCENE, "jax", 8, 8)
+
+    def ready() -> bool:
+        asked.append(done[0])
+        return True
+
+    batches = [(start, some(params, range(start, start + 8))) for start in (0, 8)]
+    for _ in lanes.run(iter(batches), progress=lambda periods: done.append(done.pop() + periods), ready=ready):
+        pass
+    assert asked
+    assert min(asked) >= 8 * 200  # control periods of the first eight
+
+
 def test_trials_longer_than_all_before_fit() -> None:
     params = plunger_trials(np.array([0.1] * 8 + [3.0] * 8))
     found = queued(params, [8, 8], Lanes(SCENE, "jax", 8, 2))
