@@ -28,7 +28,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
-from rcbht_jax.labels import LAYERS, Primitive
+from rcbht_jax.labels import LAYERS, LLB, Primitive
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
@@ -92,6 +92,7 @@ def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.b
         "latency": {layer: latency(getattr(tracks, layer), recordings) for layer in LAYERS},
         "approach_constant": (1 - rest_not_constant(tracks.primitive, approach, 1, Primitive.CONS)).tolist(),
         "approach_constant_inside": (1 - rest_not_constant(tracks.primitive, inner, 1, Primitive.CONS)).tolist(),
+        "approach_fixed_inside": (1 - rest_not_constant(tracks.llb, inner, 1, LLB.FX)).tolist(),
     }
 
 
