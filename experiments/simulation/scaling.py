@@ -1,8 +1,8 @@
 """All devices of a machine against one: simulation with labels and storage, search for thresholds, labels.
 
 Simulation is the command with its programs in the cache. Its work lasts from the first claim of a shard to the end of
-the command; before that the command starts and loads. Search and labels are medians of repeated calls, which have
-compiled, and their results must be the same bits. Run where there are GPUs:
+the command; before that the command starts and loads. Search and labels are medians of calls that take turns and
+have compiled, and their results must be the same bits. Run where there are GPUs:
 python -m experiments.simulation.scaling FOLDER
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import statistics
 import subprocess
 import sys
 import time
@@ -27,9 +26,10 @@ import tyro
 from jax.experimental.layout import Format, Layout
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from experiments._lib.random_walks import recordings
+from experiments._lib.random_walks import SAMPLES, recordings
 from experiments._lib.results_io import machine, write_result
 from experiments.simulation.simulate_gpu import COMMAND
+from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates
 from rcbht_jax.encoding.batch import encode_on_device
@@ -39,15 +39,15 @@ from rcbht_jax.io import store
 from rcbht_jax.types import Array
 from sim_mjx.synthesis import claims, launch, shards
 
-SEED, REPEATS = 0, 7
+SEED = 0
 Section = Literal["simulation", "search", "labels"]
 SECTIONS: tuple[Section, ...] = ("simulation", "search", "labels")
 
 
-def simulated(folder: Path, trials: int, gpus: list[str], words: tuple[str, ...] = ()) -> dict[str, Any]:
+def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     """Seconds of the command on some GPUs, and what became of the trials."""
     target = folder / f"{trials}-on-{len(gpus)}.zarr"
-    made = [sys.executable, "-m", "rcbht_jax.cli", *COMMAND, str(target), "--trials", str(trials), *words]
+    made = [sys.executable, "-m", "rcbht_jax.cli", *COMMAND, str(target), "--trials", str(trials)]
     made += ["--compile-cache", str(folder / "cache"), "--devices", str(len(gpus)), "--json"]
     waiting, begun = shards.folder_of(target) / claims.FOLDER, time.perf_counter()
     with subprocess.Popen(
@@ -84,16 +84,6 @@ def simulation(folder: Path, each: int, gpus: list[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def seconds_of(work: Callable[[], Any]) -> float:
-    """Median of calls after the first one."""
-    seconds = []
-    for _ in range(REPEATS + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(work())
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds[1:])
-
-
 def same_bits(alone: Array, shared: Array) -> bool:
     """Compared on the devices, part by part: a copy to the host would turn the layout of gigabytes."""
     parts = [(jax.device_put(alone[part.index], part.device), part.data) for part in shared.addressable_shards]
@@ -105,9 +95,9 @@ def compared(alone: Callable[[], Any], shared: Callable[[], Any], devices: int, 
     leaves = [jax.tree.leaves(jax.tree.map(jnp.asarray, work())) for work in (alone, shared)]
     equal = all(same_bits(one, other) for one, other in zip(*leaves, strict=True))
     del leaves
-    one, several = seconds_of(alone), seconds_of(shared)
-    speedup = {"of linear": round(one / several / devices, 3), "same bits": equal}
-    return {**about, "seconds_one": round(one, 5), "seconds_all": round(several, 5), **speedup}
+    found = interleaved(lambda: jax.block_until_ready(shared()), lambda: jax.block_until_ready(alone()))
+    seconds = {"seconds_one": round(found.reference_seconds, 5), "seconds_all": round(found.seconds, 5)}
+    return {**about, **seconds, "of linear": round(found.ratio / devices, 3), "same bits": equal}
 
 
 def walks(trials: int, samples: int, config: EncoderConfig) -> CalibrationData:
@@ -136,22 +126,30 @@ def labels(count: int, window: int) -> dict[str, Any]:
     shared = jax.shard_map(
         partial(encode, config), mesh=mesh, in_specs=(everywhere, rows, rows), out_specs=rows, check_vma=False
     )
-    given = jnp.asarray(preset().limits, jnp.float32), recordings(count), jnp.full(count, 2000, jnp.int32)
+    given = jnp.asarray(preset().limits, jnp.float32), recordings(count), jnp.full(count, SAMPLES, jnp.int32)
     places = (NamedSharding(mesh, everywhere), NamedSharding(mesh, rows), NamedSharding(mesh, rows))
     parts = jax.device_put(given, places)
     one = jax.jit(partial(encode, config), out_shardings=Format(Layout.AUTO)).lower(*given).compile()
     several = jax.jit(shared, out_shardings=Format(Layout.AUTO)).lower(*parts).compile()
     return compared(
-        partial(one, *given), partial(several, *parts), len(devices), recordings=count, window=window, samples=2000
+        partial(one, *given), partial(several, *parts), len(devices), recordings=count, window=window, samples=SAMPLES
     )
 
 
 def compact_labels(count: int, window: int) -> dict[str, Any]:
     """Labels in the compact form, of recordings on the first device that go to the others and come back."""
     config, devices = EncoderConfig(window), jax.devices()
-    work = partial(encode_on_device, config, preset(), recordings(count), jnp.full(count, 2000, jnp.int32), batch=2048)
+    work = partial(
+        encode_on_device, config, preset(), recordings(count), jnp.full(count, SAMPLES, jnp.int32), batch=2048
+    )
     return compared(
-        work, partial(work, devices=devices), len(devices), recordings=count, window=window, samples=2000, compact=True
+        work,
+        partial(work, devices=devices),
+        len(devices),
+        recordings=count,
+        window=window,
+        samples=SAMPLES,
+        compact=True,
     )
 
 
@@ -160,7 +158,7 @@ def main(
     each: int = 20_480,
     candidates: int = 16_384,
     trials: int = 64,
-    samples: int = 2000,
+    samples: int = SAMPLES,
     count: int = 32_768,
     only: tuple[Section, ...] = SECTIONS,
 ) -> None:

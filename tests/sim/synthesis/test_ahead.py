@@ -21,15 +21,17 @@ def until(what: object) -> None:
         time.sleep(0.001)
 
 
+def counted(count: int, made: list[int]) -> Iterator[int]:
+    """Numbers, which are also noted when they are made."""
+    for number in range(count):
+        made.append(number)
+        yield number
+
+
 def test_items_come_in_order_and_are_made_no_further_ahead_than_asked() -> None:
     made: list[int] = []
 
-    def items() -> Iterator[int]:
-        for number in range(20):
-            made.append(number)
-            yield number
-
-    with Ahead(items(), first=5, more=lambda asked, coming: 2 - coming) as coming:
+    with Ahead(counted(20, made), first=5, more=lambda asked, coming: 2 - coming) as coming:
         until(lambda: len(made) == 5)
         for number in range(20):
             assert next(coming) == number
@@ -58,12 +60,7 @@ def test_it_is_ready_when_the_next_item_is_there() -> None:
 def test_what_nobody_asks_for_ahead_is_made_when_it_is_wanted() -> None:
     made: list[int] = []
 
-    def items() -> Iterator[int]:
-        for number in range(7):
-            made.append(number)
-            yield number
-
-    with Ahead(items(), first=3, more=lambda asked, coming: 4 - asked) as coming:
+    with Ahead(counted(7, made), first=3, more=lambda asked, coming: 4 - asked) as coming:
         assert [next(coming) for _ in range(4)] == [0, 1, 2, 3]
         time.sleep(0.05)
         assert made == [0, 1, 2, 3]
