@@ -20,6 +20,7 @@ from rcbht_jax.types import Recordings
 FOLDS = 5
 REAL, SIM1 = "REAL_HIRO_ONE_SA_SUCCESS", "SIM_HIRO_ONE_SA_SUCCESS"
 SIM2, FAILURES = "SIM_HIRO_TWO_SA_SUCCESS", "SIM_HIRO_ONE_SA_ERROR_CHARAC_Prob"
+REAL_FAILURES = "REAL_HIRO_ONE_SA_ERROR_CHARAC"
 
 # What is known about the authors' recordings, beyond what rcbht_jax.learning.confounds finds in any data.
 CONFOUNDS = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from rcbht_jax.types import Recordings
 
 WINDOW = 5
 WEIGHED = ("time", "change")
+FIT_RULE = asdict(FitConfig(WINDOW))  # for results: rows made by another rule are made again
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, items_of, of_sources, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.fit_words import FIT_RULE
 from experiments.classification.grammar import RANKS
 from rcbht_jax.calibration import gradient as training
 from rcbht_jax.calibration.dataset import CalibrationData, calibration_data
@@ -139,6 +140,7 @@ class Experiment:
         return {
             "what": "accuracy of words of the fit rule with limits and tolerances of each method",
             "calibrated on": f"session {SIDE}, harmonised states",
+            "fit rule": FIT_RULE,
             "trials": len(self.data),
             "candidates": CANDIDATES,
             "steps": STEPS,

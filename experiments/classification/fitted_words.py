@@ -23,7 +23,7 @@ import tyro
 
 from experiments._lib.benchmarks import BENCHMARKS, REAL, SIM1, items_of, of_sources, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.fit_words import WEIGHED, WINDOW, tolerances
+from experiments._lib.fit_words import FIT_RULE, WEIGHED, WINDOW, tolerances
 from experiments.classification.grammar import DEVIATION, RANKS, counted
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -123,6 +123,7 @@ class Experiment:
     def about(self) -> dict[str, Any]:
         return {
             "what": "accuracy of words of two rules, nested and grouped by trial",
+            "fit rule": FIT_RULE,
             "tolerance": self.tolerance,
             "scales": SCALES,
             "weighed": WEIGHED,

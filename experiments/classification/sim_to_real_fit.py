@@ -18,7 +18,7 @@ from pathlib import Path
 import tyro
 
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.fit_words import WINDOW, WORDS
+from experiments._lib.fit_words import FIT_RULE, WINDOW, WORDS
 from experiments.classification.sim_to_real import SEED, Experiment
 from experiments.classification.sim_to_real_rows import ROWS
 
@@ -35,6 +35,7 @@ def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
         "what": "states of recorded trials by words alone, of learners that saw simulated trials of C and OpenHRP only",
         "protocol": PROTOCOL,
         "choices": "families, weighing and factors on the tolerance were fixed before the first score of a fit row",
+        "fit rule": FIT_RULE,
         "tolerance": {name: experiment.tolerance(spec) for name, spec in FIT.items() if spec.rule == "fit"},
     }
     rows = Rows("fit_sim_to_real", "python -m experiments.classification.sim_to_real_fit FOLDER", about, SEED)

@@ -29,7 +29,7 @@ from tqdm import tqdm
 
 from experiments._lib.benchmarks import recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments._lib.fit_words import WORDS, Words, tolerances
+from experiments._lib.fit_words import FIT_RULE, WORDS, Words, tolerances
 from experiments._lib.tasks import states
 from experiments.online.table2 import SETS, halves
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
@@ -190,6 +190,7 @@ def main(repeats: int = 10, seed: int = 0, only: Only = ALL_ROWS) -> None:
     about = {
         "what": "beginnings of sub-tasks noticed from the stream, held against the harmonised ones",
         "repeats": repeats,
+        "fit rule": FIT_RULE,
         "tolerance": {source: values.tolist() for source, values in tolerance.items()},
         "choices": "families, weighing and factors on the tolerance were fixed before the first score of a fit row",
     }

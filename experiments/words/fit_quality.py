@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments._lib.benchmarks import REAL, SIM1, SIM2, of_sources, recorded, rounded
+from experiments._lib.benchmarks import REAL, REAL_FAILURES, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.results_io import write_result
 from rcbht_jax.calibration.rest import rest_not_constant
 from rcbht_jax.encoding.batch import encode_batch
@@ -33,7 +33,7 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
 WINDOW = 5
 EDGE = 0.25  # seconds at either end of the approach
-SETS = {"REAL": REAL, "SIM1": SIM1, "two-arm": SIM2}
+SETS = {"REAL": REAL, "REAL failures": REAL_FAILURES, "SIM1": SIM1, "two-arm": SIM2}
 # Factor on the default tolerance, and window.
 FITS = {"fit x0.5": (0.5, 5), "fit x1": (1.0, 5), "fit x2": (2.0, 5), "fit x1, W=2": (1.0, 2)}
 

@@ -36,13 +36,13 @@ def group(label: Array) -> Array:
     return jnp.where(label >= Primitive.PIMP, impulse, jnp.where(label == Primitive.CONS, jnp.int32(Group.K), ramp))
 
 
-def push_primitive(h: Segment, x: Segment, gate: bool, contact_first: bool) -> tuple[Segment, Segment]:
+def push_primitive(h: Segment, x: Segment, gate: bool, lead: int | None) -> tuple[Segment, Segment]:
     """One primitive arrives (an empty x changes nothing): new H, composition (empty where none is complete).
 
     Args:
         h: held segment. x: arrival.
         gate: pair ramps only within an amplitude ratio of 2 and a duration ratio of 5.
-        contact_first: an impulse pairs only as the first of a pair.
+        lead: samples; a longer primitive does not pair with an impulse that follows it. None: one of any length does.
     """
     both = (x.label > 0) & (h.label > 0)
     first, second = group(h.label), group(x.label)
@@ -50,7 +50,7 @@ def push_primitive(h: Segment, x: Segment, gate: bool, contact_first: bool) -> t
     if gate:
         ax, ay, dx, dy = amplitude(h), amplitude(x), duration(h), duration(x)
         ok = (ax <= 2 * ay) & (ay <= 2 * ax) & (dx <= 5 * dy) & (dy <= 5 * dx)
-    ok = ok & ~is_impulse(x.label) if contact_first else ok | is_impulse(x.label)
+    ok = jnp.where(is_impulse(x.label), True if lead is None else duration(h) <= lead, ok)
     pair = both & (ok | is_impulse(h.label))
 
     row = jnp.int32(_PAIR_MC[0])

@@ -74,6 +74,11 @@ class EncoderConfig:
         """Samples below which a single composition is noise."""
         return round(self.noise_below / self.dt)
 
+    @property
+    def lead(self) -> int | None:
+        """Samples of the longest primitive that pairs with an impulse after it; None: of any length."""
+        return 0 if self.contact_first else None
+
     def rules(self, layer: int) -> PipeRules:
         """Rules of the pipe behind layer 0 (primitives), 1 (compositions) or 2 (behaviours)."""
         contact = (pipe.is_impulse, pipe.is_contact, pipe.is_contact_behaviour)[layer]
@@ -300,7 +305,7 @@ def chain(config: EncoderConfig, held: Sequence[Segment], x: Segment) -> tuple[l
     """
     pa, pb, hm, ma, mb, hl, la, lb = held
     pa, pb, p = pipe.push(pa, pb, x, config.rules(0))
-    hm, m = composition.push_primitive(hm, p, config.gate, config.contact_first)
+    hm, m = composition.push_primitive(hm, p, config.gate, config.lead)
     ma, mb, m = pipe.push(ma, mb, m, config.rules(1))
     hl, l = composition.push_composition(hl, m, config.short)
     la, lb, l = pipe.push(la, lb, l, config.rules(2))
@@ -333,7 +338,7 @@ def drain_segments(
     pa, pb, hm, ma, mb, hl, la, lb = held
 
     def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_primitive(h, x, config.gate, config.contact_first)
+        return composition.push_primitive(h, x, config.gate, config.lead)
 
     def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return composition.push_composition(h, x, config.short)

@@ -1,9 +1,8 @@
 """Words that fit the signal: runs of windows that one straight line explains, named when they end.
 
-The rule is specified in docs/fit_rule.md. :func:`init`, :func:`step` and :func:`flush` are pure and loop-free, safe
-under ``jit``, ``vmap`` and ``scan``; lanes (axes, arms, trials) are trailing batch dimensions, as in
-:mod:`rcbht_jax.encoding.encoder`, whose containers and compositions they share. Streaming and batch results are equal
-bit for bit. The state has a fixed size, whatever the length of the stream.
+Specified in docs/fit_rule.md. :func:`init`, :func:`step` and :func:`flush` are pure and loop-free, safe under ``jit``,
+``vmap`` and ``scan``; lanes (axes, arms, trials) are trailing batch dimensions. Containers and compositions are of
+:mod:`rcbht_jax.encoding.encoder`. Streaming and batch results are equal bit for bit; the state has a fixed size.
 """
 
 from __future__ import annotations
@@ -56,6 +55,7 @@ class FitConfig:
         latency_cap: seconds that a composition or behaviour waits for its successor, or None: without limit.
         impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
         noise_below: single compositions shorter than this many seconds become noise.
+        lead_below: a primitive longer than this many seconds does not pair with an impulse after it, or None: all do.
         evidence: seconds for which a line must be wrong by one tolerance, or half as long by 1.4 of them, to break.
         lookback: seconds before now within which a break may still be found, at least two windows.
 
@@ -75,16 +75,16 @@ class FitConfig:
     latency_cap: float | None = 0.2
     impulse_below: float = 0.2
     noise_below: float = 0.1
+    lead_below: float | None = 0.2
     evidence: float = 0.025
     lookback: float = 0.05
 
     def __post_init__(self) -> None:
-        seconds = {"latency_cap": self.latency_cap, "noise_below": self.noise_below, "lookback": self.lookback}
-        check_choices(self.window, self.dt, **seconds, evidence=self.evidence, impulse_below=self.impulse_below)
-        if not (0 < self.impulse_below < float("inf") and 0 <= self.noise_below < float("inf")):
-            raise InputError("The longest impulse and the shortest composition must be finite, positive times.")
-        if not (0 < self.evidence < float("inf") and 0 < self.lookback < float("inf")):
-            raise InputError("Evidence and look-back of a break must be finite, positive times.")
+        seconds = {"latency_cap": self.latency_cap, "noise_below": self.noise_below, "lead_below": self.lead_below}
+        seconds |= {"lookback": self.lookback, "evidence": self.evidence, "impulse_below": self.impulse_below}
+        check_choices(self.window, self.dt, **seconds)
+        if not min(self.impulse_below, self.evidence, self.lookback) > 0:
+            raise InputError("The longest impulse, the evidence and the look-back of a break must be positive times.")
 
     @property
     def needed(self) -> int:
@@ -100,6 +100,11 @@ class FitConfig:
     def short(self) -> int:
         """Samples below which a single composition is noise."""
         return round(self.noise_below / self.dt)
+
+    @property
+    def lead(self) -> int | None:
+        """Samples of the longest primitive that pairs with an impulse after it."""
+        return 0 if self.contact_first else None if self.lead_below is None else round(self.lead_below / self.dt)
 
     @property
     def cap(self) -> int | None:
@@ -236,8 +241,8 @@ def _scan(
     after = residuals_after(seen, kept + counts)
 
     def seen_by(number: Array | int) -> tuple[Array, Array]:
-        rest = jax.lax.dynamic_index_in_dim(after, number, axis=1, keepdims=False)
-        return jax.lax.dynamic_slice_in_dim(line, number * window, kept + window), rest
+        here = jax.lax.dynamic_slice_in_dim(line, number * window, kept + window)
+        return here, jax.lax.dynamic_index_in_dim(after, number, axis=1, keepdims=False)
 
     def body(carry: tuple[EncoderState, tuple[Array, Array]], row: tuple[Array, Array]) -> tuple[Any, Any]:
         state, out = advance(config, limits, carry[0], *carry[1], row[1])
@@ -256,9 +261,7 @@ def drain(config: FitConfig, limits: Float[Array, "5 *lanes"], state: EncoderSta
 
 def tracks_of(rounds: Rounds, now: Array) -> LabelTracks:
     """The three layers of each step of a drain as labels ``[*lanes, step]``."""
-    layers = stacked(rounds, -1)
-    emit = jnp.broadcast_to(now[..., None], layers[0].label.shape)
-    return LabelTracks(*(track_of(layer, emit) for layer in layers))
+    return LabelTracks(*(track_of(x, jnp.broadcast_to(now[..., None], x.label.shape)) for x in stacked(rounds, -1)))
 
 
 def drain_stages(config: FitConfig, limits: Array, state: EncoderState, last: Segment | None = None) -> Rounds:
@@ -279,7 +282,7 @@ def stacked(rounds: Rounds, axis: int) -> list[Segment]:
 
 
 def _published(stages: list[Segment], now: Array) -> PackedLabels:
-    """The layers among five stages: what a composer says stays inside until an accumulator lets it go."""
+    """The layers among five stages: accumulators publish, composers do not."""
     return PackedLabels(*pack_segments(stages[::2]), now)
 
 
@@ -326,10 +329,9 @@ def advance(
     ended = pipe.keep(breaks, primitive_of(config, limits, t0, t0 + joint.count, joint))
     ended = pipe.relabel(ended, pipe.once(ended.label, now))
     held, out = _above(config, held, ended, jnp.where(there, now, 0))  # nothing is late where no time passes
-    first = jnp.where(breaks, t0 + joint.count, t0)
     run: Line = jax.tree.map(lambda new, old: jnp.where(breaks, new, old), fresh, joint)
     ints, reals = pack_segments(held)
-    ints = jnp.concatenate([jnp.stack([first, now, run.count]), ints])
+    ints = jnp.concatenate([jnp.stack([t0 + jnp.where(breaks, joint.count, 0), now, run.count]), ints])
     recent = jnp.where(there, samples[window:], state.reals[REALS:])
     return EncoderState(now, ints, jnp.concatenate([jnp.stack([run.mean, run.slope]), reals, recent])), out
 
@@ -366,12 +368,12 @@ def _above(
     hm, bm, hl, bl = held
 
     def late(h: Segment, number: int) -> Array:
-        if force is not None:
+        if force is not None or config.cap is None:
             return jnp.full_like(h.label, force == number, bool)
-        return jnp.zeros_like(h.label, bool) if config.cap is None else now - h.t1 > config.cap
+        return now - h.t1 > config.cap
 
     hm, pair = _overdue(now, late(hm, 1), composition.single_composition(hm), x,
-                        *composition.push_primitive(hm, x, config.gate, config.contact_first))  # fmt: skip
+                        *composition.push_primitive(hm, x, config.gate, config.lead))  # fmt: skip
     bm, m = _accumulate(now, late(bm, 2), bm, pair, int(MC.A) if config.adj_exempt else None)
     hl, joint = _overdue(now, late(hl, 3), composition.single_behaviour(hl, config.short), m,
                          *composition.push_composition(hl, m, config.short))  # fmt: skip
@@ -390,8 +392,7 @@ def _overdue(now: Array, late: Array, alone: Segment, x: Segment, h: Segment, ou
 def _accumulate(now: Array, late: Array, b: Segment, x: Segment, exempt: int | None) -> tuple[Segment, Segment]:
     """Equal neighbours merge, but for an exempt label; a word leaves when another one arrives, or late."""
     arrived = x.label > 0
-    same = arrived & (x.label == b.label)
-    same = same if exempt is None else same & (x.label != exempt)
+    same = arrived & (x.label == b.label) & (True if exempt is None else x.label != exempt)
     leaves = jnp.where(arrived, ~same, late) & (b.label > 0)
     word = pipe.once(pipe.packed(arrived, same, leaves), now)
     arrived, same, leaves = (word >> bit & 1 > 0 for bit in range(3))

@@ -193,7 +193,9 @@ def config_from(values: Mapping[str, Any]) -> AnyConfig:
         InputError: a value is of another type or out of range, or there is no field of that name.
     """
     if values.get("rule") == "fit":
-        return FitConfig(**checked_fields(FitConfig, {name: value for name, value in values.items() if name != "rule"}))
+        older = {"lead_below": None}  # files from before this choice
+        given = {name: value for name, value in values.items() if name != "rule"}
+        return FitConfig(**checked_fields(FitConfig, older | given))
     return EncoderConfig(**checked_fields(EncoderConfig, values))
 
 

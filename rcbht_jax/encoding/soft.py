@@ -152,7 +152,7 @@ def _hard_spans(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
         return Segment(flat.label.astype(jnp.int32), flat.t0, flat.t1, flat.vmax, flat.vmin, flat.avg, flat.grad)
 
     def push_primitive(h: Segment, x: Segment) -> tuple[Segment, Segment]:
-        return composition.push_primitive(h, x, config.gate, config.contact_first)
+        return composition.push_primitive(h, x, config.gate, config.lead)
 
     def push_composition(h: Segment, x: Segment) -> tuple[Segment, Segment]:
         return composition.push_composition(h, x, config.short)

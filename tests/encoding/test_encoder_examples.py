@@ -143,7 +143,7 @@ def one(label: int, duration: int, amp: float) -> Segment:
 @pytest.mark.parametrize("second", range(1, 10))
 def test_every_pair_of_primitives(first: int, second: int) -> None:
     kinds = oracle.group(first) + oracle.group(second)
-    _, out = composition.push_primitive(one(first, 5, 1.0), one(second, 5, 1.0), gate=True, contact_first=False)
+    _, out = composition.push_primitive(one(first, 5, 1.0), one(second, 5, 1.0), gate=True, lead=None)
     assert labels.name("mc", int(out.label)) == oracle.PAIR[kinds]
 
 

@@ -16,11 +16,12 @@ from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.fit_line import Line, join, span_line
+from rcbht_jax.encoding.rules import config_fields, config_from
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
-from rcbht_jax.labels import Primitive
+from rcbht_jax.labels import LLB, Primitive
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 from tests.support.fit_oracle import FitOracle, least_squares, near
 from tests.support.trees import assert_trees_equal
@@ -34,9 +35,11 @@ CONFIGS = {
     "window 2": (FitConfig(window=2), {"window": 2, "kept": 8}),
     "window 20, 1 kHz": (
         FitConfig(window=20, dt=0.001),
-        {"window": 20, "dt": 0.001, "cap": 200, "impulse": 200, "needed": 25, "kept": 40},
+        {"window": 20, "dt": 0.001, "cap": 200, "lead": 200, "impulse": 200, "needed": 25, "kept": 40},
     ),
     "never late": (FitConfig(latency_cap=None), {"cap": None}),
+    "long leads": (FitConfig(lead_below=None), {"lead": None}),
+    "short leads": (FitConfig(lead_below=0.02), {"lead": 4}),
     "other pairs": (
         FitConfig(gate=False, adj_exempt=False, contact_first=True, impulse_below=0.05, lookback=0.1, evidence=0.05),
         {"needed": 10, "kept": 15, "gate": False, "adj_exempt": False, "contact_first": True, "impulse": 10},
@@ -199,6 +202,21 @@ def test_rest_is_constant_and_a_contact_is_not() -> None:
         assert any(row[0] != Primitive.CONS and 2990 <= row[1] <= 3010 for row in rows)
 
 
+def test_rest_before_a_contact_that_begins_with_an_impulse_stays_fixed() -> None:
+    wrench = np.zeros((900, 3), np.float32)
+    wrench[600:] = 20 * TOLERANCE + np.minimum(np.arange(300)[:, None], 10) * [1.0, 1.0, 0.3]
+    behaviours = [published(batch(FitConfig(lead_below=lead), wrench, 900).llb, (0, 1)) for lead in (0.2, None)]
+    assert behaviours[0][0][:3] == (LLB.FX, 0, 600)
+    assert behaviours[0][1][:2] == (LLB.CT, 600)
+    assert behaviours[1][0][:2] == (LLB.CT, 0)  # as by the published table
+
+
+def test_files_from_before_the_choice_of_leads_keep_their_words() -> None:
+    fields = {name: value for name, value in config_fields(FitConfig()).items() if name != "lead_below"}
+    assert config_from(fields) == FitConfig(lead_below=None)
+    assert config_from(config_fields(FitConfig())) == FitConfig()
+
+
 def test_words_come_in_time() -> None:
     wrench = wrench_of(3, "noise")
     tracks = batch(FitConfig(), wrench.astype(np.float32), SAMPLES)
@@ -215,6 +233,8 @@ def test_words_come_in_time() -> None:
         {"latency_cap": 0.0},
         {"impulse_below": 0.0},
         {"noise_below": -1.0},
+        {"lead_below": -1.0},
+        {"impulse_below": float("inf")},
         {"evidence": 0.0},
         {"lookback": 0.0},
     ],

@@ -46,6 +46,7 @@ class FitOracle:
     window: int = 5
     dt: float = 0.005
     cap: int | None = 40
+    lead: int | None = 40
     impulse: int = 40
     needed: int = 5
     kept: int = 5
@@ -56,7 +57,8 @@ class FitOracle:
 
     def __post_init__(self) -> None:
         self.stages = [
-            ComposeMC(self.gate, self.contact_first, watch=self.watch), Accumulator(1 if self.adj_exempt else None),
+            ComposeMC(self.gate, self.contact_first, self.lead, watch=self.watch),
+            Accumulator(1 if self.adj_exempt else None),
             ComposeLLB(self.dt, watch=self.watch), Accumulator(None),
         ]  # fmt: skip
         self.out: tuple[list[tuple[It, int]], ...] = ([], [], [])

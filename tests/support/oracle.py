@@ -220,6 +220,7 @@ class Compose:
 class ComposeMC(Compose):
     gate: bool = True
     contact_first: bool = False
+    lead: int | None = None
 
     def pair(self, x: It, y: It) -> int | None:
         return MC[PAIR[group(x.label) + group(y.label)]] if self.pairable(x, y) else None
@@ -228,7 +229,7 @@ class ComposeMC(Compose):
         if x.label in PI | NI:
             return True
         if y.label in PI | NI:
-            return not self.contact_first
+            return not self.contact_first and (self.lead is None or x.dur <= self.lead)
         return gated(x, y, self.watch) if self.gate else True
 
     @staticmethod
