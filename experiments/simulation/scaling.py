@@ -40,8 +40,28 @@ from rcbht_jax.types import Array
 from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
+LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two looks at a running command
 Section = Literal["simulation", "search", "labels"]
 SECTIONS: tuple[Section, ...] = ("simulation", "search", "labels")
+
+
+def watched(command: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
+    """Wait for the command; seconds since now at which each worker held its first and its last shard, and others."""
+    begun, held, shard_times = time.perf_counter(), dict[int, list[float]](), list[float]()
+    while command.poll() is None:
+        now = round(time.perf_counter() - begun, 1)
+        if (folder / claims.FOLDER).is_dir() and shards.has_plan(folder):
+            board = claims.board(folder)
+            busy = {one.pid for task, tries in board.items() for one in tries if task != "join" and one.state == "held"}
+            for pid in busy:
+                held.setdefault(pid, [now, now])[1] = now
+            shard_times += [now] * (len(shards.finished(folder)) - len(shard_times))
+        time.sleep(LOOK)
+    return {
+        "workers held shards from, to": sorted(held.values()),
+        "a tenth, half, nine tenths, all shards there": np.quantile(shard_times, QUANTILES, method="higher").tolist(),
+        "ended": round(time.perf_counter() - begun, 1),
+    }
 
 
 def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
@@ -49,21 +69,17 @@ def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     target = folder / f"{trials}-on-{len(gpus)}.zarr"
     made = [sys.executable, "-m", "rcbht_jax.cli", *COMMAND, str(target), "--trials", str(trials)]
     made += ["--compile-cache", str(folder / "cache"), "--devices", str(len(gpus)), "--json"]
-    waiting, begun = shards.folder_of(target) / claims.FOLDER, time.perf_counter()
-    with subprocess.Popen(
-        made, env={**os.environ, launch.DEVICES: ",".join(gpus)}, stdout=subprocess.DEVNULL
-    ) as command:
-        while command.poll() is None and not (waiting.is_dir() and any(waiting.iterdir())):
-            time.sleep(0.02)
-        work = time.perf_counter()
-        if command.wait():
-            raise SystemExit(f"the command with {trials} trials on {len(gpus)} GPUs failed")
-    ended = time.perf_counter()
+    env = {**os.environ, launch.DEVICES: ",".join(gpus)}
+    with subprocess.Popen(made, env=env, stdout=subprocess.DEVNULL) as command:
+        times = watched(command, shards.folder_of(target))
+    if command.returncode:
+        raise SystemExit(f"the command with {trials} trials on {len(gpus)} GPUs failed")
     table = store.read_table(target)
     shutil.rmtree(target)
+    first = times["workers held shards from, to"][0][0]
     return {
-        "trials": trials, "gpus": len(gpus), "seconds": round(ended - begun, 1), "of_work": round(ended - work, 1),
-        "stored": len(table.length), "samples": int(table.length.sum()),
+        "trials": trials, "gpus": len(gpus), "seconds": times["ended"], "of_work": round(times["ended"] - first, 1),
+        "times, s": times, "stored": len(table.length), "samples": int(table.length.sum()),
     }  # fmt: skip
 
 
@@ -90,14 +106,27 @@ def same_bits(alone: Array, shared: Array) -> bool:
     return all(bool(jnp.array_equal(one, other)) for one, other in parts)
 
 
-def compared(alone: Callable[[], Any], shared: Callable[[], Any], devices: int, **about: Any) -> dict[str, Any]:
-    """Seconds of both, and whether their results are the same bits."""
-    leaves = [jax.tree.leaves(jax.tree.map(jnp.asarray, work())) for work in (alone, shared)]
+def compared(
+    alone: Callable[[], Any],
+    shared: Callable[[], Any],
+    work: float,
+    whole: Callable[[], Any] | None = None,
+    **about: Any,
+) -> dict[str, Any]:
+    """Seconds of both, and whether their results are the same bits.
+
+    Args:
+        alone, shared: the work on one device, and on all.
+        work: how much of it a device does when they share it; 1 = as much as one alone.
+        whole: a call for all that they share, by one device; default: ``alone``.
+        about: facts of the row.
+    """
+    leaves = [jax.tree.leaves(jax.tree.map(jnp.asarray, made())) for made in (whole or alone, shared)]
     equal = all(same_bits(one, other) for one, other in zip(*leaves, strict=True))
     del leaves
     found = interleaved(lambda: jax.block_until_ready(shared()), lambda: jax.block_until_ready(alone()))
     seconds = {"seconds_one": round(found.reference_seconds, 5), "seconds_all": round(found.seconds, 5)}
-    return {**about, **seconds, "of linear": round(found.ratio / devices, 3), "same bits": equal}
+    return {**about, **seconds, "of linear": round(found.ratio * work, 3), "same bits": equal}
 
 
 def walks(trials: int, samples: int, config: EncoderConfig) -> CalibrationData:
@@ -114,26 +143,45 @@ def search(candidates: int, trials: int, samples: int) -> dict[str, Any]:
     data, limits = walks(trials, samples, config), options.space.thresholds(options.points())
     scored = partial(score_candidates, data, config, limits)
     return compared(
-        scored, partial(scored, devices=devices), len(devices), candidates=candidates, trials=trials, samples=samples
+        scored,
+        partial(scored, devices=devices),
+        1 / len(devices),
+        candidates=candidates,
+        trials=trials,
+        samples=samples,
     )
 
 
-def labels(count: int, window: int) -> dict[str, Any]:
-    """Dense labels of recordings that are on the devices already, one part on each."""
+def labels(count: int, window: int, grown: bool) -> dict[str, Any]:
+    """Dense labels of recordings that are on the devices already, one part on each.
+
+    Args:
+        count: recordings of one device alone.
+        window: samples.
+        grown: whether each device has as many of them when they share the work; else they share these.
+    """
     config, devices = EncoderConfig(window), jax.devices()
+    total = count * len(devices) if grown else count
     mesh = Mesh(np.array(devices), ("recording",))
     rows, everywhere = PartitionSpec("recording"), PartitionSpec()
     shared = jax.shard_map(
         partial(encode, config), mesh=mesh, in_specs=(everywhere, rows, rows), out_specs=rows, check_vma=False
     )
-    given = jnp.asarray(preset().limits, jnp.float32), recordings(count), jnp.full(count, SAMPLES, jnp.int32)
+    limits, wrench = jnp.asarray(preset().limits, jnp.float32), recordings(total)
+    length = jnp.full(total, SAMPLES, jnp.int32)
     places = (NamedSharding(mesh, everywhere), NamedSharding(mesh, rows), NamedSharding(mesh, rows))
-    parts = jax.device_put(given, places)
-    one = jax.jit(partial(encode, config), out_shardings=Format(Layout.AUTO)).lower(*given).compile()
+    parts = jax.device_put((limits, wrench, length), places)
+    pieces = [(limits, wrench[at : at + count], length[at : at + count]) for at in range(0, total, count)]
+    one = jax.jit(partial(encode, config), out_shardings=Format(Layout.AUTO)).lower(*pieces[0]).compile()
     several = jax.jit(shared, out_shardings=Format(Layout.AUTO)).lower(*parts).compile()
+
+    def whole() -> Any:
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(one(*piece) for piece in pieces))
+
     return compared(
-        partial(one, *given), partial(several, *parts), len(devices), recordings=count, window=window, samples=SAMPLES
-    )
+        partial(one, *pieces[0]), partial(several, *parts), total / count / len(devices), whole,
+        recordings=count, together=total, window=window, samples=SAMPLES,
+    )  # fmt: skip
 
 
 def compact_labels(count: int, window: int) -> dict[str, Any]:
@@ -142,15 +190,8 @@ def compact_labels(count: int, window: int) -> dict[str, Any]:
     work = partial(
         encode_on_device, config, preset(), recordings(count), jnp.full(count, SAMPLES, jnp.int32), batch=2048
     )
-    return compared(
-        work,
-        partial(work, devices=devices),
-        len(devices),
-        recordings=count,
-        window=window,
-        samples=SAMPLES,
-        compact=True,
-    )
+    about = {"recordings": count, "together": count, "window": window, "samples": SAMPLES, "compact": True}
+    return compared(work, partial(work, devices=devices), 1 / len(devices), **about)
 
 
 def main(
@@ -182,7 +223,8 @@ def main(
         result["search"] = search(candidates, trials, samples)
         print(json.dumps(result["search"]), flush=True)
     if "labels" in only:
-        result["labels"] = [labels(count, window) for window in (5, 20)] + [compact_labels(count, 5)]
+        result["labels"] = [labels(count, window, grown) for window in (5, 20) for grown in (True, False)]
+        result["labels"].append(compact_labels(count, 5))
         print(json.dumps(result["labels"]), flush=True)
     print(machine())
     write_result("scaling", "python -m experiments.simulation.scaling FOLDER", result, SEED)

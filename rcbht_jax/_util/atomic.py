@@ -224,10 +224,14 @@ class _Later:
 
 def flush_tree(folder: Path) -> None:
     """Have a folder and all that it holds on disk, so that what it replaces can be deleted."""
+    flush_all([*folder.rglob("*"), folder])
+
+
+def flush_all(entries: Iterable[Path]) -> None:
+    """Have files, and the names in folders, on disk; links are left out."""
     with ThreadPoolExecutor(_FLUSHES) as pool:  # each waits for the disk, which does many at once
-        for _ in pool.map(_flush, (entry for entry in folder.rglob("*") if not entry.is_symlink())):
+        for _ in pool.map(_flush, (entry for entry in entries if not entry.is_symlink())):
             pass
-    _flush(folder)
 
 
 def _flush(path: Path) -> None:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.atomic import atomic_write, delete, uninterrupted
+from rcbht_jax._util.atomic import atomic_write, delete, flush_all, uninterrupted
 from rcbht_jax._util.digest import content_hash
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import read_object
@@ -148,11 +148,44 @@ def discard(folder: Path, number: int) -> None:
     """
     files = []
     for metadata in folder.rglob("zarr.json"):
-        dimensions = read_object(metadata).get("dimension_names") or [""]
-        if dimensions[0] in ("trial", "part"):
+        if _is_in_parts(metadata):
             files.append(metadata.parent / "c" / str(number))
     for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):
         delete(file)
+
+
+def flush(path: Path, number: int) -> None:
+    """Have what is written of a part on disk, in all tables below a folder."""
+    entries = list[Path]()
+    for folder, inside, _ in os.walk(path):
+        part = Path(folder, str(number))
+        if _holds_parts(part.parent):
+            inside.clear()
+            entries += [*part.rglob("*"), part] if part.exists() else []
+    flush_all(entries)
+
+
+def flush_rest(path: Path) -> None:
+    """Have on disk what :func:`flush` leaves out: descriptions, digests, and arrays that are not in parts."""
+    entries = [path]
+    for folder, inside, files in os.walk(path):
+        if _holds_parts(Path(folder)):
+            inside.clear()
+            files.clear()
+        entries += [Path(folder, name) for name in (*inside, *files)]
+    flush_all(entries)
+
+
+def _holds_parts(folder: Path) -> bool:
+    """Whether a folder holds the chunks of an array that is written part by part."""
+    metadata = folder.parent / "zarr.json"
+    if folder.name != "c" or folder.parent.name == DIGESTS or not metadata.is_file():
+        return False
+    return _is_in_parts(metadata)
+
+
+def _is_in_parts(metadata: Path) -> bool:
+    return (read_object(metadata).get("dimension_names") or [""])[0] in ("trial", "part")
 
 
 def digest_file(number: int) -> str:

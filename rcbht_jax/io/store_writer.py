@@ -79,7 +79,9 @@ def create(path: Path, schema: Schema, attrs: Mapping[str, Any], created: str) -
 def write_part(
     path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
 ) -> None:
-    """Write one part of a store; the last thing written is its digest, without which it counts as missing.
+    """Write one part of a store, labels included that were written before, and have it on disk.
+
+    The last thing written is its digest, without which it counts as missing.
 
     Args:
         path: made by :func:`create`.
@@ -106,6 +108,7 @@ def write_part(
     text = np.array([json.dumps({"counting": COUNTING, **summary_of(recordings)})])
     single = parts.Layout(len(schema.layout), 1)
     parts.write_array(zarr_io.open_group(path, "r+"), SUMMARIES, single, number, parts.Field("string"), text)
+    parts.flush(path, number)
     parts.seal(path, number, part_digest(values, schema.fields))
 
 

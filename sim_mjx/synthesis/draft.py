@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from rcbht_jax._util.atomic import draft_of, flush_tree
+from rcbht_jax._util.atomic import draft_of
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import label_parts, store_writer
+from rcbht_jax.io import label_parts, parts, store_writer
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.parts import Layout
 from rcbht_jax.io.store_schema import schema_of
@@ -99,7 +99,7 @@ class Draft:
         if self.job.window is not None:
             label_parts.finish(self._labels)
         store_writer.finish(self.path, {descriptions.DIVERGED: diverged})
-        flush_tree(self.path)
+        parts.flush_rest(self.path)  # parts were flushed as they were written
 
     @property
     def _labels(self) -> Path:
