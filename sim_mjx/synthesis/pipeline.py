@@ -107,7 +107,8 @@ def synthesise(
     if not finished:
         if helpers is not None:
             helpers(lambda: tally.show(shards.finished(folder)))
-        if shards.finished(folder) != everything:  # to ask a device for its memory takes seconds
+        # to ask a device for its memory takes seconds; without a plan another process has completed the store
+        if shards.has_plan(folder) and shards.finished(folder) != everything:
             _work(draft, simulate, tally, notice, lanes)
     with claims.wait_for(folder, "join") as ours:
         if ours and shards.has_plan(folder):

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from rcbht_jax._util import atomic
+from rcbht_jax._util.atomic import flush_all
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
-from rcbht_jax.io import label_parts, label_store, store, store_reader, store_writer
+from rcbht_jax.io import label_parts, label_store, parts, store, store_reader, store_writer
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.io.summary import merged, quantiles, summary_of
 from rcbht_jax.types import Recordings
@@ -69,6 +72,20 @@ def test_order_and_repetition_do_not_matter(parted: Path, tmp_path: Path) -> Non
     assert tree(path) == tree(parted)
 
 
+def test_all_is_on_disk_and_parts_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flushed, path = set[Path](), begun(tmp_path / "p.zarr")
+    monkeypatch.setattr(atomic, "_flush", flushed.add)
+    for number in (2, 0, 1):
+        counts = partial(store_writer.has_part, path, number)
+        monkeypatch.setattr(parts, "flush_all", lambda entries, counts=counts: counts() or flush_all(entries))
+        add(path, number)
+        assert path / f"wrench/c/{number}/0/0" in flushed
+        assert counts()
+    monkeypatch.setattr(parts, "flush_all", flush_all)
+    parts.flush_rest(finish(path))
+    assert flushed >= {path, *path.rglob("*")}
+
+
 def test_what_is_written_whole_is_the_same_bytes(parted: Path, tmp_path: Path) -> None:
     whole = tmp_path / "whole.zarr"
     store.write_recordings(
@@ -91,6 +108,7 @@ def test_two_processes_write_parts_at_the_same_time(parted: Path, tmp_path: Path
     code = """
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from tests.support.parted_stores import add
 for number in sys.argv[2:]:

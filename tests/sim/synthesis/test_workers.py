@@ -22,7 +22,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.registry import get_scenario
-from sim_mjx.synthesis import claims, plan, shards, workers
+from sim_mjx.synthesis import claims, pipeline, plan, shards, workers
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.pipeline import synthesise, work_on
 from sim_mjx.synthesis.status import status_of
@@ -124,6 +124,17 @@ def test_a_worker_never_replaces_a_store(tmp_path: Path, whole: dict[str, bytes]
     )
     assert report.stored == 60
     assert tree(target) == whole
+
+
+def test_a_store_that_its_workers_completed_is_not_worked_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is a GPU, asking it for memory would take seconds."""
+    target = tmp_path / "t.zarr"
+
+    def helpers(_: Any) -> None:
+        assert work_on(target, SMALL, simulate=fake_engine) == (12, True)
+        monkeypatch.setattr(pipeline, "_work", lambda *_: pytest.fail("worked on"))
+
+    assert synthesise(target, SMALL, helpers=helpers).stored == 12
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
