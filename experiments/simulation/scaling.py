@@ -78,7 +78,7 @@ def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     first = times["workers held shards from, to"][0][0]
     return {
         "trials": trials, "gpus": len(gpus), "seconds": times["ended"], "of_work": round(times["ended"] - first, 1),
-        "times, s": times, "stored": len(table.length), "samples": int(table.length.sum()),
+        "times": times, "stored": len(table.length), "samples": int(table.length.sum()),
     }  # fmt: skip
 
 

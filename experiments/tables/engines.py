@@ -174,7 +174,8 @@ def scaling(result: Result) -> str:
     shared = [(about, found)]
     for row in result["labels"]:
         kind = "compact labels" if "compact" in row else "dense labels"
-        shared.append((f"{kind}: {row['recordings']:,} recordings, window {row['window']}", row))
+        counts = dict.fromkeys(f"{row[which]:,}" for which in ("recordings", "together"))
+        shared.append((f"{kind}: {', '.join(counts)} recordings, window {row['window']}", row))
     for title, row in shared:
         bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
         times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]
