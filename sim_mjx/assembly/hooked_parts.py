@@ -4,8 +4,8 @@ The scene is that of :mod:`sim_mjx.assembly.parts`; what differs are the tips, t
 is a cantilever whose rounded tip is deflected by the lead-in of its lip, springs back beneath the edge and is held
 there by the retention face (:mod:`sim_mjx.assembly.hook`). A stop near the tab's root meets the edge of the lip, so
 that a hand that is pushed forward does not carry its rear hooks past theirs. It is upright where it stops: an inclined
-one would press the hand down, and the rear hooks past their lips before the hand does. It needs four physics steps per
-control period.
+one would press the hand down, and the rear hooks past their lips before the hand does. It needs at least four physics
+steps per control period; the scene has eight (docs/snap_fit.md).
 """
 
 from __future__ import annotations

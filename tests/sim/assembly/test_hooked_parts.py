@@ -129,7 +129,7 @@ def test_one_part_in_three_sessions() -> None:
     for name in ("hooked-B", "hooked-C"):
         for field in first.__dataclass_fields__.keys() - own:
             np.testing.assert_array_equal(getattr(HOOKED[name].parts, field), getattr(first, field))
-    assert get_scenario("hooked-A").scene().substeps == 4
+    assert get_scenario("hooked-A").scene().substeps == 8
 
 
 def test_friction_and_lips_hold_as_the_preset_and_the_part_say() -> None:
