@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -10,14 +10,14 @@ from jaxtyping import Float
 from experiments._lib.benchmarks import REAL, SIM1
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.rules import AnyConfig, AnyLimits
+from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_fields
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.types import Recordings
 
 WINDOW = 5
 WEIGHED = ("time", "change")
-FIT_RULE = asdict(FitConfig(WINDOW))  # for results: rows made by another rule are made again
+FIT_RULE = config_fields(FitConfig(WINDOW))  # for results: rows made by another rule are made again
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import tasks
-from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, SIM1, SIM2, recorded, rounded
+from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, REAL_FAILURES, SIM1, SIM2, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -71,7 +71,7 @@ def states(boundaries: str = "recorded", arms: str = "R") -> TaskSpec:
 
 
 ROWS = {
-    "REAL success/failure": Row((REAL, "REAL_HIRO_ONE_SA_ERROR_CHARAC"), OUTCOME, (0.83, 0.97, 1.0)),
+    "REAL success/failure": Row((REAL, REAL_FAILURES), OUTCOME, (0.83, 0.97, 1.0)),
     "SIM one-arm success/failure": Row((SIM1, FAILURES), OUTCOME, (1.0, 1.0, 1.0)),
     "REAL states": Row((REAL,), states(), (0.93, 0.97, 1.0)),
     "REAL states, harmonised marks": Row((REAL,), states("harmonised")),

@@ -27,7 +27,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded, with_interval
+from experiments._lib.benchmarks import REAL, REAL_FAILURES, recorded, with_interval
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
@@ -46,7 +46,7 @@ from rcbht_jax.learning.probability import fit_probabilistic
 from rcbht_jax.learning.svm import Grid, select
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
 
-SOURCES = ("REAL_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_ERROR_CHARAC")
+SOURCES = (REAL, REAL_FAILURES)
 RATE = 10.0  # snapshots per second
 FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of the record
 PICKED = 16  # snapshots per trial that train, evenly spaced

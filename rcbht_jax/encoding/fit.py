@@ -368,7 +368,7 @@ def _above(
     hm, bm, hl, bl = held
 
     def late(h: Segment, number: int) -> Array:
-        if force is not None or config.cap is None:
+        if force is not None or config.cap is None:  # without a cap none is late
             return jnp.full_like(h.label, force == number, bool)
         return now - h.t1 > config.cap
 

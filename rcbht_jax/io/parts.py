@@ -146,46 +146,37 @@ def discard(folder: Path, number: int) -> None:
     Raises:
         InputError: the description of a table is damaged: nobody can write its parts again.
     """
-    files = []
-    for metadata in folder.rglob("zarr.json"):
-        if _is_in_parts(metadata):
-            files.append(metadata.parent / "c" / str(number))
+    files = [chunks / str(number) for chunks in _chunk_folders(folder)]
     for file in sorted(files, key=lambda file: file.parents[1].name != DIGESTS):
         delete(file)
 
 
 def flush(path: Path, number: int) -> None:
     """Have what is written of a part on disk, in all tables below a folder."""
-    entries = list[Path]()
-    for folder, inside, _ in os.walk(path):
-        part = Path(folder, str(number))
-        if _holds_parts(part.parent):
-            inside.clear()
-            entries += [*part.rglob("*"), part] if part.exists() else []
-    flush_all(entries)
+    written = [chunks / str(number) for chunks in _chunk_folders(path)]
+    flush_all(entry for part in written if part.exists() for entry in (*part.rglob("*"), part))
 
 
 def flush_rest(path: Path) -> None:
     """Have on disk what :func:`flush` leaves out: descriptions, digests, and arrays that are not in parts."""
+    flushed = {chunks for chunks in _chunk_folders(path) if chunks.parent.name != DIGESTS}
     entries = [path]
     for folder, inside, files in os.walk(path):
-        if _holds_parts(Path(folder)):
+        if Path(folder) in flushed:
             inside.clear()
             files.clear()
         entries += [Path(folder, name) for name in (*inside, *files)]
     flush_all(entries)
 
 
-def _holds_parts(folder: Path) -> bool:
-    """Whether a folder holds the chunks of an array that is written part by part."""
-    metadata = folder.parent / "zarr.json"
-    if folder.name != "c" or folder.parent.name == DIGESTS or not metadata.is_file():
-        return False
-    return _is_in_parts(metadata)
-
-
-def _is_in_parts(metadata: Path) -> bool:
-    return (read_object(metadata).get("dimension_names") or [""])[0] in ("trial", "part")
+def _chunk_folders(path: Path) -> Iterator[Path]:
+    """Where the arrays below a folder that are written part by part keep their chunks."""
+    for folder, inside, files in os.walk(path):
+        if "zarr.json" in files:
+            dimensions = read_object(Path(folder, "zarr.json")).get("dimension_names") or [""]
+            if dimensions[0] in ("trial", "part"):
+                inside.clear()
+                yield Path(folder, "c")
 
 
 def digest_file(number: int) -> str:

@@ -108,7 +108,6 @@ def test_two_processes_write_parts_at_the_same_time(parted: Path, tmp_path: Path
     code = """
 import sys
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from tests.support.parted_stores import add
 for number in sys.argv[2:]:
