@@ -29,6 +29,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from experiments._lib.random_walks import SAMPLES, recordings
 from experiments._lib.results_io import machine, write_result
 from experiments.simulation.simulate_gpu import COMMAND
+from rcbht_jax._util.devices import in_turn
 from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates
@@ -36,7 +37,7 @@ from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig, encode
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io import store
-from rcbht_jax.types import Array
+from rcbht_jax.types import Array, LabelTracks
 from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
@@ -183,14 +184,17 @@ def labels(count: int, window: int, grown: bool) -> dict[str, Any]:
 
 
 def compact_labels(count: int, window: int) -> dict[str, Any]:
-    """Labels in the compact form, of recordings on the first device that go to the others and come back."""
+    """Labels in the compact form: each device has as many recordings of its own, and keeps their labels."""
     config, devices = EncoderConfig(window), jax.devices()
-    work = partial(
-        encode_on_device, config, preset(), recordings(count), jnp.full(count, SAMPLES, jnp.int32), batch=2048
-    )
-    about = {"recordings": count, "together": count, "window": window, "samples": SAMPLES, "compact": True}
-    shared = partial(work, devices=devices)
-    return compared(work, shared, 1 / len(devices), equal_bits(work, shared), **about)
+    given = recordings(count), jnp.full(count, SAMPLES, jnp.int32)
+    tasks = [partial(encode_on_device, config, preset(), *jax.device_put(given, device)) for device in devices]
+
+    def shared() -> list[LabelTracks]:
+        return list(in_turn(tasks, len(devices)))
+
+    about = {"recordings": count, "together": count * len(devices), "window": window, "samples": SAMPLES}
+    same = all(equal_bits(tasks[0], lambda one=one: jax.device_put(one, devices[0])) for one in shared())
+    return compared(tasks[0], shared, 1.0, same, **about, compact=True)
 
 
 def main(
@@ -224,7 +228,7 @@ def main(
     if "labels" in only:
         result["labels"] = []
         wanted = [partial(labels, count, window, grown) for grown in (True, False) for window in (5, 20)]
-        for row in (*wanted, partial(compact_labels, count, 5)):
+        for row in (*wanted, *(partial(compact_labels, count, window) for window in (5, 20))):
             result["labels"].append(row())
             print(json.dumps(result["labels"][-1]), flush=True)
     print(machine())

@@ -1,8 +1,9 @@
-"""Speed of the encoder on the default device, dense labels of many recordings, beside the scan it replaces on a GPU.
+"""Speed of the encoder on the default device, labels of many recordings, beside the scan it replaces on a GPU.
 
-A sample is one number of one axis. Recordings are in the device's memory before the clock starts;
-compilation apart; medians. The layout "time first" is the one in which the kernel writes, "row by row" JAX's default,
-which costs a transposition. Run on a GPU: python -m experiments.words.encoder_speed
+A sample is one number of one axis. Recordings are in the device's memory before the clock starts; compilation apart;
+medians. Dense labels in the layout "time first", in which the kernel writes, and "row by row", JAX's default, which
+costs a transposition; and the compact form, whose width the host learns from the device. Run on a GPU:
+python -m experiments.words.encoder_speed
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from jax.experimental.layout import Format, Layout
 from experiments._lib.random_walks import AXES, SAMPLES, recordings
 from experiments._lib.results_io import write_result
 from rcbht_jax.encoding import encoder, gpu
+from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.types import Array, LabelTracks
@@ -50,7 +52,18 @@ def speed(function: Callable[..., LabelTracks], wrench: Array, layout: bool, rep
     compiling = time.perf_counter() - start
     row = timed(lambda: run(limits, wrench, length), repeats)
     row["compile_s"] = round(compiling, 2)
-    return row | {"samples_per_s": round(wrench.size / statistics.median(row["seconds"]))}
+    return row | _rate(wrench, row)
+
+
+def compact(config: EncoderConfig, wrench: Array, repeats: int) -> dict[str, Any]:
+    """Samples per second of the compact form."""
+    limits, length = jnp.asarray(preset().limits, jnp.float32), jnp.full(len(wrench), SAMPLES, jnp.int32)
+    row = timed(lambda: encode_on_device(config, limits, wrench, length), repeats)
+    return row | _rate(wrench, row)
+
+
+def _rate(wrench: Array, row: dict[str, Any]) -> dict[str, Any]:
+    return {"samples_per_s": round(wrench.size / statistics.median(row["seconds"]))}
 
 
 def scan(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> LabelTracks:
@@ -77,6 +90,7 @@ def main(
             mine[str(count)] = {
                 "time first": speed(partial(encoder.encode, config), wrench, True, repeats),
                 "row by row": speed(partial(encoder.encode, config), wrench, False, repeats),
+                "compact": compact(config, wrench, repeats),
             }
             if count == SCANNED:
                 mine[str(count)]["scan"] = speed(partial(scan, config), wrench, False, 3)

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
-from rcbht_jax._util.devices import in_turn
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
@@ -225,6 +224,7 @@ class _Rows:
 WIDTH = 32
 STRETCH = 200  # ... recordings to this many windows, ...
 ROWS = 64  # ... and batches to this many recordings
+BY_SCAN, BY_KERNELS, MEMORY = 2400, 96, 2**33  # bytes for a window of one axis, and for all that is encoded at once
 
 
 def encode_on_device(
@@ -233,40 +233,33 @@ def encode_on_device(
     wrench: Float[Array, "recording time axis"],
     length: Int[Array, " recording"],
     *,
-    batch: int = 2048,
-    devices: Sequence[jax.Device] | None = None,
+    batch: int | None = None,
 ) -> LabelTracks:
     """Labels of a batch of recordings in the compact form, without a transfer to the host.
 
     The labels equal those of :func:`encode_batch` bit for bit. That function is better where recordings differ much in
-    length or where memory is short: here all are scanned at once to the end of the longest.
+    length or where memory is short: here all are scanned at once to the end of the longest. Several devices work at
+    once where each is given recordings of its own by a thread of its own.
 
     Args:
         config: static configuration.
         thresholds: limits ``[axis, 4]`` or ``[recording, axis, 4]``.
         wrench: float32 on the device, N and Nm, padded with anything finite.
         length: int32, samples that count.
-        batch: recordings that are scanned at once; bounds the memory, about 14 kB per recording and window.
-        devices: that take turns with the batches; None = the one that has the wrench.
+        batch: recordings that are encoded at once, which bounds the memory: a window of one axis takes 2.4 kB by a
+            scan, 0.1 kB by the kernels of a GPU; None = as many as take 8 GB.
 
     Returns:
-        device arrays ``[recording, axis, slot]``, on the first device; unused slots are at the end and zero.
+        device arrays ``[recording, axis, slot]``, where the recordings are; unused slots are at the end and zero.
     """
-    places = devices or (None,)
-    count = len(wrench)
-    spare = -count % batch if count > batch else 0  # whole batches: one compiled program
-    wrench, length = jnp.pad(wrench, ((0, spare), (0, 0), (0, 0))), jnp.pad(length, (0, spare))
-    limits = jnp.broadcast_to(limits_of(thresholds), (count, wrench.shape[2], 4))
-    limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
-
-    def piece(start: int, place: jax.Device | None) -> LabelTracks:
-        some = tuple(array[start : start + batch] for array in (limits, wrench, length))
-        return jax.device_put(begin_encoding(config, *jax.device_put(some, place))(), places[0])
-
-    starts = enumerate(range(0, count, batch))
-    tasks = [partial(piece, start, places[number % len(places)]) for number, start in starts]
-    pieces = list(in_turn(tasks, len(places)))
-    return jax.tree.map(lambda *same: _stacked(*same)[:count], *pieces)
+    count, batch = len(wrench), batch or _batch_within(MEMORY, config, wrench)
+    if count <= batch:
+        return begin_encoding(config, thresholds, wrench, length)()
+    limits = _limits_of_each(limits_of(thresholds), wrench)
+    spare = -count % batch  # whole batches: one compiled program
+    given = _padded(spare, 0, limits, wrench, length) if spare else (limits, wrench, length)
+    pieces = [begin_encoding(config, *_part(start, batch, given))() for start in range(0, count, batch)]
+    return _joined(count, pieces)
 
 
 def begin_encoding(
@@ -281,31 +274,110 @@ def begin_encoding(
     recordings are scanned at once.
     """
     count, samples = wrench.shape[:2]
-    limits = jnp.asarray(limits_of(thresholds), wrench.dtype)
-    limits = jnp.broadcast_to(limits, (count, *limits.shape[-2:]))
-    spare = -count % ROWS
-    wrench = jnp.pad(wrench, ((0, spare), (0, -samples % (config.window * STRETCH)), (0, 0)))
-    limits, length = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge"), jnp.pad(length, (0, spare))
-    dense, used = _encode(config, limits, wrench, length)
+    limits = _limits_of_each(limits_of(thresholds), wrench)
+    spare, tail = -count % ROWS, -samples % (config.window * STRETCH)
+    if spare or tail:  # a program of its own: those that encode take long to compile
+        limits, wrench, length = _padded(spare, tail, limits, wrench, length)
+    encoded, shortened = (_packed, _trimmed) if _by_kernels(config, wrench) else (_dense, _compacted)
+    tracks, *used = encoded(config, limits, wrench, length)
 
     def ended() -> LabelTracks:
-        widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used))
-        return jax.tree.map(lambda leaf: leaf[:count], _compacted(widths, dense))
+        widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used[1]))
+        return shortened(widths, (count, wrench.shape[2]), tracks, used[0])
 
     return ended
 
 
+def _batch_within(memory: int, config: EncoderConfig, wrench: Array) -> int:
+    """How many recordings may be encoded at once, a multiple of ROWS."""
+    _, samples, axes = wrench.shape
+    windows = -(-samples // (config.window * STRETCH)) * STRETCH
+    each = (BY_KERNELS if _on_gpu(wrench) else BY_SCAN) * max(windows, 1) * axes
+    return max(memory // each // ROWS, 1) * ROWS
+
+
+def _on_gpu(wrench: Array) -> bool:
+    return isinstance(wrench, jax.Array) and {device.platform for device in wrench.devices()} == {"gpu"}
+
+
+def _by_kernels(config: EncoderConfig, wrench: Array) -> bool:
+    """Whether the kernels of :mod:`rcbht_jax.encoding.gpu` encode these recordings, where they are."""
+    if not _on_gpu(wrench):
+        return False
+    from rcbht_jax.encoding import gpu
+
+    return gpu.fits(config, wrench, packed=True)
+
+
+@jax.jit
+def _limits_of_each(limits: Array, wrench: Array) -> Array:
+    return jnp.broadcast_to(limits.astype(wrench.dtype), (len(wrench), *limits.shape[-2:]))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _padded(spare: int, tail: int, limits: Array, wrench: Array, length: Array) -> tuple[Array, Array, Array]:
+    """More recordings, which have no samples, and longer ones."""
+    limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
+    return limits, jnp.pad(wrench, ((0, spare), (0, tail), (0, 0))), jnp.pad(length, (0, spare))
+
+
+@partial(jax.jit, static_argnums=1)
+def _part(start: Array | int, batch: int, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
+    """The recordings from one on."""
+    return jax.tree.map(lambda array: jax.lax.dynamic_slice_in_dim(array, start, batch), arrays)
+
+
 @partial(jax.jit, static_argnums=0)
-def _encode(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array]:
-    """Dense labels and, of each layer, the most labels that a lane has."""
+def _joined(count: int, pieces: Sequence[LabelTracks]) -> LabelTracks:
+    """Pieces one after the other, each track as wide as the widest."""
+
+    def stacked(*leaves: Array) -> Array:
+        width = max(leaf.shape[-1] for leaf in leaves)
+        wide = [jnp.pad(leaf, ((0, 0), (0, 0), (0, width - leaf.shape[-1]))) for leaf in leaves]
+        return jnp.concatenate(wide)[:count]
+
+    return jax.tree.map(stacked, *pieces)
+
+
+@partial(jax.jit, static_argnums=0)
+def _packed(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[list[Array], Array, Array]:
+    """Packed labels of each layer, how many each lane has ``[3, lane]``, and the most."""
+    from rcbht_jax.encoding import gpu
+
+    by_lane = jnp.moveaxis(limits, -1, 0).reshape(limits.shape[-1], -1)
+    packed, used = gpu.encode_packed(config, by_lane, wrench, length.astype(jnp.int32))
+    return packed, used, used.max(-1)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[Array], used: Array) -> LabelTracks:
+    """Tracks ``[recording, axis, slot]`` of packed labels, without slots that no lane uses; the others end in zeros."""
+    from rcbht_jax.encoding import gpu
+
+    recordings, axes = shape
+
+    def layer(width: int, words: Array, count: Array) -> LabelTrack:
+        words, there = words[: recordings * axes, :width], jnp.arange(width, dtype=jnp.int32)[None] < count[:, None]
+        words = jnp.pad(words, ((0, 0), (0, max(width - words.shape[1], 0)), (0, 0)))
+        words = jnp.where(there[: recordings * axes, :, None], words, 0)
+        return gpu.unpacked(words.reshape(recordings, axes, width, -1))
+
+    return LabelTracks(*(layer(*each) for each in zip(widths, packed, used, strict=True)))
+
+
+@partial(jax.jit, static_argnums=0)
+def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array, Array]:
+    """Dense labels ``[recording, axis, slot]``; then as :func:`_packed`."""
     dense = encode(config, limits, wrench, length)
-    used = [(track.label != 0).sum(-1).max() for track in (dense.primitive, dense.mc, dense.llb)]
-    return dense, jnp.stack(used)
+    used = jnp.stack([(track.label != 0).sum(-1).ravel() for track in (dense.primitive, dense.mc, dense.llb)])
+    return dense, used, used.max(-1)
 
 
-@partial(jax.jit, static_argnums=0)
-def _compacted(widths: tuple[int, int, int], dense: LabelTracks) -> LabelTracks:
-    tracks = (dense.primitive, dense.mc, dense.llb)
+@partial(jax.jit, static_argnums=(0, 1))
+def _compacted(widths: tuple[int, int, int], shape: tuple[int, int], dense: LabelTracks, used: Array) -> LabelTracks:
+    """As :func:`_trimmed`, of dense labels."""
+    del used
+    tracks = (jax.tree.map(lambda leaf: leaf[: shape[0]], track) for track in (dense.primitive, dense.mc, dense.llb))
     return LabelTracks(*(_compact(width, track) for width, track in zip(widths, tracks, strict=True)))
 
 
@@ -322,8 +394,3 @@ def _compact(width: int, track: LabelTrack) -> LabelTrack:
         return jnp.where(there, jnp.take_along_axis(values, slot, axis=-1), jnp.zeros((), values.dtype))
 
     return LabelTrack(**{field.name: chosen(getattr(track, field.name)) for field in fields(LabelTrack)})
-
-
-def _stacked(*pieces: Array) -> Array:
-    width = max(piece.shape[-1] for piece in pieces)
-    return jnp.concatenate([jnp.pad(piece, ((0, 0), (0, 0), (0, width - piece.shape[-1]))) for piece in pieces])

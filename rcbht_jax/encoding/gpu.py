@@ -2,8 +2,9 @@
 
 A scan on a GPU launches kernels for every window and keeps its state in memory; the first kernel does the same
 arithmetic, with the same functions, in one launch, and the second one publishes what is held at the end. They write
-labels in order of time first, so that neighbouring lanes write side by side. Written in Pallas for Triton. The labels
-are those of the scan on a CPU bit for bit.
+labels in order of time first, so that neighbouring lanes write side by side; or, packed, each lane's labels one after
+the other, with the fields of a label side by side, which spares a compaction afterwards. Written in Pallas for Triton.
+The labels are those of the scan on a CPU bit for bit.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _LARGEST = 2**31 - 1  # elements that 32-bit offsets reach
 
 
-def fits(config: EncoderConfig, wrench: Array) -> bool:
+def fits(config: EncoderConfig, wrench: Array, packed: bool = False) -> bool:
     """Whether the kernels can encode recordings ``[trial, time, axis]``: single precision, 32-bit offsets."""
     windows = -(-wrench.shape[1] // config.window)
-    rows = max(windows + max(FLUSH_SLOTS), 4 * _ROWS)
+    rows = max((windows + max(FLUSH_SLOTS)) * (len(_FIELDS) if packed else 1), 4 * _ROWS)
     return wrench.dtype == jnp.float32 and max(rows * wrench.shape[0] * wrench.shape[2], wrench.size) <= _LARGEST
 
 
@@ -110,15 +111,58 @@ def encode(
     Returns:
         labels ``[slot, lane]``, one slot per window and then those of the end, as many as the layer can hold.
     """
+    found, counts = _encoded(config, limits, wrench, length, False, block, warps, interpret)
+    flat = (column.reshape(-1, counts.shape[-1]) for column in found)
+    return LabelTracks(*(LabelTrack(*(next(flat) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
+
+
+def encode_packed(
+    config: EncoderConfig,
+    limits: Float[Array, "4 lane"],
+    wrench: Float[Array, "trial time axis"],
+    length: Int[Array, " trial"],
+    *,
+    block: int = BLOCK,
+    warps: int = WARPS,
+    interpret: bool = False,
+) -> tuple[list[Int[Array, "lane _row field"]], Int[Array, "3 lane"]]:
+    """As :func:`encode`, each lane's labels one after the other from the first row on.
+
+    Returns:
+        of each layer the labels, whose fields are those of a track in their order, real ones as the bits of an int32;
+        and how many labels each lane has. Other rows hold anything.
+    """
+    found, counts = _encoded(config, limits, wrench, length, True, block, warps, interpret)
+    lanes = counts.shape[-1]
+    return [words.reshape(lanes, -1, len(_FIELDS)) for words in found], counts
+
+
+def unpacked(words: Int[Array, "*lane field"]) -> LabelTrack:
+    """The fields of packed labels."""
+    fields = (words[..., place] for place in range(len(_FIELDS)))
+    return LabelTrack(*(
+        field.astype(_dtype(name)) if name in _INTEGERS else jax.lax.bitcast_convert_type(field, jnp.float32)
+        for name, field in zip(_FIELDS, fields, strict=True)
+    ))  # fmt: skip
+
+
+def _encoded(
+    config: EncoderConfig, limits: Array, wrench: Array, length: Array, packed: bool, block: int, warps: int,
+    interpret: bool,
+) -> tuple[list[Array], Array]:  # fmt: skip
+    """Columns of all layers, or the packed labels of each, flat; and the number of labels, in the packed form."""
     trials, samples, axes = wrench.shape
     lanes, windows = trials * axes, -(-samples // config.window)
-    columns = [
-        jax.ShapeDtypeStruct(((windows + extra) * lanes,), _dtype(name)) for extra in FLUSH_SLOTS for name in _FIELDS
-    ]
+    sizes = [(windows + extra) * lanes for extra in FLUSH_SLOTS]
+    if packed:
+        columns = [jax.ShapeDtypeStruct((size * len(_FIELDS),), jnp.int32) for size in sizes]
+    else:
+        columns = [jax.ShapeDtypeStruct((size,), _dtype(name)) for size in sizes for name in _FIELDS]
     queue = [
         jax.ShapeDtypeStruct((3 * _ROWS * lanes,), jnp.int32),
         jax.ShapeDtypeStruct((4 * _ROWS * lanes,), jnp.float32),
     ]
+    count = jax.ShapeDtypeStruct((len(FLUSH_SLOTS) * lanes,), jnp.int32)
     divide = jnp.true_divide if interpret else _divide
     call = partial(
         pl.pallas_call,
@@ -127,8 +171,8 @@ def encode(
         interpret=interpret,
     )
     walk = call(
-        partial(_walk, config, samples, axes, lanes, block, divide),
-        out_shape=[*columns, *queue, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
+        partial(_walk, config, samples, axes, lanes, block, divide, packed),
+        out_shape=[*columns, *queue, count, jax.ShapeDtypeStruct((lanes,), jnp.int32)],
         name="rcbht_encode",
     )
     # loaded, not compiled in: a compiler must not regroup products of what it knows
@@ -136,13 +180,13 @@ def encode(
     *begun, time = walk(limits.reshape(-1), table, length, wrench.reshape(-1))
     # A kernel of its own: in the first one it would cost registers of the walk, and half a minute of compilation.
     end = call(
-        partial(_end, config, windows, lanes, block, divide),
-        out_shape=[*columns, *queue],
+        partial(_end, config, windows, lanes, block, divide, packed),
+        out_shape=[*columns, *queue, count],
         input_output_aliases={number: number for number in range(len(begun))},
         name="rcbht_drain",
     )
-    flat = iter(end(*begun, time))
-    return LabelTracks(*(LabelTrack(*(next(flat).reshape(-1, lanes) for _ in _FIELDS)) for _ in FLUSH_SLOTS))
+    *found, counts = end(*begun, time)
+    return found[: len(columns)], counts.reshape(-1, lanes)
 
 
 def _dtype(name: str) -> Any:
@@ -168,20 +212,44 @@ class _Lanes:
         """Write the lanes' elements of a row."""
         triton.store(ref.at[row * self._lanes + self.number], values.astype(ref.dtype), mask=self._inside)
 
-    def publish(self, columns: Sequence[Any], row: Any, segment: Segment, emit: Array, divide: Divide) -> None:
-        """Write a layer's label, or the zeros of none."""
-        track = track_of(segment, emit, divide)
-        for ref, name in zip(columns, _FIELDS, strict=True):
+    def write(self, refs: Sequence[Any], row: Any, track: LabelTrack) -> Any:
+        """Write a layer's labels, or the zeros of none, into its columns; returns the row of the next ones."""
+        for ref, name in zip(refs, _FIELDS, strict=True):
             self.store(ref, row, getattr(track, name))
+        return row + 1
+
+    def append(self, ref: Any, rows: int, row: Array, track: LabelTrack) -> Array:
+        """Write the labels of those lanes that have one, each into its own row; returns the rows of the next ones."""
+        there = track.label != 0
+        first = (self.number * rows + row) * len(_FIELDS)
+        for place, name in enumerate(_FIELDS):
+            values = getattr(track, name)
+            bits = values.astype(jnp.int32) if name in _INTEGERS else jax.lax.bitcast_convert_type(values, jnp.int32)
+            triton.store(ref.at[first + place], bits, mask=self._inside & there)
+        return row + there.astype(jnp.int32)
+
+
+class _Publisher:
+    """Where the layers' labels go: a row per window, or packed."""
+
+    def __init__(self, own: _Lanes, columns: Sequence[Any], windows: int, packed: bool) -> None:
+        self._own, self._columns, self._windows, self._packed = own, columns, windows, packed
+
+    def publish(self, layer: int, row: Any, track: LabelTrack) -> Any:
+        """Write a layer's labels; returns the row of the next ones."""
+        if self._packed:
+            return self._own.append(self._columns[layer], self._windows + FLUSH_SLOTS[layer], row, track)
+        return self._own.write(self._columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)], row, track)
 
 
 def _walk(
-    config: EncoderConfig, samples: int, axes: int, lanes: int, block: int, divide: Divide,
+    config: EncoderConfig, samples: int, axes: int, lanes: int, block: int, divide: Divide, packed: bool,
     limits_ref: Any, table_ref: Any, length_ref: Any, wrench_ref: Any, *outputs: Any,
 ) -> None:  # fmt: skip
     """One block of lanes from the first window to the last."""
-    *columns, ints_ref, reals_ref, time_ref = outputs
+    *columns, ints_ref, reals_ref, count_ref, time_ref = outputs
     own = _Lanes(lanes, block)
+    publisher = _Publisher(own, columns, -(-samples // config.window), packed)
     trial = own.number // axes
     first = trial * (samples * axes) + (own.number - trial * axes)
     limits = tuple(own.row(limits_ref, row) for row in range(4))
@@ -197,7 +265,7 @@ def _walk(
         return [sample(begin + index) for index in range(config.window)] if config.window <= _AHEAD else []
 
     def body(window: Array, carry: Any) -> Any:
-        time, held, values = carry
+        time, held, values, rows = carry
         begin = window * config.window
         following = window_from(begin + config.window)  # asked for now, needed a window later
         count = jnp.clip(length - begin, 0, config.window)
@@ -219,35 +287,38 @@ def _walk(
         size = jnp.where(label > 0, count, 0)
         x = Segment(label, time, time + size, x.vmax, x.vmin, x.area, x.rise)
         held, out = chain(config, held, x)
-        for layer, segment in enumerate(out):
-            own.publish(_of_layer(columns, layer), window, segment, time + size, divide)
-        return time + size, held, following
+        rows = [
+            publisher.publish(layer, row, track_of(segment, time + size, divide))
+            for layer, (row, segment) in enumerate(zip(rows, out, strict=True))
+        ]
+        return time + size, held, following, rows
 
     whole, real = jnp.zeros(block, jnp.int32), jnp.zeros(block, jnp.float32)
     empty = [Segment(whole, whole, whole, real, real, real, real)] * _HELD
-    time, held, _ = jax.lax.fori_loop(0, -(-samples // config.window), body, (whole, empty, window_from(0)))
+    begin = (whole, empty, window_from(0), [whole if packed else jnp.int32(0) for _ in FLUSH_SLOTS])
+    time, held, _, rows = jax.lax.fori_loop(0, -(-samples // config.window), body, begin)
     _Queue(own, ints_ref, reals_ref).fill(held)
+    for layer, row in enumerate(rows):
+        own.store(count_ref, layer, jnp.broadcast_to(row, (block,)))
     own.store(time_ref, 0, time)
 
 
-def _end(config: EncoderConfig, windows: int, lanes: int, block: int, divide: Divide, *refs: Any) -> None:
+def _end(config: EncoderConfig, windows: int, lanes: int, block: int, divide: Divide, packed: bool, *refs: Any) -> None:
     """What one block of lanes still holds, each layer drained into the next."""
     time_ref, *outputs = refs[len(refs) // 2 :]  # before them the same memory as inputs
-    *columns, ints_ref, reals_ref = outputs
+    *columns, ints_ref, reals_ref, count_ref = outputs
     own = _Lanes(lanes, block)
+    publisher = _Publisher(own, columns, windows, packed)
     queue, time = _Queue(own, ints_ref, reals_ref), own.row(time_ref, 0)
     held = [queue.read(place) for place in range(_HELD)]
     for layer, ends in enumerate(drain_segments(config, held, queue.pushed)):
         queue.fill(ends)
 
-        def publish(place: Array, _: None, layer: int = layer) -> None:
-            own.publish(_of_layer(columns, layer), windows + place, queue.read(place), time, divide)
+        def publish(place: Array, row: Array, layer: int = layer) -> Array:
+            return publisher.publish(layer, row, track_of(queue.read(place), time, divide))
 
-        jax.lax.fori_loop(0, len(ends), publish, None)
-
-
-def _of_layer(columns: Sequence[Any], layer: int) -> Sequence[Any]:
-    return columns[layer * len(_FIELDS) : (layer + 1) * len(_FIELDS)]
+        count = jax.lax.fori_loop(0, len(ends), publish, own.row(count_ref, layer))
+        own.store(count_ref, layer, count)
 
 
 class _Queue:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.encoding import encoder, gpu
+from rcbht_jax.encoding import batch, encoder, gpu
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.types import LabelTracks
@@ -45,6 +45,22 @@ def test_the_kernel_gives_the_labels_of_the_scan(config: EncoderConfig) -> None:
     assert_trees_equal(by_kernel(config, wrench), expected)
 
 
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=list(CONFIGS))
+def test_packed_labels_are_those_of_the_compact_form(config: EncoderConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrench = recordings()
+    expected = batch.encode_on_device(config, LIMITS, wrench, LENGTH)
+    monkeypatch.setattr(batch, "_by_kernels", lambda *_: True)
+    monkeypatch.setattr(gpu, "encode_packed", partial(gpu.encode_packed, block=16, interpret=True))
+    batch._packed.clear_cache()
+    assert_trees_equal(batch.encode_on_device(config, LIMITS, wrench, LENGTH), expected)
+    batch._packed.clear_cache()  # it holds programs of the interpreter
+
+
+def test_packed_labels_compile_for_cuda() -> None:
+    lower = batch._packed.trace(EncoderConfig(), jnp.tile(LIMITS, (5, 1, 1)), recordings(), LENGTH).lower
+    assert "triton" in lower(lowering_platforms=("cuda",)).as_text()
+
+
 def test_what_gpu_users_call_compiles_for_cuda_and_has_derivatives(monkeypatch: pytest.MonkeyPatch) -> None:
     config, wrench = EncoderConfig(), recordings()
 
@@ -65,3 +81,14 @@ def test_what_the_kernel_cannot_do_is_left_to_the_scan() -> None:
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((8, 100, 6), jnp.float64))
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((4_000_000, 100, 6), jnp.float32))
     assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((12_000_000, 5, 6), jnp.float32))  # what lanes hold
+    assert gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((32_768, 2000, 6), jnp.float32), packed=True)
+    assert not gpu.fits(EncoderConfig(), jax.ShapeDtypeStruct((131_072, 2000, 6), jnp.float32), packed=True)
+
+
+def test_a_batch_keeps_within_the_memory() -> None:
+    config, samples = EncoderConfig(window=5), 2000
+    wrench = np.zeros((1, samples, 6), np.float32)
+    size = batch._batch_within(2**30, config, wrench)
+    assert size % batch.ROWS == 0
+    assert size * samples // 5 * 6 * batch.BY_SCAN <= 2**30 < (size + batch.ROWS) * samples // 5 * 6 * batch.BY_SCAN
+    assert batch._batch_within(1, config, wrench) == batch.ROWS

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from rcbht_jax._util.devices import in_turn
 from rcbht_jax.calibration import gradient
 from rcbht_jax.calibration.dataset import device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates, search
@@ -53,10 +54,10 @@ def main() -> None:
 
     length = np.array([SAMPLES, 7, 0, 199, 100, 50], np.int32)
     there = jnp.asarray(wrench), jnp.asarray(length)
-    first = encode_on_device(CONFIG, preset(), *there, batch=2)
-    second = encode_on_device(CONFIG, preset(), *there, batch=2, devices=both)
-    same(first, second)
-    assert {device for leaf in jax.tree.leaves(second) for device in leaf.devices()} == {both[0]}
+    tasks = [partial(encode_on_device, CONFIG, preset(), *jax.device_put(there, device), batch=2) for device in both]
+    for device, labels in zip(both, in_turn(tasks, 2), strict=True):
+        same(encode_on_device(CONFIG, preset(), *there), labels)
+        assert {place for leaf in jax.tree.leaves(labels) for place in leaf.devices()} == {device}
 
     rows, everywhere = PartitionSpec("recording"), PartitionSpec()
     halves = jax.shard_map(
