@@ -1,10 +1,10 @@
 """The gate of simulated sessions: what it says of the presets, of recordings, and of models that are nonsense.
 
-For every session the preset, and the one with hooks that catch; the same without tabs, with soft springs, and with
-another session's parts; a constant for every state and axis; and the recorded mean with sensor noise. As a control, one
-half of the recordings against the other. Nonsense must fail, recordings must pass. Where a session has a grid of
-placements, the trials are counted that seat, or do not, as recorded.
-Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp hooked-A hooked-B hooked-C]
+For every session the preset, and the one with hooks that catch or with rigid contacts; the same without tabs, with soft
+springs, and with another session's parts; a constant for every state and axis; and the recorded mean with sensor noise.
+As a control, one half of the recordings against the other. Nonsense must fail, recordings must pass. Where a session
+has a grid of placements, the trials are counted that seat, or do not, as recorded.
+Run: python -m experiments.simulation.fidelity_gate [--session A B C openhrp hooked-A hooked-B hooked-C rigid-openhrp]
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from experiments._lib.results_io import write_result
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.parts import PartParams
 from sim_mjx.presets import HOOKED, ONE_ARM
+from sim_mjx.presets.openhrp import RIGID
 from sim_mjx.presets.session import SessionPreset
 from sim_mjx.validation import gate, sessions, signature
 from sim_mjx.validation.dynamics import Dynamics
@@ -27,6 +28,7 @@ from sim_mjx.validation.fidelity import rerun, snap_shares
 from sim_mjx.validation.gate import Check
 
 SEED = 0
+SESSIONS = ONE_ARM | HOOKED | {RIGID.name: RIGID}
 OTHER = {"A": "B", "B": "A", "C": "A", "openhrp": "A"}  # whose parts a session is given
 COVERAGE, W1, DTW = 0.64, 0.75, 0.67  # all that was asked before: the similarity of session A to session B
 SOFT = 0.01  # of the springs' stiffness
@@ -90,9 +92,9 @@ def row(
     }
 
 
-def main(session: tuple[str, ...] = (*ONE_ARM, *HOOKED)) -> None:
+def main(session: tuple[str, ...] = tuple(SESSIONS)) -> None:
     recordings = recorded()
-    result = {"rows": {name: of_session((ONE_ARM | HOOKED)[name], recordings) for name in session}}
+    result = {"rows": {name: of_session(SESSIONS[name], recordings) for name in session}}
     result["states"] = list(signature.STATES)
     write_result("fidelity_gate", "python -m experiments.simulation.fidelity_gate", result, seed=SEED, show=False)
 

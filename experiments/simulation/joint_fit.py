@@ -2,7 +2,8 @@
 
 CMA-ES over what all sessions share (the parts) and what each has of its own (place and stand). The cells of B's grid
 are divided like a chess board. The search begins at the presets, or at the start of an earlier result (--first), and
-resumes from its checkpoint. The committed result is that of an earlier ``impratio`` and of 9 s of mating.
+resumes from its checkpoint. The committed result is that of an earlier ``impratio`` and of 9 s of mating. With
+``--stands`` the part stays as it is, and only what each session has of its own is searched.
 Run: python -m experiments.simulation.joint_fit --engine warp --population 128 --generations 45 --spread 0.06 --seed 2
 """
 
@@ -51,7 +52,10 @@ OWN = {
     **{f"parts.mount_stiffness[{axis}]": Bound(2e3, 1.6e4, True) for axis in range(3)},
     **{f"parts.mount_damping[{axis}]": Bound(5.0, 250.0, True) for axis in range(3)},
 }
-AROUND = {"parts.position[0]": 4e-3, "parts.position[1]": 4e-3, "parts.position[2]": 2.5e-3, "parts.roll": 0.04}
+AROUND = {
+    "parts.position[0]": 4e-3, "parts.position[1]": 4e-3, "parts.position[2]": 2.5e-3, "parts.roll": 0.04,
+    "parts.tilt[0]": 0.06, "parts.tilt[1]": 0.06,
+}  # fmt: skip
 TRIALS = 3  # per candidate, of a session without a grid: they repeat one pose
 SEEN = tuple(cell for cell in HOOKED["hooked-B"].placements if sum(cell) % 2 == 0)
 
@@ -69,11 +73,17 @@ def shares(recordings: Recordings, names: tuple[str, ...]) -> dict[str, Share]:
 
 
 def search(
-    names: tuple[str, ...], population: int, generations: int, spread: float, seed: int, first: Values | None = None
+    names: tuple[str, ...],
+    population: int,
+    generations: int,
+    spread: float,
+    seed: int,
+    first: Values | None = None,
+    stands: bool = False,
 ) -> Search:
-    """From the presets' present values, or from those of ``first`` where it has some."""
-    bounds = dict(SHARED)
-    start = {name: _present(names[0], name) for name in SHARED}
+    """From the presets' present values, or from those of ``first`` where it has some; ``stands`` = the part is kept."""
+    bounds = {} if stands else dict(SHARED)
+    start = {name: _present(names[0], name) for name in bounds}
     for session in names:
         around = {
             name: Bound(_present(session, name) - by, _present(session, name) + by) for name, by in AROUND.items()
@@ -100,6 +110,7 @@ def main(
     first: Path | None = None,
     checkpoint: Path = Path("joint_fit.json"),
     max_seconds: float = np.inf,
+    stands: bool = False,
 ) -> None:
     recordings = recorded() if store is None else read_recordings(store)
     seen = shares(recordings, session)
@@ -116,7 +127,7 @@ def main(
             raise SystemExit(f"stopped after {took:.0f} s; the same command resumes from {checkpoint}")
 
     values = None if first is None else json.loads(first.read_text())["result"]["start"]
-    how = search(tuple(seen), population, generations, spread, seed, values)
+    how = search(tuple(seen), population, generations, spread, seed, values, stands)
     best = system_id.fit(
         JointObjective(HOOKED[session[0]].scene(), seen, engine, seed),
         how,
@@ -132,7 +143,10 @@ def main(
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
-    write_result("joint_fit", "python -m experiments.simulation.joint_fit --engine warp", result, seed=seed, show=False)
+    name, options = (
+        ("stand_fit", f"--stands --session {' '.join(session)}") if stands else ("joint_fit", "--engine warp")
+    )
+    write_result(name, f"python -m experiments.simulation.joint_fit {options}", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

@@ -45,6 +45,7 @@ class HookedParams(PartParams):
     stop_play: Float[Array, "*batch"]  # m, between the stop of a whole hook and the edge of its lip
     foot_reach: Float[Array, "*batch"]  # m, of the rim that meets the seat, beyond the tips: a tilted hand stands on it
     lip_impedance: Float[Array, "*batch 4"]  # least one of a tip on its lip; the nearer to 1, the less it creeps
+    tilt: Float[Array, "*batch 2"]  # rad, of the female part about its own x and y axes, as a rotation vector
 
     widest: ClassVar[float] = 2.8e-3  # m, width of a lip's lead-in
     positive: ClassVar[tuple[str, ...]] = (*PartParams.positive, "hook_overlap", "stop_play", "lip_impedance")
@@ -105,6 +106,7 @@ def model_fields(model: mujoco.MjModel, params: HookedParams, arm: str = "R") ->
         least, lip = params.lip_impedance[..., index], model.pair(f"{arm}TIP_{name}:LIP_{name}").id
         # under load a third of the compliance is left, as in the nominal hook
         out["pair_solimp"][..., lip, :2] = placed(least, 1 - (1 - least) / 3)
+    out["body_quat"][..., model.body("MOUNT").id, :] = _turned(params)
     return out
 
 
@@ -117,6 +119,16 @@ def caught(local: Float[Array, "*tabs 3"]) -> Bool[Array, "*tabs"]:
     below = (local[..., 2] < 0.0) & (local[..., 2] > -DEEPEST)
     beneath = (local[..., 0] > -HOOK.tip_radius) & (local[..., 0] < DEEPEST)
     return below & beneath & (abs(local[..., 1]) < LIP_WIDTH)
+
+
+def _turned(params: HookedParams) -> NDArray[np.float64]:
+    """Quaternion [..., 4] of the female part: turned about the vertical, then tilted."""
+    half = np.asarray(params.tilt) / 2
+    angle = np.linalg.norm(half, axis=-1)
+    level, lean = np.cos(angle), half * np.sinc(angle / np.pi)[..., None]
+    cos, sin = np.cos(np.asarray(params.roll) / 2), np.sin(np.asarray(params.roll) / 2)
+    x, y = lean[..., 0], lean[..., 1]
+    return placed(cos * level, cos * x - sin * y, cos * y + sin * x, sin * level)
 
 
 def _outward(index: int) -> float:

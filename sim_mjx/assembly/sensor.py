@@ -12,6 +12,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.controllers import Rotation, Wrench
 
 LONGEST_DELAY = 12  # control periods that the buffers can hold
+LOADED = 1.0  # N, above the first reading: the hand touches something
 
 
 @jax.tree_util.register_dataclass
@@ -33,6 +34,10 @@ class SensorParams:
     bias: Float[Array, "*batch 6"]  # drift since the tare, N and Nm, world frame, after the filter
     tared: Float[Array, "*batch"]  # 1 = the weight at the start is subtracted
     reference: Float[Array, "*batch 3"]  # m, wrist frame, the point that moments refer to
+    offset: Float[Array, "*batch 6"] | None = None  # N and Nm, wrist frame, read without a load; None = nothing
+    # N and Nm, wrist frame: a factor of the covariance of what a solver adds to the wrench of a contact from one period
+    # to the next; None = nothing
+    jitter: Float[Array, "*batch 6 6"] | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -69,6 +74,11 @@ def read(
     moment = raw[3:] - jnp.cross(params.reference, raw[:3])
     buffer = jnp.concatenate([jnp.concatenate([raw[:3], moment])[None], state.buffer[:-1]])
     late = buffer[params.delay] - params.tared * state.tare + noise * params.noise
+    if params.jitter is not None:
+        loaded = jnp.linalg.norm(buffer[params.delay, :3] - state.tare[:3]) > LOADED
+        late = late + jnp.where(loaded, params.jitter @ noise, 0.0)
+    if params.offset is not None:
+        late = late + params.offset
     u = jnp.round(late / params.step) * params.step
     y = params.c * state.filtered + params.d * u
     filtered = params.a * state.filtered + params.b * u

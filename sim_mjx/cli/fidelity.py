@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Measured = tuple[dict[str, Any], Any]  # values of the report, figure or None
 HIRO = MadeBy('"rcbht import hiro DIR {path}"')
-Session = Literal["A", "B", "C", "openhrp", "hooked-A", "hooked-B", "hooked-C"]
+Session = Literal["A", "B", "C", "openhrp", "hooked-A", "hooked-B", "hooked-C", "rigid-openhrp"]
 
 # Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
 BOUNDS = {
@@ -258,7 +258,8 @@ class FidelityFit(Command):
     trials: int | None = None
     """Simulated trials per candidate; default 4 for session A, 9 for the others."""
     outcomes: Flag = False
-    """Also penalise trials whose outcome differs from the recorded one (session B; three times slower)."""
+    """Also penalise trials whose outcome differs from the recorded one, in a session without a grid those that do not
+    seat; simulates whole trials."""
     snaps: Flag = False
     """Also penalise seated trials without a snap in the force, if the recorded ones have it; simulates whole trials."""
     population: int = 12

@@ -41,7 +41,9 @@ class Simulate(Command):
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
     robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """panda, ur5e, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
-    preset: Literal["A", "B", "C", "openhrp", "two", "two-fixed", "hooked-A", "hooked-B", "hooked-C"] = "A"
+    preset: Literal[
+        "A", "B", "C", "openhrp", "two", "two-fixed", "hooked-A", "hooked-B", "hooked-C", "rigid-openhrp"
+    ] = "A"
     """Recorded session whose controller is simulated; two = two arms, the left one compliant, two-fixed = fixed;
     hooked-A, -B, -C = with one set of parts whose hooks catch, at half the speed."""
     trials: int = 200

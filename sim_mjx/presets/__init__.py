@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rcbht_jax.errors import InputError
 from sim_mjx.presets.camera import HOOKED_A, HOOKED_B, HOOKED_C
-from sim_mjx.presets.openhrp import OPENHRP
+from sim_mjx.presets.openhrp import OPENHRP, RIGID
 from sim_mjx.presets.session import SessionPreset
 from sim_mjx.presets.session_a import SESSION_A
 from sim_mjx.presets.session_b import SESSION_B
@@ -14,7 +14,7 @@ from sim_mjx.presets.two_arm import TWO, TWO_FIXED
 ONE_ARM = {preset.name: preset for preset in (SESSION_A, SESSION_B, SESSION_C, OPENHRP)}
 HOOKED = {preset.name: preset for preset in (HOOKED_A, HOOKED_B, HOOKED_C)}  # with one set of parts, whose hooks catch
 TWO_ARM = {preset.name: preset for preset in (TWO, TWO_FIXED)}
-PRESETS: dict[str, SessionPreset] = {**ONE_ARM, **HOOKED, **TWO_ARM}
+PRESETS: dict[str, SessionPreset] = {**ONE_ARM, **HOOKED, RIGID.name: RIGID, **TWO_ARM}
 
 
 def preset(name: str) -> SessionPreset:

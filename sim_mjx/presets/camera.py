@@ -39,6 +39,7 @@ CAMERA = HookedParams(
     mount_damping=np.array([181.3, 81.25, 154.1]),
     position=np.array([-3.227e-3, -1.6e-3, 1.224e-3]),
     roll=np.array(0.03577),
+    tilt=np.zeros(2),
 )
 
 
@@ -55,12 +56,13 @@ def hooked(session: SessionPreset, parts: HookedParams) -> SessionPreset:
     return replace(session, name=f"hooked-{session.name}", parts=parts, impratio=IMPRATIO)
 
 
-_STAND_OF_A = replace(
+_STAND_OF_A = replace(  # from "python -m experiments.simulation.joint_fit --stands --session hooked-A"
     CAMERA,
-    mount_stiffness=np.array([2488.0, 2131.0, 7256.0]),
-    mount_damping=np.array([15.2, 199.5, 37.16]),
-    position=np.array([-1.265e-3, 0.2848e-3, 1.382e-3]),
-    roll=np.array(0.02275),
+    mount_stiffness=np.array([2669.0, 2018.0, 7082.0]),
+    mount_damping=np.array([23.5, 228.6, 48.91]),
+    position=np.array([-1.616e-3, 1.295e-3, 1.543e-3]),
+    roll=np.array(0.01461),
+    tilt=np.array([-0.00291, -0.0124]),
 )
 _FROM_B_TO_C = SESSION_C.parts.position - SESSION_B.parts.position
 HOOKED_A = hooked(SESSION_A, _STAND_OF_A)

@@ -205,8 +205,12 @@ def missing_snaps(target: Target, summary: dict[str, Any]) -> float:
 
 
 def agreement(session: SessionPreset, run: Rollouts) -> int:
-    """Number of whole trials that seat, or do not, like the recorded trial of their placement."""
+    """Number of whole trials that seat, or do not, like the recorded trial of their placement; without placements, of
+    those that seat.
+    """
     seated: list[bool] = np.atleast_1d(run.seated.all(1)).tolist()
+    if not session.placements:
+        return sum(seated)
     return sum(seat == (cell not in session.off_seat) for seat, cell in zip(seated, session.placements, strict=False))
 
 
@@ -217,7 +221,7 @@ class SessionObjective:
     target: Target
     count: int  # trials per candidate
     seed: int = 0
-    outcomes: bool = False  # session B: simulate whole trials and compare their outcomes
+    outcomes: bool = False  # simulate whole trials and compare their outcomes
     snaps: bool = False  # simulate whole trials and add a loss for snaps that the recorded ones have
     fixed: Physical = ()  # parameters that are not searched
 

@@ -124,12 +124,24 @@ def test_a_tip_too_wide_for_its_lip_is_refused() -> None:
 
 
 def test_one_part_in_three_sessions() -> None:
-    own = {"mount_stiffness", "mount_damping", "position", "roll"}
+    own = {"mount_stiffness", "mount_damping", "position", "roll", "tilt"}
     first = HOOKED["hooked-A"].parts
     for name in ("hooked-B", "hooked-C"):
         for field in first.__dataclass_fields__.keys() - own:
             np.testing.assert_array_equal(getattr(HOOKED[name].parts, field), getattr(first, field))
     assert get_scenario("hooked-A").scene().substeps == 8
+
+
+def test_the_part_is_turned_about_the_vertical_and_then_tilted() -> None:
+    part = replace(HOOKED_B.parts, roll=np.array(0.3), tilt=np.array([0.02, -0.05]))
+    scene = HOOKED_B.scene()
+    found = hooked_parts.model_fields(scene.model, part)["body_quat"][scene.model.body("MOUNT").id]
+    expected = np.zeros(4)
+    yaw, tilt = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(yaw, np.array([0.0, 0.0, 1.0]), 0.3)
+    mujoco.mju_axisAngle2Quat(tilt, np.array([0.02, -0.05, 0.0]) / np.hypot(0.02, 0.05), np.hypot(0.02, 0.05))
+    mujoco.mju_mulQuat(expected, yaw, tilt)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_friction_and_lips_hold_as_the_preset_and_the_part_say() -> None:
