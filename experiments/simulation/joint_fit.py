@@ -144,7 +144,7 @@ def main(
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
     name, options = (
-        ("stand_fit", f"--stands --session {' '.join(session)}") if stands else ("joint_fit", "--engine warp")
+        ("joint_fit_stands", f"--stands --session {' '.join(session)}") if stands else ("joint_fit", "--engine warp")
     )
     write_result(name, f"python -m experiments.simulation.joint_fit {options}", result, seed=seed, show=False)
 
