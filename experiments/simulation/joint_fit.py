@@ -143,10 +143,10 @@ def main(
         "simulations": len(best.generations) * population * sum(share.trials for share in seen.values()),
         "loss_by_generation": [round(generation.best, 4) for generation in best.generations],
     }  # fmt: skip
-    name, options = (
-        ("joint_fit_stands", f"--stands --session {' '.join(session)}") if stands else ("joint_fit", "--engine warp")
-    )
-    write_result(name, f"python -m experiments.simulation.joint_fit {options}", result, seed=seed, show=False)
+    command = f"python -m experiments.simulation.joint_fit {'--stands ' * stands}--session {' '.join(session)}"
+    command += f" --engine {engine} --population {population} --generations {generations} --spread {spread:g}"
+    name = "joint_fit_stands" if stands else "joint_fit"
+    write_result(name, f"{command} --seed {seed}", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

@@ -279,11 +279,11 @@ def begin_encoding(
     if spare or tail:  # a program of its own: those that encode take long to compile
         limits, wrench, length = _padded(spare, tail, limits, wrench, length)
     encoded, shortened = (_packed, _trimmed) if _by_kernels(config, wrench) else (_dense, _compacted)
-    tracks, *used = encoded(config, limits, wrench, length)
+    tracks, used, longest = encoded(config, limits, wrench, length)
 
     def ended() -> LabelTracks:
-        widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(used[1]))
-        return shortened(widths, (count, wrench.shape[2]), tracks, used[0])
+        widths = tuple(max(-(-int(n) // WIDTH), 1) * WIDTH for n in np.asarray(longest))
+        return shortened(widths, (count, wrench.shape[2]), tracks, used)
 
     return ended
 

@@ -45,7 +45,8 @@ class Simulate(Command):
         "A", "B", "C", "openhrp", "two", "two-fixed", "hooked-A", "hooked-B", "hooked-C", "rigid-openhrp"
     ] = "A"
     """Recorded session whose controller is simulated; two = two arms, the left one compliant, two-fixed = fixed;
-    hooked-A, -B, -C = with one set of parts whose hooks catch, at half the speed."""
+    hooked-A, -B, -C = with one set of parts whose hooks catch, at half the speed; rigid-openhrp = openhrp with harder
+    contacts, and with what its sensor and solver add."""
     trials: int = 200
     """Number of trials."""
     seed: int = 0

@@ -66,9 +66,7 @@ def apply_overrides(group: Group, prefix: str, physical: Physical) -> Group:
         owner, attribute, where = _place(name)
         if owner != prefix:
             continue
-        if not hasattr(group, attribute):
-            raise InputError(f"The parts of this preset have no {attribute}: only those with hooks do.")
-        array = np.array(getattr(group, attribute))
+        array = _present(group, owner, attribute)
         _check_place(name, array, where)
         array[where] = round(value) if array.dtype.kind in "iu" else value
         group = replace(group, **{attribute: array})
@@ -83,9 +81,23 @@ def value(parts: PartParams, sensor: SensorParams, name: str) -> float:
     """
     check(((name, 0.0),))
     owner, attribute, where = _place(name)
-    array = np.asarray(getattr(parts if owner == "parts" else sensor, attribute))
+    array = _present(parts if owner == "parts" else sensor, owner, attribute)
     _check_place(name, array, where)
     return float(np.mean(array[where]))
+
+
+def _present(group: PartParams | SensorParams, owner: str, attribute: str) -> np.ndarray:
+    """A parameter of one trial.
+
+    Raises:
+        InputError: the preset has none.
+    """
+    present = getattr(group, attribute, None)
+    if present is None:
+        which = "parts of this preset have" if owner == "parts" else "sensor of this preset has"
+        those = "those with hooks do" if owner == "parts" else "that of rigid-openhrp does"
+        raise InputError(f"The {which} no {attribute}: only {those}.")
+    return np.array(present)
 
 
 def _place(name: str) -> tuple[str, str, Any]:

@@ -125,11 +125,8 @@ def outcome_loss(share: Share, run: Rollouts) -> float:
 
 
 def seats(share: Share) -> Bool[np.ndarray, " trial"]:
-    """Which of the simulated trials should seat: all, but for the placements that were recorded off the seat."""
-    off = share.target.session.off_seat
-    if not share.placements:
-        return np.ones(share.trials, np.bool_)
-    return np.array([cell not in off for cell in share.placements[: share.trials]])
+    """Which of the simulated trials should seat."""
+    return sessions.should_seat(share.target.session, share.trials, share.placements)
 
 
 def _events(target: Target, run: Rollouts) -> float:

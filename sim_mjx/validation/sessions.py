@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Bool, Float64, Int
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
@@ -205,13 +205,18 @@ def missing_snaps(target: Target, summary: dict[str, Any]) -> float:
 
 
 def agreement(session: SessionPreset, run: Rollouts) -> int:
-    """Number of whole trials that seat, or do not, like the recorded trial of their placement; without placements, of
-    those that seat.
-    """
-    seated: list[bool] = np.atleast_1d(run.seated.all(1)).tolist()
-    if not session.placements:
-        return sum(seated)
-    return sum(seat == (cell not in session.off_seat) for seat, cell in zip(seated, session.placements, strict=False))
+    """Number of whole trials that seat, or do not, as :func:`should_seat` says."""
+    seated = np.atleast_1d(run.seated.all(1))
+    return int((seated == should_seat(session, len(seated), session.placements)).sum())
+
+
+def should_seat(
+    session: SessionPreset, count: int, placements: tuple[tuple[int, int], ...]
+) -> Bool[np.ndarray, " trial"]:
+    """Which of the first trials should seat: all, but for the placements that were recorded off the seat."""
+    if not placements:
+        return np.ones(count, np.bool_)
+    return np.array([cell not in session.off_seat for cell in placements[:count]])
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def commands(page: Path) -> list[str]:
-    """Lines that call rcbht, without comments, pipes and redirections."""
-    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    """Calls of rcbht, continued lines joined, without comments, pipes and redirections."""
+    lines = [line for block in blocks(page, "sh") for line in re.sub(r"\\\n\s*", "", block).splitlines()]
     matches = [re.search(r"\brcbht [^|#<>]*", line) for line in lines]
     return [match[0].strip() for match in matches if match]
 

@@ -16,7 +16,7 @@ from sim_mjx.assembly.rollout import Rollouts, stack
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
-from sim_mjx.presets import HOOKED, ONE_ARM
+from sim_mjx.presets import HOOKED, ONE_ARM, PRESETS
 from sim_mjx.presets.session import SessionPreset
 from sim_mjx.randomization import overrides, trials
 from sim_mjx.randomization.trials import DomainRandomization
@@ -172,6 +172,15 @@ def test_only_hooks_have_wear() -> None:
     assert overrides.apply_overrides(HOOKED_B.parts, "parts", (("parts.hook_wear[1]", 1e-4),)).hook_wear[1] == 1e-4
     with pytest.raises(InputError, match="only those with hooks"):
         overrides.apply_overrides(ONE_ARM["B"].parts, "parts", (("parts.hook_wear", 1e-4),))
+
+
+def test_only_rigid_contacts_have_an_offset_of_the_sensor() -> None:
+    rigid, sensor = PRESETS["rigid-openhrp"].sensor, ONE_ARM["B"].sensor
+    assert overrides.apply_overrides(rigid, "sensor", (("sensor.offset[2]", 1.0),)).offset[2] == 1.0
+    with pytest.raises(InputError, match="only that of rigid-openhrp"):
+        overrides.apply_overrides(sensor, "sensor", (("sensor.offset", 1.0),))
+    with pytest.raises(InputError, match="only that of rigid-openhrp"):
+        overrides.value(ONE_ARM["B"].parts, sensor, "sensor.jitter")
 
 
 def test_rear_hooks_snap_unless_the_seat_holds_the_hand_up(pressed: tuple) -> None:
