@@ -66,6 +66,7 @@ EXPERIMENTS = (
     ),
     Experiment("zero_shot", "classification.zero_shot", 3, (SETS,), ("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
+    Experiment("external_rest", "words.external_rest", 0.2, needs=("external",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
     Experiment(
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),

@@ -40,6 +40,17 @@ def words(result: dict[str, Any]) -> str:
     return markdown(("", "rule", *axes, share, "without 0.25 s at either end", fixed), rows)
 
 
+@table("external-rest", "external_rest")
+def external_rest(result: dict[str, Any]) -> str:
+    """Least share of the rest of other robots, over the axes, that each layer calls constant or fixed."""
+    rows = [
+        (name, how, *(f"{min(row[layer]):.3f}" for layer in LAYERS))
+        for name, found in result["sets"].items()
+        for how, row in found["rows"].items()
+    ]
+    return markdown(("", "rule: rest", *LAYERS.values()), rows)
+
+
 @table("fit-latency", "fit_quality")
 def latency(result: dict[str, Any]) -> str:
     """Median, 95th percentile and largest latency of every layer, s."""

@@ -33,6 +33,8 @@ BY_HAND = (
 CELLS = [
     ("fit-lines", "REAL | fit x1", "Fz", ".4f fit_quality > sets > REAL > rows > fit x1 > r2 > 2"),
     ("fit-words", "SIM1 | paper", "Mx", ".0f fit_quality > sets > SIM1 > rows > paper > words > 3"),
+    ("external-rest", "caps, 1 kHz, W=25 | fit: annotated", "primitives",
+     ".3f external_rest > sets > caps, 1 kHz, W=25 > rows > fit: annotated > primitive > 2"),
     ("fit-latency", "two-arm | fit x1", "behaviours",
      ".2f fit_quality > sets > two-arm > rows > fit x1 > latency > llb > median"),
     ("fit-running", "fit", "primitives revised", ".2f fit_latency > rows > fit > revised > primitive"),

@@ -1,0 +1,95 @@
+"""Rest of other robots: the share of it that words call constant, with thresholds and tolerances from the recordings.
+
+Screwing caps, at 40 Hz and at 1 kHz: rest is what the annotator called none or free motion, in which a hand carries the
+sensor, and that part of it which the calibration takes for rest without labels. Kitting is not annotated, so that its
+rest is the calibration's own. Thresholds are those of `--robot auto`; nothing was chosen on these sets.
+
+Run: python -m experiments.words.external_rest
+Reads the recordings of other robots (RCBHT_EXTERNAL).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from jaxtyping import Bool
+
+from experiments._lib.benchmarks import rounded
+from experiments._lib.catalogue import EXTERNAL
+from experiments._lib.results_io import write_result
+from rcbht_jax.calibration.rest import RestCalibration, rest_not_constant, rest_thresholds
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import read_mapping
+from rcbht_jax.labels import LLB, MC, Primitive
+from rcbht_jax.types import LabelTracks, Recordings
+
+MAPPINGS = Path(__file__).resolve().parents[2] / "examples" / "mappings"
+SETS = {  # folder, kind of file, mapping, samples of a window
+    "caps, 40 Hz": ("caps/runs_40hz", "csv", "caps_40hz", 5),
+    "caps, 40 Hz, W=2": ("caps/runs_40hz", "csv", "caps_40hz", 2),
+    "caps, 1 kHz, W=25": ("caps/runs_1khz", "npz", "caps_1khz", 25),
+    "kitting, 20 Hz": ("kitting", "csv", "kitting", 5),
+}
+STILL = ("none", "free_space_motion")
+LAYERS = {"primitive": Primitive.CONS, "mc": MC.K, "llb": LLB.FX}
+
+
+def annotated(recordings: Recordings) -> Bool[np.ndarray, "recording time axis"] | None:
+    """Samples in which nothing is annotated that touches; None without annotations."""
+    if not recordings.annotations.labels:
+        return None
+    track = recordings.annotations.choose()
+    codes = [recordings.annotations.labels[track].index(name) for name in STILL]
+    samples = recordings.wrench.shape[1]
+    rows = [recordings.annotations.of_samples(i, track, samples, recordings.dt) for i in range(len(recordings))]
+    return np.broadcast_to(np.isin(np.stack(rows), codes)[..., None], recordings.wrench.shape)
+
+
+def by_sample(calibration: RestCalibration, samples: int, window: int) -> Bool[np.ndarray, "recording time axis"]:
+    """The calibration's rest, of windows, as samples."""
+    rest = calibration.rest.repeat(window, axis=1)
+    return np.pad(rest, ((0, 0), (0, samples - rest.shape[1]), (0, 0)))
+
+
+def constant(tracks: LabelTracks, rest: Bool[np.ndarray, "recording time axis"]) -> dict[str, list[float]]:
+    """Share of rest that each layer calls constant or fixed ``[axis]``."""
+    return {
+        layer: (1 - rest_not_constant(getattr(tracks, layer), rest, 1, code)).tolist() for layer, code in LAYERS.items()
+    }
+
+
+def of_set(folder: str, kind: str, mapping: str, window: int) -> dict[str, Any]:
+    """Both rules on the rest of one set."""
+    recordings = read_source(EXTERNAL / folder, kind, read_mapping(MAPPINGS / f"{mapping}.toml")).recordings
+    calibration = rest_thresholds(recordings, window)
+    config = FitConfig(window, recordings.dt)
+    tolerance = auto_tolerance(recordings.wrench, recordings.length, config.needed)
+    limits = FitLimits(np.asarray(calibration.thresholds.limits), tolerance)
+    rules = {"paper": (EncoderConfig(window, recordings.dt), calibration.thresholds), "fit": (config, limits)}
+    own, by_hand = by_sample(calibration, recordings.wrench.shape[1], window), annotated(recordings)
+    rests = {"of the calibration": own}
+    if by_hand is not None:
+        rests = {"annotated": by_hand, "annotated, and of the calibration": own & by_hand}
+    seconds = {name: float(rest.sum((0, 1)).min() * recordings.dt) for name, rest in rests.items()}
+    rows = {}
+    for rule, (settings, given) in rules.items():
+        tracks = encode_batch(settings, given, recordings.wrench, recordings.length)
+        rows |= {f"{rule}: {name}": constant(tracks, rest) | {"seconds": seconds[name]} for name, rest in rests.items()}
+    return {"recordings": len(recordings), "axes": list(recordings.axes), "window": window, "rows": rows}
+
+
+def main() -> None:
+    """Measure every set and write the result."""
+    result = {name: rounded(of_set(*source)) for name, source in SETS.items()}
+    write_result("external_rest", "python -m experiments.words.external_rest", {"sets": result})
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
