@@ -23,7 +23,7 @@ from sim_mjx.cli.simulate import Simulate
 if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
 
-PRESET: Literal["A"] = "A"
+PRESET: Literal["hooked-B"] = "hooked-B"  # its hooks catch, and let go seconds into mating
 WINDOW = 5
 # Enough to choose from in a demonstration; "rcbht evaluate" searches ten costs and three kernels.
 KERNELS: tuple[Literal["linear", "rbf"], ...] = ("linear", "rbf")
@@ -62,7 +62,7 @@ class Demo(Command):
         start = time.perf_counter()
         self.out.mkdir(parents=True, exist_ok=True)
         store = self.out / "trials.zarr"
-        announce(1, STEPS, f"simulate {self.trials} trials of session {PRESET}'s controller on {os.cpu_count()} cores")
+        announce(1, STEPS, f"simulate {self.trials} trials of the preset {PRESET} on {os.cpu_count()} cores")
         simulated = Simulate(store, preset=PRESET, trials=self.trials, seed=self.seed, overwrite=True).run()
         announce(2, STEPS, f"encode them with the streaming encoder, windows of {WINDOW} samples")
         encoded = Encode(store, window=WINDOW).run()

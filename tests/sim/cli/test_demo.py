@@ -12,6 +12,7 @@ from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_simulation
 from sim_mjx.cli import demo
 from sim_mjx.cli.simulate import Simulate
+from sim_mjx.presets import HOOKED
 
 
 def test_the_chain_runs_without_data(
@@ -21,7 +22,7 @@ def test_the_chain_runs_without_data(
     monkeypatch.setattr(demo, "COSTS", (1.0,))
     monkeypatch.setattr(demo, "REPEATS", 1)
     # a session whose trials take 10 s in place of 20, and no jammed one waits for 40 s
-    monkeypatch.setattr(demo, "PRESET", "C")
+    monkeypatch.setattr(demo, "PRESET", "hooked-C")
     monkeypatch.setattr(demo, "Simulate", partial(Simulate, max_seconds=10.5))
     out = tmp_path / "out"
     assert main.main(["demo", "--out", str(out), "--trials", "40", "--json"]) == 0
@@ -41,6 +42,10 @@ def test_the_chain_runs_without_data(
     summary = (out / "summary.txt").read_text()
     assert f"{result['simulated']['seated']} of 40" in summary
     assert "duration alone" in summary
+
+
+def test_it_simulates_parts_that_snap() -> None:
+    assert demo.PRESET in HOOKED
 
 
 def test_too_few_trials_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
