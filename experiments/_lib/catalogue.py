@@ -40,7 +40,10 @@ class Experiment:
 GPU = "needs a GPU"
 EXPERIMENTS = (
     Experiment("table1_published", "classification.table1_published", 2, needs=("golden",)),
-    Experiment("table1_ours", "classification.table1_ours", 14, (SETS,), ("data",)),
+    Experiment(
+        "table1_ours", "classification.table1_ours", 14, (SETS,), ("data",), shorter=("--only", "online"),
+        shorter_minutes=7,
+    ),
     Experiment(
         "peers", "classification.peers", 14, needs=("data", "peers"), shorter_minutes=8,
         shorter=("--only", "alone", "majority", "words", "SAX", "statistics", "MiniRocket"),  # not MultiRocketHydra
@@ -66,7 +69,7 @@ EXPERIMENTS = (
     ),
     Experiment("zero_shot", "classification.zero_shot", 3, (SETS,), ("data",)),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
-    Experiment("external_rest", "words.external_rest", 0.2, needs=("external",)),
+    Experiment("external_rest", "words.external_rest", 1, needs=("external",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),
     Experiment(
         "fit_classification", "classification.fitted_words", 5, needs=("data",), shorter=("--only", "REAL"),
@@ -118,6 +121,7 @@ EXPERIMENTS = (
         "fidelity_gate", "simulation.fidelity_gate", 3, needs=("data",), shorter=("--session", "hooked-B"),
         shorter_minutes=1.5,
     ),
+    Experiment("separability", "simulation.separability", 1.5, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
     Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),

@@ -115,6 +115,23 @@ def fidelity_gate(result: Result) -> str:
     return markdown(("", *GATE[:4], "wrong signs", *GATE[4:], "passes", "passed the former gate"), lines)
 
 
+@table("separability", "separability")
+def separability(result: Result) -> str:
+    """AUC between the halves of a session's recordings, one of them moved."""
+    rows = result["recordings"]
+    forces = list(next(iter(rows.values()))["moved by N"])
+    lines = [
+        (
+            name, f"{result['asked'][name]:.2f}", f"{row['spread of forces, N, least, median, most'][1]:.2f}",
+            f"{row['not moved']:.2f}", *(f"{row['moved by N'][force]:.2f}" for force in forces),
+            *(f"{area:.2f}" for area in row["moved by sd"].values()),
+        )
+        for name, row in rows.items()
+    ]  # fmt: skip
+    shares = [f"{share} sd" for share in next(iter(rows.values()))["moved by sd"]]
+    return markdown(("", "asked", "sd, N, median", "not moved", *(f"{force} N" for force in forces), *shares), lines)
+
+
 def _measure(check: Result | None) -> str:
     if check is None or check["value"] is None:
         return "–"

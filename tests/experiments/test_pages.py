@@ -134,6 +134,7 @@ CELLS = [
     ("parity-floor", "part moved by 1e-07 m", "largest difference until contact",
      ".3f parity_floor > rows > part moved by 1e-07 m > force_until_contact"),
     ("gate", "B: the preset", "spread", ".2f fidelity_gate > rows > B > the preset > checks > spread > value"),
+    ("separability", "openhrp", "0.01 N", ".2f separability > recordings > openhrp > moved by N > 0.01"),
     ("hook-forces", "four tabs, two after two", "press, N",
      ".2f hook_bench > parts > four tabs, two after two > press"),
     ("snap-needs", "seat 0.4 mm higher", "fall, N", ".2f snap_needs > rows > seat 0.4 mm higher > fall, N"),
