@@ -62,7 +62,7 @@ class Word(Event):
 
 @dataclass(frozen=True)
 class ProvisionalWord(Event):
-    """A label of one axis that still runs: told from its second window on, and again whenever it changes."""
+    """A label of one axis that still runs: reported from its second window on, and again whenever it changes."""
 
     layer: str  # primitive, mc or llb
     axis: str
@@ -70,12 +70,12 @@ class ProvisionalWord(Event):
     code: int
     begin: int  # first sample
     start: float  # s, the time stamp of the first sample
-    revision: int  # how often the label has changed since it was first told
+    revision: int  # how often the label has changed since it was first reported
 
 
 @dataclass(frozen=True)
 class Snap(Event):
-    """A force that was released within a fraction of a second; told when it is seen, and again when it is published."""
+    """A force that was released within a fraction of a second; reported when seen, and again when published."""
 
     axis: str
     begin: int  # first sample of the fall

@@ -37,10 +37,10 @@ OFFLINE = {
 }  # fmt: skip
 # Row of causal.json -> what it is called.
 STREAMED = {
-    "REAL": "states, real trials, streamed, beginnings not told",
+    "REAL": "states, real trials, streamed, beginnings not given",
     "A to B": "the same, session A to session B",
     "B to A": "the same, session B to session A",
-    "SIM1": "states, the authors' simulated trials, streamed, beginnings not told",
+    "SIM1": "states, the authors' simulated trials, streamed, beginnings not given",
 }
 # Boundaries of zero_shot.json -> what it is called.
 ZERO_SHOT = {

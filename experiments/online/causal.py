@@ -1,10 +1,10 @@
-"""Sub-tasks of a stream by the frozen method, with and without their beginnings told, beside what little knows as much.
+"""Sub-tasks of a stream by the frozen method, with beginnings given and detected, beside simple baselines.
 
-Where the beginnings are told (the protocol of the paper's Table II) counting them is enough. Where nobody tells them, a
-classifier of the whole trial so far and a filter over time notice them; only this is what a robot can have. Half of the
+Where the beginnings are given (the protocol of the paper's Table II) counting them is enough. Otherwise a classifier of
+the whole trial so far and a filter over time detect them; only this is what a robot can have. Half of the
 trials train and the others are streamed, or one session trains and the other is streamed. Baselines see the time since
-the beginning (told) or since the start of the record (noticed), alone or with the wrench of the last tenth of a second,
-in a random forest.
+the beginning (given) or since the start of the record (detected), alone or with the wrench of the last tenth of a
+second, in a random forest.
 
 The last rows say what features without duration and offset know of the time since a sub-task began: a ridge regression
 of its logarithm on their ranks, within each class, trained on half of the trials and scored on the others.
@@ -129,7 +129,7 @@ def inside_of(stream: Stream, sessions: tuple[str, ...], seed: int) -> Flags:
 
 
 def told(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:
-    """The method where each beginning is told."""
+    """The method where each beginning is given."""
     rows = np.flatnonzero(~inside[stream.told.interval])
     machine = stream.trained("state", relative, inside, seed)
     x = stream.x("told")[rows][:, stream.columns("state", relative)].astype(np.float64)
@@ -137,10 +137,10 @@ def told(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, 
 
 
 def unaided(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, dict[str, float]]:
-    """The method where nobody tells a beginning: three beliefs.
+    """The method where no beginning is given: three beliefs.
 
     Those of the head "phase" itself, of the filter over them, whose states only follow each other, and of the head
-    "state", to which that filter tells the beginnings that it notices.
+    "state", to which that filter gives the beginnings that it detects.
     """
     dt, items = stream.data.dt, stream.items
     rows = np.flatnonzero(~inside[stream.trial.interval])
@@ -171,7 +171,7 @@ def followed(p: Floats, time: Floats, classes: tuple[str, ...]) -> Floats:
 
 
 def counted(stream: Stream, inside: Flags) -> dict[str, float]:
-    """The class is the number of beginnings told so far."""
+    """The class is the number of beginnings given so far."""
     rows = np.flatnonzero(~inside[stream.told.interval])
     place = np.zeros(len(stream.items.y), np.int64)
     for trial in np.unique(stream.items.trial):

@@ -1,6 +1,6 @@
 """The choice of what the frozen method streams, made on the authors' simulated trials and session A alone.
 
-Nobody tells the beginnings (``experiments.online.causal``). Options are the families of the two heads, the recipes of
+The beginnings are not given (``experiments.online.causal``). Options are the families of the two heads, the recipes of
 ``rcbht train-online`` or richer words and levels, and which belief counts: that of the head "phase", of the filter over
 it, or of the head "state" with the beginnings that the filter notices. The best mean of the two step accuracies is
 frozen.

@@ -43,14 +43,14 @@ def choice(result: Result) -> str:
 
 @table("causal", "causal")
 def causal(result: Result) -> str:
-    """Step accuracy with and without told beginnings, beside what knows next to nothing."""
+    """Step accuracy with beginnings given and detected, beside simple baselines."""
     sets = {name: row for name, row in result["rows"].items() if "trials tested" in row}
     names = [name for name in next(iter(sets.values())) if " | " in name]
     lines = [
-        (*name.split(" | "), *(score(row[name][MEASURE]) for row in sets.values()))
-        for told in ("told", "noticed")
+        (how, name.split(" | ")[1], *(score(row[name][MEASURE]) for row in sets.values()))
+        for key, how in {"told": "given", "noticed": "detected"}.items()
         for name in names
-        if name.startswith(told)
+        if name.startswith(key)
     ]
     return markdown(("beginnings", "step accuracy (mean of classes)", *sets), lines)
 

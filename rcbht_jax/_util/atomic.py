@@ -255,7 +255,7 @@ def _followed(path: Path) -> Path:
 
 
 def _identity(path: Path) -> Identity:
-    """What tells whether a path still holds the same; a folder may change inside."""
+    """What shows whether a path still holds the same; a folder may change inside."""
     try:
         found = path.lstat()
     except (OSError, ValueError):

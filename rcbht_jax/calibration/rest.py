@@ -19,7 +19,7 @@ from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array, LabelTrack, Recordings
 
-BLOCK = 0.5  # s, over which rest and movement are told apart
+BLOCK = 0.5  # s, over which rest and movement are separated
 QUIET = 0.99  # share of the windows at rest that shall be constant
 MARGIN = 1.5  # on that: rest differs from recording to recording, and one window spoils a composition
 STEPS = np.array([70.0, 46.0, 23.0]) / 70.0  # impulse, big and medium limit of the authors' preset, by its impulse

@@ -203,7 +203,7 @@ def _rest_noise(
 
     Noise is what straight lines through blocks at rest leave of the signal: however fast it is, white or not.
     """
-    windows = max(1, round(BLOCK / (config.window * recordings.dt)))  # of a block, as rest was told from movement
+    windows = max(1, round(BLOCK / (config.window * recordings.dt)))  # of a block, as rest was separated from movement
     samples = max(windows * config.window, 3)
     count = min(rest.shape[1] // windows, recordings.wrench.shape[1] // samples)
     cut = np.asarray(recordings.wrench[:, : count * samples], np.float64)

@@ -11,10 +11,10 @@ from rcbht_jax.cli.snaps import SnapSize, detector_of
 
 @dataclass(frozen=True)
 class Describe(Command):
-    """Tell a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
+    """Describe a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
 
     The store needs no labels; the lines of the fit rule are made on the way. Without --snap, a force snaps that is let
-    go within 50 ms by at least the smallest change that is told of the force that changes most.
+    go within 50 ms by at least the smallest change that is reported of the force that changes most.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """
@@ -22,11 +22,11 @@ class Describe(Command):
     store: Store
     trial: Trial
     arm: Arm | None = None
-    """Arm to tell of, if the trial has both."""
+    """Arm to describe, if the trial has both."""
     source: SourcePrefix = ""
     task: Annotated[str, option("Track of annotations to name.", "the first")] = ""
     snap: SnapSize = ()
-    least: Annotated[float, option("Smallest change that is told, as a share of the usual range of its axis.")] = 0.2
+    least: Annotated[float, option("Smallest change to report, as a share of the usual range of its axis.")] = 0.2
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.cli.plot import find_recording
@@ -36,8 +36,8 @@ class Describe(Command):
         recordings = read_recordings(self.store)
         index = find_recording(recordings, self.trial, self.arm, self.source)
         snaps = detector_of(self.snap, 1 / recordings.dt)
-        told = describe_recording(recordings, index, self.least, self.task, snaps)
-        return {"trial": self.trial, "sentences": [{"seconds": seconds, "text": text} for seconds, text in told]}
+        sentences = describe_recording(recordings, index, self.least, self.task, snaps)
+        return {"trial": self.trial, "sentences": [{"seconds": seconds, "text": text} for seconds, text in sentences]}
 
     def text(self, result: dict[str, Any]) -> str:
         rows = result["sentences"]

@@ -1,4 +1,4 @@
-"""Which words a picture shows: those of the fit rule, unless told otherwise."""
+"""Which words a picture shows: those of the fit rule, unless another rule is asked for."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def _command(kind: str, what: str, example: str) -> type[Import]:
     return dataclass(frozen=True)(type(f"Import{kind.capitalize()}", (Import,), members))
 
 
-ImportAuto = _command("auto", "files of any kind, told apart by their suffix,", "recordings recordings.zarr")
+ImportAuto = _command("auto", "files of any kind, recognised by their suffix,", "recordings recordings.zarr")
 ImportCsv = _command("csv", "tables as text (.csv, .tsv, .txt, .dat)", "runs runs.zarr")
 ImportParquet = _command("parquet", "Parquet tables", "runs runs.zarr")
 ImportNpz = _command("npz", "NumPy arrays (.npz, .npy)", "runs runs.zarr --source-rate 500")

@@ -74,7 +74,7 @@ class Source(RuleCommand):
 
         Args:
             words: with a model, report words besides beliefs.
-            say: told what is being waited for.
+            say: called with what is being waited for.
 
         Raises:
             InputError: no such model, no such source, or options that contradict each other.

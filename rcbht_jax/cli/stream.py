@@ -60,7 +60,7 @@ class TrainOnline(RuleCommand):
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
     first_seconds: float = 0.0
-    """Learn from so many seconds of each recording, the same of all, so that its length tells nothing; 0 = from all."""
+    """Learn from so many seconds of each recording, the same of all, so that length reveals nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
     families: tuple[Family, ...] = ()

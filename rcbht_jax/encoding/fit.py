@@ -230,7 +230,7 @@ def scan_stages(
 def _scan(
     config: FitConfig, limits: Array, state: EncoderState, samples: Array, count: Array, kept_of: Callable[..., Any]
 ) -> tuple[EncoderState, Any]:
-    """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` tells what to stack."""
+    """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` chooses what to stack."""
     window, kept = config.window, config.kept
     samples, counts = whole_windows(samples, count, window)
     windows = len(counts)

@@ -23,7 +23,7 @@ AnyConfig = EncoderConfig | FitConfig
 AnyLimits = Thresholds | FitLimits
 
 RULES = ("paper", "fit")
-AUTO = "auto"  # a tolerance that recordings tell
+AUTO = "auto"  # a tolerance taken from recordings
 
 
 class Rule(NamedTuple):
@@ -84,7 +84,7 @@ def limits_for(
         thresholds: gradient limits ``[..., axis, 4]``; by the fit rule also FitLimits, as calibration finds them.
         tolerance: a number, or one for each axis; None or "auto" = that of FitLimits, else from the recordings. The
             paper's rule has none.
-        wrench: recordings ``[recording, time, axis]`` that tell the tolerance, N and Nm.
+        wrench: recordings ``[recording, time, axis]`` that the tolerance is taken from, N and Nm.
         length: their samples that count ``[recording]``.
 
     Raises:

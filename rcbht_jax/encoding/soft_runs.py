@@ -3,7 +3,7 @@
 After each window the hard rule breaks its run where the saving exceeds ``tolerance^2 * needed``. Here it breaks with
 the probability ``sigmoid(log(sqrt(saving / needed) / tolerance) / temperature)``, at the same place. A run is known by
 its first sample alone, whatever happened before, so what is known of the present run is a distribution over its first
-samples: candidates with weights, as many as ``init`` is told. Where a candidate breaks, its weight divides between
+samples: candidates with weights, as many as ``init`` is asked for. Where a candidate breaks, its weight divides between
 the old and the new first sample; equal first samples join; the lightest leave. A run that ends speaks for its samples
 with its weight and a soft label.
 
@@ -66,7 +66,7 @@ def init(
     """The state before the first sample.
 
     Raises:
-        InputError: fewer than two candidates, which could not tell a run from its successor.
+        InputError: fewer than two candidates, which could not separate a run from its successor.
     """
     if candidates < 2:
         raise InputError(f"There are {candidates} candidates for the first sample of a run; at least two are needed.")

@@ -23,7 +23,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.types import LabelTrack, Recordings
 
-TOGETHER = 0.1  # s between onsets that are told as one
+TOGETHER = 0.1  # s between onsets that are reported as one
 PLATEAU = 0.5  # s of a level stretch that divides one rise into two
 SLOWEST_HALF = 1.0  # s between turning points of a ringing at most
 _SWINGS = 4  # changes that make a ringing
@@ -150,7 +150,7 @@ def _when(times: NDArray[np.floating], done: NDArray[np.floating], share: float)
 
 
 def with_ringing(series: Sequence[Change]) -> list[Change | Ringing]:
-    """Changes of one axis, those in quick, even alternation told as one ringing."""
+    """Changes of one axis, those in quick, even alternation reported as one ringing."""
     out: list[Change | Ringing] = []
     run: list[Change] = []
     for change in series:
@@ -220,7 +220,7 @@ def describe(
         axes: their names.
         units: of each axis.
         dt: s between samples.
-        least: of each axis, the smallest change that is told.
+        least: of each axis, the smallest change that is reported.
 
     Example:
         >>> import rcbht_jax as rj
@@ -244,7 +244,7 @@ def describe_recording(
     Args:
         recordings: any axes.
         row: which one.
-        share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change that is told.
+        share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change to report.
         track: of annotations to name; default the first.
         snaps: detector of snaps; default on all axes in N, its smallest fall the smallest change of the
             one that changes most.
@@ -272,14 +272,14 @@ def describe_recording(
     low, high = np.percentile(wrench, USUAL, axis=0)
     least = np.where(high > low, share * (high - low), np.inf)
     units = dict(zip(recordings.axes, recordings.units, strict=True))
-    told = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
-    told += _snaps(recordings, wrench, least, snaps)
+    sentences = describe(primitives, recordings.axes, units, recordings.dt, least.tolist())
+    sentences += _snaps(recordings, wrench, least, snaps)
     track = recordings.annotations.choose(track)
     if track:
         marks = recordings.annotations.of_recording(row).of(track)
         begun = zip(marks.start.tolist(), marks.names().tolist(), strict=True)
-        told += [(round(start, 3), f"[{track}: {label}]") for start, label in begun]
-    return sorted(told)
+        sentences += [(round(start, 3), f"[{track}: {label}]") for start, label in begun]
+    return sorted(sentences)
 
 
 def _snaps(
@@ -298,10 +298,10 @@ def _snaps(
     snaps.reset()
     columns = snaps.columns(recordings.axes, recordings.dt)
     events = snaps.push(wrench[:, columns], (len(wrench) - 1) * recordings.dt)
-    told = []
+    sentences = []
     for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each
         unit = recordings.units[recordings.axes.index(event.axis)]
         end = "" if event.published is None else f", published at {event.published:.2f} s"
         of = f"{_number(event.fall)} of {_number(abs(event.release))}{unit and f' {unit}'}"
-        told.append((round(event.start, 3), f"snap: {event.axis} lets go {of}; seen at {event.seen:.2f} s{end}"))
-    return told
+        sentences.append((round(event.start, 3), f"snap: {event.axis} lets go {of}; seen at {event.seen:.2f} s{end}"))
+    return sentences

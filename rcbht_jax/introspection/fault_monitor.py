@@ -1,6 +1,6 @@
 """Detection of faults in a stream: one classifier per sub-task and a time limit, both with few false alarms.
 
-A linear SVM per sub-task tells nominal trials from each cause of failure, from features of the sub-task so far; the
+A linear SVM per sub-task separates nominal trials from each cause of failure, from features of the sub-task so far; the
 probability that the trial is not nominal raises the alarm of the *words*. The *clock* raises the alarm when a sub-task
 lasts longer than it should. All alarm levels are split-conformal thresholds (Angelopoulos and Bates 2023, section 1) of
 nominal training trials, each streamed through a classifier that was not trained on it: a new nominal trial raises a

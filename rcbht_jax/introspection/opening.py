@@ -1,7 +1,7 @@
 """The beginning of a stream from any source: which axes it has, how fast it is, what it does at rest.
 
 An encoder needs the number of axes, the sampling period and gradient thresholds before its first sample. A stream
-tells the first two by a few readings, the third by some seconds of them. The readings are handed on afterwards, so
+takes the first two from a few readings, the third from some seconds of them. The readings are handed on afterwards, so
 nothing of the stream is lost.
 """
 
@@ -22,7 +22,7 @@ from rcbht_jax.io.importing.conform import clock
 from rcbht_jax.io.messages import Message, Sample
 from rcbht_jax.types import Recordings, axis_names
 
-READINGS = 50  # that tell the sampling period
+READINGS = 50  # from which the sampling period is taken
 TIMELESS = 200.0  # Hz, until readings without time stamps have said how many are a second's
 
 

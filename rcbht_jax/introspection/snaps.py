@@ -2,7 +2,7 @@
 
 Reads the lines of the fit rule's primitives, published ones and the running one, a hundred times a second.
 :func:`init` and :func:`steps` are pure; lanes (axes, trials) are trailing dimensions, and the state has a fixed size. A
-snap is seen as soon as the running line tells of it, and published when the published words alone do.
+snap is seen as soon as the running line shows it, and published when the published words alone do.
 :class:`SnapDetector` is these functions for people.
 """
 
@@ -131,7 +131,7 @@ def steps(
     words: Lines,
     running: Lines,
 ) -> tuple[SnapState, Snaps]:
-    """What the next windows tell of every lane; the same however they are divided among calls.
+    """What the next windows show of every lane; the same however they are divided among calls.
 
     Args:
         config: what counts as a snap.
@@ -179,10 +179,10 @@ def _in_turn(
     dt: float,
     state: SnapState,
     now: AllCounts,
-    told: AllFlags,
+    shown: AllFlags,
     sure: AllFlags,
 ) -> tuple[tuple[Counts, Flags], AllFlags, AllFlags, AllCounts]:
-    """Which of the releases are new, and which are published ones; few windows tell of any.
+    """Which of the releases are new, and which are published ones; few windows show any.
 
     Returns:
         of the state what is no line; of every window what is seen, what is published, and the samples received when
@@ -190,11 +190,11 @@ def _in_turn(
     """
     apart, forget = round(config.apart / dt), round((config.within + config.apart) / dt)
     seen, waiting = state.seen, state.open
-    first, published, when = np.zeros_like(told), np.zeros_like(told), np.zeros_like(now)
-    for row in np.flatnonzero(told.any(tuple(range(1, told.ndim)))):
-        if row:  # later, the words tell of another fall than the run
+    first, published, when = np.zeros_like(shown), np.zeros_like(shown), np.zeros_like(now)
+    for row in np.flatnonzero(shown.any(tuple(range(1, shown.ndim)))):
+        if row:  # later, the words show another fall than the run
             waiting = waiting & (now[row - 1] - seen <= forget)
-        first[row] = told[row] & ~waiting & (now[row] - seen > apart)
+        first[row] = shown[row] & ~waiting & (now[row] - seen > apart)
         published[row] = sure[row] & (first[row] | waiting)
         seen = when[row] = np.where(first[row], now[row], seen)
         waiting = (waiting | first[row]) & ~published[row]

@@ -60,7 +60,7 @@ class Revisions:
         >>> import dataclasses
         >>> word = Word(10, 0.05, "llb", "Fz", "FX", 5, 0, 10, 0.0, 0.05)
         >>> seen = Revisions()
-        >>> [len(seen.after_window([word])) for _ in range(3)]  # told at its second window, then nothing new
+        >>> [len(seen.after_window([word])) for _ in range(3)]  # reported at its second window, then nothing new
         [0, 1, 0]
         >>> [(e.label, e.revision) for e in seen.after_window([dataclasses.replace(word, label="CT", code=2)])]
         [('CT', 1)]

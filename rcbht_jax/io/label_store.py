@@ -225,7 +225,7 @@ def choose_name(path: Path, name: str = "") -> str:
 
 
 def list_tracks(path: Path) -> list[str]:
-    """Names of the label tracks in a store, sorted; also of damaged ones, which reading them tells.
+    """Names of the label tracks in a store, sorted; also of damaged ones, which reading them shows.
 
     Raises:
         InputError: ``path`` is not a store.

@@ -163,7 +163,7 @@ def classify(
 
 
 def _seen(model: TrainedModel, recordings: Recordings, data: str | None) -> NDArray[np.bool_]:
-    """Recordings that the model was trained on ``[recording]``, as far as its file tells."""
+    """Recordings that the model was trained on ``[recording]``, as far as its file says."""
     seen = np.full(len(recordings), (data or data_hash(recordings)) == model.data_hash)
     for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
         if model.task.get(kept):

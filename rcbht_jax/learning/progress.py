@@ -4,7 +4,7 @@ A sigmoid that is right on average says too much before anything can be known, a
 calibration error lets the two cancel. In every part of the planned time beliefs get a temperature (Guo, Pleiss, Sun and
 Weinberger, "On calibration of modern neural networks", 2017) and are mixed with the frequencies of the classes, both
 fitted by maximum likelihood to beliefs about trials that did not train the classifier. As for Platt's sigmoids, targets
-are drawn inwards by one trial, so that classes that are told apart without a mistake do not become certain.
+are drawn inwards by one trial, so that classes that are separated without a mistake do not become certain.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Mount:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parts:
-    """What the physics is told of a trial."""
+    """What the physics is given of a trial."""
 
     mount: Mount
     own: Any  # the assembly's own numbers, a pytree

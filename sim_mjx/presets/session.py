@@ -29,7 +29,7 @@ class GateLimits:
     coverage: float  # least
     w1_over_sd: float  # largest
     dtw_over_sd: float  # largest
-    auc: float  # largest, of the classifier that tells simulated from recorded
+    auc: float  # largest, of the classifier that separates simulated from recorded
     spread: float = 2.0  # largest factor between the spreads of trials
     impact: float = 1.25  # of the first impact
     ring: float = 1.05  # of the ringing's frequency

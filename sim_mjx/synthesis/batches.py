@@ -22,7 +22,7 @@ class Halving:
 
     Args:
         simulate: a batch of trials.
-        notice: told in a sentence when the batch is halved.
+        notice: called with a sentence when the batch is halved.
     """
 
     def __init__(

@@ -5,7 +5,7 @@ on every file system that knows exclusive creation. A claim is never handed on. 
 creates the next number, so that two that find the same worker dead cannot both take over; the highest number rules. The
 files are thus the list of attempts at a shard, failed ones with their reason.
 
-Whether a holder lives is told by two means, because neither alone is enough:
+Whether a holder lives is decided by two means, because neither alone is enough:
 
 * a lock (flock) on the file, which the kernel drops the moment the process ends, however it ends: another process of
   the same machine takes over at once. On shared folders such locks may not reach other machines, so they are believed
@@ -210,7 +210,7 @@ def _attempt(task: str, number: int, about: dict[str, Any], seconds: float, lock
 
 
 def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
-    """What a claim says, when it was touched, and whether its holder has it locked; None = a lock would not tell."""
+    """What a claim says, when it was touched, and whether its holder has it locked; None = a lock would not show it."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # somebody's pipe is not waited for
     try:
         touched = os.fstat(handle).st_mtime
@@ -218,7 +218,7 @@ def _read(path: Path) -> tuple[dict[str, Any], float, bool | None]:
             about = parse_json(os.read(handle, 1 << 16))
             if not isinstance(about, dict) or not isinstance(about.get("pid", 0), int):
                 raise ValueError
-        except (OSError, ValueError):  # its holder is just writing, or died of it: the lease tells; or it is a folder
+        except (OSError, ValueError):  # its holder is just writing, or died of it: the lease decides; or it is a folder
             return {}, touched, None
         if about.get("kernel") != _kernel() or not about.get("locked"):
             return about, touched, None
@@ -245,5 +245,5 @@ def _about_us() -> dict[str, Any]:
 
 @cache
 def _kernel() -> str:
-    """What tells machines apart that may have the same name: containers of one kernel share its locks."""
+    """What distinguishes machines that may have the same name: containers of one kernel share its locks."""
     return _BOOT.read_text().strip() if _BOOT.exists() else platform.node()

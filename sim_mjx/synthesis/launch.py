@@ -58,7 +58,7 @@ def local(
         words: of the worker, after ``rcbht``.
         environments: variables of each in addition to those of this process.
         look: called now and then.
-        notice: told in a sentence which workers ended before their work was done.
+        notice: called with a sentence that says which workers ended before their work was done.
     """
     with ExitStack() as files:
         reports = [files.enter_context(tempfile.TemporaryFile()) for _ in environments]
@@ -112,7 +112,7 @@ def ray(
         count: workers; None = one for each GPU, or for each node where none is needed.
         gpus: whether a worker needs a GPU of its own, which Ray then chooses.
         look: called now and then.
-        notice: told in a sentence which workers ended before their work was done.
+        notice: called with a sentence that says which workers ended before their work was done.
 
     Raises:
         InputError: Ray is not installed, cannot be reached, or has no GPU.
@@ -166,7 +166,7 @@ def slurm(
         options: of the jobs, as submitit names them: timeout_min, slurm_partition and so on.
         folder: for the jobs' logs, shared by all nodes; deleted if all went well.
         look: called now and then.
-        notice: told in a sentence where the jobs run, and which ended before their work was done.
+        notice: called with a sentence that says where the jobs run, and which ended before their work was done.
 
     Raises:
         InputError: submitit is not installed, or an option is not one of its.

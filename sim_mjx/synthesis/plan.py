@@ -126,7 +126,7 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
 def processor() -> str:
     """System and instructions that decide how numbers are rounded, in words.
 
-    MuJoCo, NumPy and XLA choose vector instructions when they run; of those that NumPy has found, the widest is told.
+    MuJoCo, NumPy and XLA choose vector instructions when they run; the widest of those that NumPy has found is noted.
 
     >>> processor().startswith(platform.system())  # Linux x86_64 with AVX-512, for example
     True

@@ -47,7 +47,7 @@ class SynthesisStatus:
     done: int  # trials in finished shards
     shards: int
     shards_done: int
-    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to tell
+    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to say
     workers: list[Worker]
     failures: list[Failure]
     killed: list[int]  # shards whose last worker died and that nobody has taken over

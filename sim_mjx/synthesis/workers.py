@@ -58,7 +58,7 @@ class SynthesisProgress:
 
 
 class Tally:
-    """Counts the trials of finished shards and tells ``progress``."""
+    """Counts the trials of finished shards and calls ``progress``."""
 
     def __init__(self, job: SynthesisConfig, present: set[int], progress: Callable[[SynthesisProgress], None] | None):
         self.job, self.progress, self.start = job, progress, time.perf_counter()
@@ -84,7 +84,7 @@ def work(draft: Draft, simulate: Callable[[Any], Labelled], tally: Tally) -> int
     Args:
         draft: of the store; its work folder has its manifest.
         simulate: a batch of trials.
-        tally: told after each shard.
+        tally: called after each shard.
 
     Returns:
         trials of the shards of this worker.

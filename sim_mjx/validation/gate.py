@@ -1,7 +1,7 @@
 """What a simulated session must have in common with the recorded one, and what nonsense lacks.
 
 Band, distance and time warping of :mod:`sim_mjx.validation.signature` look at one axis at a time: a constant in place
-of a wrench, or parts without tabs, can pass them. Here a classifier tries to tell simulated from recorded trials (a
+of a wrench, or parts without tabs, can pass them. Here a classifier tries to separate simulated from recorded trials (a
 classifier two-sample test, Lopez-Paz & Oquab 2017), and the first impact, the ringing, the spread between trials and
 the signs of the moments are compared.
 """
@@ -22,7 +22,7 @@ from sim_mjx.validation.dynamics import Dynamics
 from sim_mjx.validation.signature import Given
 
 MOMENTS = slice(3, 6)
-LEAST = 3  # trials of a set, without which nothing can be told about it
+LEAST = 3  # trials of a set, without which nothing can be said about it
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def cells(profiles: Given) -> Float64[np.ndarray, "_trial _cell"]:
 
 
 def separability(reference: Given, test: Given) -> float:
-    """How well a linear classifier tells two sets of trials apart: area under the ROC curve, 0.5 = not at all.
+    """How well a linear classifier separates two sets of trials: area under the ROC curve, 0.5 = not at all.
 
     Each trial is judged by a linear discriminant (shrinkage of Ledoit and Wolf) of all others' :func:`cells`; its
     decision counts in units of their spread. With few trials the area is below 0.5 where the sets are alike, because
@@ -72,7 +72,7 @@ def separability(reference: Given, test: Given) -> float:
     from sklearn.preprocessing import StandardScaler
 
     if min(len(reference), len(test)) < LEAST:
-        raise InputError(f"{len(reference)} and {len(test)} trials to be told apart; expected at least {LEAST} each.")
+        raise InputError(f"{len(reference)} and {len(test)} trials to be separated; expected at least {LEAST} each.")
     values = np.concatenate([cells(reference), cells(test)])
     labels = np.repeat([0, 1], [len(reference), len(test)])
     judge = make_pipeline(StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"))

@@ -109,7 +109,7 @@ def check_store(path: Path) -> StoreHealth:
     damage: list[str] = []
     notes: list[str] = []
     _read(partial(store.verify, path), damage)
-    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is told already
+    count = _read(partial(store.count_recordings, path), []) or 0  # damage of the lengths is reported already
     names = _read(partial(list_tracks, path), damage) or []
     for name in names:
         _read(partial(verify_tracks, path, name), damage)

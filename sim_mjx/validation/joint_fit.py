@@ -34,7 +34,7 @@ WAIT_WEIGHT, WAIT, WAITS = 0.5, 7.4, 20.0  # median time of a recorded last snap
 SNAP, RUNG = 7.0, 1.0  # N, of a snap as recorded; s after mating begins, when the push has rung down
 LONGEST = 12.0  # s of mating that are simulated: by then most of the recorded tabs are in
 OWNED = re.compile(r"(?:([^:\[]+):)?(.+)")  # a colon in brackets is a range of elements
-IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or told
+IMPOSSIBLE = 9.0  # loss of a session that cannot be simulated or compared
 
 
 class Share(NamedTuple):

@@ -133,7 +133,7 @@ def _frames(block: Block, row: int, fps: int, first: int, task: int) -> Table:
 def _write_frames(
     data: DataSet, folder: Path, fps: int, tasks: list[str], episodes: _Episodes, progress: Callable[[int], None]
 ) -> int:
-    """Write the frames, one row group per episode, and tell ``episodes`` of each.
+    """Write the frames, one row group per episode, and inform ``episodes`` of each.
 
     Returns:
         the number of frames.

@@ -140,7 +140,7 @@ def common(clocks: list[Clock]) -> float:
 
 
 def agrees(one: Clock, period: float) -> bool:
-    """Whether a recording has this period, as far as its samples tell."""
+    """Whether a recording has this period, as far as its samples show."""
     return abs(one.period / period - 1) < (EQUAL if one.steady else NEAR)
 
 

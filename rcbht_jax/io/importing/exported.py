@@ -33,7 +33,7 @@ Columns = dict[str, NDArray[Any]]
 def read_export(folder: Path) -> Recordings:
     """The recordings of an export, as the store had them that was exported.
 
-    Text and numbers of further columns are told apart by ``column_types`` of ``dataset.json``, else by their look.
+    Text and numbers of further columns are distinguished by ``column_types`` of ``dataset.json``, else by their form.
 
     >>> from rcbht_jax.io.export import export, load
     >>> export(load(Path("trials.zarr"), window=5), Path("exported"), "csv")
