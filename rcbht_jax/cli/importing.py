@@ -87,7 +87,11 @@ class Import(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         axes = ", ".join(f"{axis} ({unit or 'unit unknown'})" for axis, unit in result["axes"].items())
-        lines = [f"{result['recordings']} recordings at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
+        count = result["recordings"]
+        lines = [
+            f"{count} recording{'s' * (count != 1)} at {result['rate']:g} Hz in {result['store']}",
+            f"axes: {axes}",
+        ]
         lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]
         if result["columns"]:
             lines.append(f"columns: {', '.join(result['columns'])}")

@@ -115,7 +115,8 @@ class Info(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
-        head = f"{result['store']}: {result['recordings']} recordings of {axes} at {1 / result['dt']:g} Hz"
+        count = result["recordings"]
+        head = f"{result['store']}: {count} recording{'s' * (count != 1)} of {axes} at {1 / result['dt']:g} Hz"
         if result["content_sha256"] is None:
             head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
         elif not result["verified"]:

@@ -8,7 +8,9 @@ from collections.abc import Iterable
 from rcbht_jax.labels import AXES
 
 UNITS = {
-    "n": "N", "nm": "Nm", "n m": "Nm", "n.m": "Nm", "n*m": "Nm", "n·m": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN",
+    "n": "N", "nm": "Nm", "mn": "mN", "mnm": "mNm", "kn": "kN", "nmm": "Nmm", "ncm": "Ncm", "knm": "kNm", "kgf": "kgf",
+    "lbf": "lbf", "lbfin": "lbf in", "lbfft": "lbf ft", "newton": "N", "newtons": "N", "newtonmeter": "Nm",
+    "newtonmeters": "Nm",
     "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "nsec": "ns",
     "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "m/s": "m/s", "rad/s": "rad/s", "v": "V", "a": "A", "hz": "Hz",
 }  # fmt: skip
@@ -29,6 +31,7 @@ LABELS = (
     "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state",
 )  # fmt: skip
 
+_PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 _AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)[._/ \-]*([xyz])$")
 _ELEMENT = re.compile(r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|force|f|torque|moment|t|m)_([0-5])$")
@@ -37,11 +40,11 @@ _ELEMENT = re.compile(r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|force|
 def split_unit(name: str) -> tuple[str, str]:
     """Name of a column without its unit, and the unit that it states, "" = none.
 
-    >>> split_unit("Force_X [N]"), split_unit("t_ms"), split_unit("Fx")
-    (('Force_X', 'N'), ('t', 'ms'), ('Fx', ''))
+    >>> split_unit("Force_X [N]"), split_unit("Tx (N-mm)"), split_unit("t_ms"), split_unit("Fx")
+    (('Force_X', 'N'), ('Tx', 'Nmm'), ('t', 'ms'), ('Fx', ''))
     """
     match = _BRACKETS.match(name.strip())
-    if match and match[1] and (unit := UNITS.get(match[2].lower().strip())):
+    if match and match[1] and (unit := UNITS.get(_PRODUCT.sub("", match[2].lower().strip()))):
         return match[1], unit
     head, _, tail = name.strip().rpartition("_")
     if head and (tail in ("N", "Nm", "mN", "mNm") or tail.lower() in ("ms", "us", "ns", "sec", "s")):

@@ -1,4 +1,7 @@
-"""Tables as text: CSV with commas, semicolons (and decimal commas), tabs or blanks, with or without a line of names."""
+"""Tables as text: CSV with commas, semicolons (and decimal commas), tabs or blanks, with or without a line of names.
+
+Data loggers write lines about the device before the names of the columns; those are left out.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTE
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.table import Table
 
+PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
 CHUNK = 20_000  # rows that are Python objects at a time
 NAN = {"", "nan", "na", "n/a", "null", "-nan", "#n/a"}
 _COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
@@ -41,6 +45,7 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     check_file(path, MAX_TEXT_BYTES)
     try:
         with path.open("rb") as file:
+            before = _preamble(file)
             head, comment = _head(file, path)
             delimiter = _delimiter(head)
             cells = _cells(head, delimiter)
@@ -50,7 +55,39 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    yield Table(name, dict(zip(names, columns, strict=True)))
+    notes = (f"preamble:{before}",) if before else ()
+    yield Table(name, dict(zip(names, columns, strict=True)), notes=notes)
+
+
+def _preamble(file: BinaryIO) -> int:
+    """Goes to the line of names, if lines with fewer cells stand before it; how many lines are passed.
+
+    Only a line of text with as many cells as all lines after it is one of names: rows that are cut off, or too few
+    names, remain mistakes.
+    """
+    lines: list[bytes] = []
+    while len(lines) < PREAMBLE + 2 and (line := file.readline(PREAMBLE_LINE)):
+        lines.append(line)
+        if not line.endswith(b"\n"):
+            break  # the last one, or longer than those of loggers are
+    passed = _line_of_names(lines)
+    file.seek(sum(map(len, lines[:passed])))
+    return passed
+
+
+def _line_of_names(lines: list[bytes]) -> int:
+    filled = [number for number, line in enumerate(lines) if line.strip()]
+    if len(filled) < 3:
+        return 0
+    delimiter = _delimiter(lines[filled[-1]])
+    cells = [_cells(lines[number], delimiter) for number in filled]
+    width = len(cells[-1])
+    first = max((at + 1 for at, row in enumerate(cells) if len(row) != width), default=0)
+    if not 0 < first < len(cells) - 1 or any(len(row) > width for row in cells[:first]):
+        return 0
+    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, cells[first + 1])) >= width
+    comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
+    return filled[first] if named and not comments else 0
 
 
 def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
@@ -101,7 +138,7 @@ def _names(cells: list[str], path: Path) -> list[str]:
     if len(cells) > MAX_COLUMNS:
         raise InputError(f"{path} has {len(cells)} columns; expected at most {MAX_COLUMNS}.")
     if any(not cell.isprintable() for cell in cells):
-        raise InputError(f"{path} is not a table: its first line is not text.")
+        raise InputError(f"{path} is not a table: its first line is not text. Unpack it if it is compressed.")
     seen: dict[str, int] = {}
     names = []
     for number, title in enumerate(cells):

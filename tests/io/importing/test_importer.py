@@ -228,7 +228,7 @@ def test_ur5_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["import", "csv", str(tmp_path / "ur5.csv"), str(again), "--map", str(saved), "--tare", "0.1"]) == 0
     text = capsys.readouterr().out
     assert "actual_TCP_force_2  channel Fz" in text
-    assert "1 recordings at 500 Hz" in text
+    assert "1 recording at 500 Hz" in text
     tared = read_recordings(again)
     np.testing.assert_allclose(tared.wrench[0], first.wrench[0] - first.wrench[0, :51].mean(0), atol=1e-5)
     assert main(["import", "csv", str(tmp_path / "ur5.csv"), str(tmp_path / "x.zarr"), "--outcome", "phase"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,41 @@ def test_text_tables(tmp_path: Path, delimiter: str, end: str, head: str) -> Non
     lines += [delimiter.join(map(repr, [t, *map(float, row)])) for t, row in zip(TIME.tolist(), WRENCH, strict=True)]
     (tmp_path / "run.csv").write_bytes((end.join(lines) + end).encode("utf-8-sig" if delimiter == "," else "ascii"))
     same(read_source(tmp_path / "run.csv"))
+
+
+def rows_of(lines: list[str]) -> list[str]:
+    rows = [",".join(map(repr, [t, *map(float, row)])) for t, row in zip(TIME.tolist(), WRENCH, strict=True)]
+    return [*lines, ",".join(["time", *AXES]), *rows]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Serial,FT12345", "Start Time,5/1/2024 12:00", "", "Force Units,N", "Torque Units,N-m"],
+        ["Wrist sensor of the left arm"],
+        ["rate,500", "gains,1,1,1"],
+    ],
+)
+def test_lines_of_a_data_logger_before_the_names_are_left_out_and_noted(tmp_path: Path, lines: list[str]) -> None:
+    (tmp_path / "run.csv").write_text("\n".join(rows_of(lines)))
+    imported = read_source(tmp_path / "run.csv")
+    same(imported)
+    assert imported.recordings.note.tolist() == [f"preamble:{len(lines)}"]
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda lines: [lines[0] + ",Mw", *lines[1:]], "line 2: 7 cells; expected 8"),  # a name too many
+        (lambda lines: [lines[0][:-3], *lines[1:]], "line 2: 7 cells; expected 6"),  # a name too few
+        (lambda lines: [*lines[:5], "0.04,1.0", *lines[6:]], "line 6: 2 cells; expected 7"),  # a row that is cut off
+        (lambda lines: ["Serial,FT1", *lines[1:]], "line 2: 7 cells; expected 2"),  # names that are not there
+    ],
+)
+def test_other_lines_of_another_length_remain_mistakes(tmp_path: Path, edit: Callable, message: str) -> None:
+    (tmp_path / "run.csv").write_text("\n".join(edit(rows_of([]))))
+    with pytest.raises(InputError, match=message):
+        read_source(tmp_path / "run.csv")
 
 
 def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
