@@ -275,7 +275,10 @@ class Segmentation:
     def to_json(self) -> dict[str, Any]:
         """Scores and what they are about."""
         y = np.concatenate(self.truth)
-        folds = f"{self.protocol.folds} folds" if self.protocol.folds else "one group held out at a time"
+        groups = len(np.unique(self.recordings.column(self.protocol.group)[self.annotated]))
+        folds = "one group held out at a time"
+        if 0 < self.protocol.folds < groups:
+            folds = f"{self.protocol.folds} folds"
         how = "one recording teaches, all others are tests" if self.protocol.one_shot else folds
         return {
             "track": self.protocol.track,

@@ -253,9 +253,9 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) ->
         return splits
     fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
-        raise InputError(
-            f"{folds} folds need at least 2 and at most {fewest}, the number of trials of the rarest class."
-        )
+        if fewest < 2:
+            raise InputError(f"The rarest class has {fewest} trial; cross-validation needs two of every class.")
+        raise InputError(f"{folds} folds: the rarest class has {fewest} trials, so choose between 2 and {fewest}.")
     splitter = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
     return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
 

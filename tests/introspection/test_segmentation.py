@@ -44,6 +44,14 @@ def test_phases_are_found_causally():
     assert rows[0][4] == 0
 
 
+@pytest.mark.parametrize(
+    ("folds", "said"), [(5, "one group held out at a time"), (3, "3 folds"), (0, "one group held")]
+)
+def test_the_protocol_is_that_which_was_used(folds: int, said: str):
+    result = segment(made(4), WrenchSegmenter(trees=2), Protocol(folds=folds))
+    assert result.to_json()["protocol"].startswith(said)  # four recordings cannot make five folds
+
+
 def test_words_of_the_fit_rule_whose_tolerance_the_teachers_tell():
     data = made()
     y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]
