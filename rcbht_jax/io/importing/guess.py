@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import names
+from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
@@ -88,7 +89,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
 
 def _dates(values: NDArray[Any]) -> bool:
     try:
-        values[:1].astype("datetime64[ns]")
+        seconds_of(values[:1].tolist())
     except ValueError:
         return False
     return True

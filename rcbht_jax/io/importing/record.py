@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
+from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import SECONDS, Mapping, Track, Value
-from rcbht_jax.io.importing.names import column_name
+from rcbht_jax.io.importing.names import TIMES, base_and_unit, column_name
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.labels import AXES
 
@@ -108,6 +109,10 @@ def _check(table: Table, mapping: Mapping) -> None:
         if table.columns[name].dtype.kind == "U":
             raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
     if not mapping.time and (mapping.source_rate or table.rate) is None:
+        for name in (name for name in table.columns if base_and_unit(name)[0] in TIMES and len(table.columns[name])):
+            raise InputError(
+                f"{table.name}: column {name!r} holds {str(table.columns[name][0])!r}, which is not a time."
+            )
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 
 
@@ -142,8 +147,7 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
     column: NDArray[Any] = table.columns[mapping.time][rows]
     if column.dtype.kind == "U":
         try:
-            dates = column.astype("datetime64[ns]")
-            return np.asarray((dates - dates[:1]).astype(np.float64) * 1e-9)
+            return seconds_of(column.tolist())
         except ValueError:
             raise InputError(f"column {mapping.time!r} holds {str(column[0])!r}, which is not a time.") from None
     scaled: NDArray[np.float64] = column * SECONDS[mapping.time_unit]

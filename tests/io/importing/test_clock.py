@@ -1,0 +1,50 @@
+"""Times as text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.clock import seconds_of
+from rcbht_jax.io.importing.importer import read_source
+
+
+@pytest.mark.parametrize(
+    ("texts", "seconds"),
+    [
+        (["2024-05-01T12:00:00.000001", "2024-05-01T12:00:00.250001"], [0, 0.25]),
+        (["2024-05-01 23:59:59Z", "2024-05-02 00:00:00.5Z"], [0, 1.5]),
+        (["2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01+02:00"], [0, 1]),
+        (["00:00:59.5", "", "00:01:00,25"], [0, np.nan, 0.75]),
+        (["1/5/2024 11:59:59 am", "1/5/2024 12:00:00 pm", "1/5/2024 12:00:01 PM"], [0, 1, 2]),
+        (["31.12.2024 23:59:59.900", "01.01.2025 00:00:00.100"], [0, 0.2]),
+        (["23:59:59", "00:00:01", "23:59:58"], [0, 2, -1]),  # the last one is only out of order
+        (["", ""], [np.nan, np.nan]),
+        ([], []),
+    ],
+)
+def test_times(texts: list[str], seconds: list[float]) -> None:
+    np.testing.assert_allclose(seconds_of(texts), seconds, atol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["noon", "25:00:00", "13:00:00 PM", "00:61:00", "12", "2024-13-01T00:00:00"])
+def test_no_times(text: str) -> None:
+    with pytest.raises(ValueError):
+        seconds_of([text])
+
+
+def test_a_table_whose_time_is_a_time_of_day(tmp_path: Path) -> None:
+    rows = [f"5/1/2024,13:59:{59 + row / 100:06.3f},{row}" for row in range(100)]
+    rows += [f"5/1/2024,14:00:{row / 100:06.3f},{row}" for row in range(100)]
+    (tmp_path / "run.csv").write_text("\n".join(["Date,Time,Fz", *rows]))
+    recordings = read_source(tmp_path / "run.csv").recordings
+    assert (recordings.dt, recordings.length.tolist()) == (0.01, [200])
+
+
+def test_a_time_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("time,Fz\nnoon,1\nlater,2\n")
+    with pytest.raises(InputError, match="column 'time' holds 'noon', which is not a time"):
+        read_source(tmp_path / "run.csv")
