@@ -187,6 +187,7 @@ class Source(RuleCommand):
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
     def _messages(self) -> Messages:
+        from rcbht_jax.io.importing.find import SUFFIXES
         from rcbht_jax.io.messages import read_live
         from rcbht_jax.io.playback import read_folder, read_store
         from rcbht_jax.io.rosbags import is_bag, read_bag
@@ -201,6 +202,12 @@ class Source(RuleCommand):
             return read_store(path, self.trial, self.arm, starts)
         if path.is_dir():
             return read_folder(path, self.arm, starts)
+        if path.is_file():
+            kind = SUFFIXES.get(path.suffix.lower(), "csv")
+            raise InputError(
+                f"{path} is not a store, trial, bag or MCAP file; import it first, "
+                f"for example: rcbht import {kind} {path} {path.stem}.zarr."
+            )
         raise InputError(f"{path} is not a store, trial, bag or MCAP file; for JSON lines on standard input, write -.")
 
 

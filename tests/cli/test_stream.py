@@ -115,6 +115,13 @@ def test_wrong_sources_leave_old_outputs_alone(model_path, tmp_path, capsys):
     assert {path: path.read_bytes() for path in before} == before
 
 
+@pytest.mark.parametrize(("name", "kind"), [("run.csv", "csv"), ("run.NPZ", "npz"), ("run.txt", "csv")])
+def test_a_file_to_import_first_gets_the_command_that_does(model_path, tmp_path, capsys, name, kind):
+    (tmp_path / name).write_text("time,Fz\n0,1\n")
+    assert main(["stream", str(tmp_path / name), "-m", str(model_path)]) == 2
+    assert f"rcbht import {kind} {tmp_path / name} run.zarr" in capsys.readouterr().err
+
+
 def test_a_terminated_stream_keeps_its_recording(model_path, tmp_path, capsys, monkeypatch):
     out, write, written = tmp_path / "o.mcap", McapWriter.wrench, []
 
