@@ -49,6 +49,7 @@ MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
 MAX_NAME = 1000  # characters of a name in a model
 MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
+MAX_PADDED = 2**20  # samples to which recordings may be padded; beyond, MAX_RATIO times those of the longest
 
 _HEADERS: Mapping[tuple[int, int], Any] = {
     (1, 0): np.lib.format.read_array_header_1_0,

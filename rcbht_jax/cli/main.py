@@ -128,6 +128,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError as error:
+        detail = f" ({str(error).splitlines()[0]})" if str(error) else ""
+        return _fail(f"The memory does not suffice{detail}; use fewer or shorter recordings, or a larger machine.", 2)
     except UnicodeEncodeError as error:  # of somebody's names or remarks, on their way into a file
         return _fail(f"A text holds {error.object[error.start : error.end]!r}, which is not valid Unicode.", 2)
     except OSError as error:

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 
+from rcbht_jax._util.untrusted import MAX_PADDED, MAX_RATIO, MAX_VALUES
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
@@ -27,8 +28,9 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         gaps: allow recordings of length 0, which keep a place.
 
     Raises:
-        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
-            finite within the length or not zero beyond it, or an annotation is about no recording.
+        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array or is far from
+            filling it, a sample is not finite within the length or not zero beyond it, or an annotation is about no
+            recording.
     """
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or 0 in (wrench.shape[::2] if gaps else wrench.shape):
@@ -41,6 +43,7 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         raise InputError(
             f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units."
         )
+    check_padding(wrench.shape[1], int(recordings.length.max(initial=0)))
     for row, samples in enumerate(recordings.length):
         where = f"recording {row} ({recordings.trial[row]})"
         if not (0 if gaps else 1) <= samples <= wrench.shape[1]:
@@ -53,6 +56,20 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         if wrench[row, samples:].any():
             raise InputError(f"{where}: the wrench beyond its length is not zero; expected zero padding.")
     _check_annotations(recordings)
+
+
+def check_padding(padded: int, longest: int) -> None:
+    """Refuse recordings that are padded to far more samples than the longest has: a store only declares them.
+
+    Raises:
+        InputError: says how many there may be.
+    """
+    most = min(MAX_VALUES, max(MAX_PADDED, MAX_RATIO * longest))
+    if padded > most:
+        raise InputError(
+            f"the wrench has {padded} samples, and the longest recording {longest}; expected at most {most}. Cut what "
+            "lies beyond."
+        )
 
 
 def _check_annotations(recordings: Recordings) -> None:

@@ -92,6 +92,8 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     [
         (KeyboardInterrupt(), 130, "Interrupted"),
         (OSError(errno.ENOSPC, "No space left on device"), 1, "disk is full"),
+        (MemoryError(), 2, "The memory does not suffice; use fewer"),
+        (MemoryError("Unable to allocate 7 TiB"), 2, "does not suffice (Unable to allocate 7 TiB); use"),
         (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
     ],
 )
