@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -28,9 +29,9 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         gaps: allow recordings of length 0, which keep a place.
 
     Raises:
-        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array or is far from
-            filling it, a sample is not finite within the length or not zero beyond it, or an annotation is about no
-            recording.
+        InputError: there is no recording, a shape or dtype is wrong, a text is not valid Unicode, a length exceeds the
+            array or is far from filling it, a sample is not finite within the length or not zero beyond it, or an
+            annotation is about no recording.
     """
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or 0 in (wrench.shape[::2] if gaps else wrench.shape):
@@ -83,6 +84,14 @@ def _check_annotations(recordings: Recordings) -> None:
         raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
 
 
+def _check_text(what: str, texts: Iterable[str]) -> None:
+    for row, text in enumerate(texts):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{what} of recording {row} is {text!r}, which is not valid Unicode; rename it.") from None
+
+
 def _check_shapes(recordings: Recordings, count: int) -> None:
     for name, dtype in VARIABLES.items():
         array = np.asarray(getattr(recordings, name))
@@ -90,6 +99,8 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
         if array.shape != shape or not matches:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
+        if dtype == "string":
+            _check_text(name, array.tolist())
     for name, values in recordings.columns.items():
         if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
             raise InputError(
@@ -97,3 +108,5 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
             )
         if not NAME.fullmatch(name) or name in VARIABLES:
             raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")
+        if np.asarray(values).dtype.kind == "U":
+            _check_text(f"column {name}", values.tolist())
