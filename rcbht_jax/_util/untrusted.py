@@ -29,6 +29,7 @@ MAX_BYTES = 2**31  # of a file that is read whole, and of the arrays that it dec
 MAX_TEXT_BYTES = 2**29  # of a table as text
 MAX_JSON_BYTES = 2**26
 MAX_MAP_BYTES = 2**20  # of a mapping
+MAX_BAG_INFO_BYTES = 2**17  # of the metadata of a bag, some 550 per topic, for which the YAML parser takes seconds
 MAX_BAG_BYTES = 2**34  # of a bag, which is read message by message
 MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 to 4 MiB
 MAX_SCHEMA = 2**17  # of the description of a message in a bag; of the largest in use, some 50 kB
