@@ -13,6 +13,32 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax.errors import InputError
 
 
+def nearest_samples(times: Float[np.ndarray, "..."], most: int, dt: float) -> Float[np.ndarray, "..."]:
+    """The samples nearest to times, s; -1 or ``most`` + 1 for those outside: a file may hold any number. NaN stays NaN.
+
+    Example:
+        >>> nearest_samples(np.array([-1e300, 0.0, 0.26, np.nan, 1e308]), 20, 0.1).tolist()
+        [-1.0, 0.0, 3.0, nan, 21.0]
+    """
+    return np.rint(times.clip(-dt, (most + 1) * dt) / dt)
+
+
+def begin_samples(starts: Float[np.ndarray, " interval"], length: int, dt: float) -> list[int]:
+    """The samples of a recording at which intervals begin, each once, in order.
+
+    Args:
+        starts: of the intervals, s; NaN = unknown; those outside the recording are left out.
+        length: samples of the recording.
+        dt: s between samples.
+
+    Example:
+        >>> begin_samples(np.array([0.0, 1.5, 0.5, np.nan, 1e300]), 20, 0.1)
+        [0, 5, 15]
+    """
+    found = nearest_samples(starts, length, dt)
+    return np.unique(found[(found >= 0) & (found < length)]).astype(int).tolist()
+
+
 def _empty(dtype: type) -> NDArray[Any]:
     return np.zeros(0, dtype)
 
@@ -195,8 +221,9 @@ class Annotations:
         """
         marks = self.of_recording(recording).of(track)
         codes = np.full(length, -1)
-        edges = np.rint(np.stack([marks.start, marks.end], 1) / dt).clip(0, length).astype(int).tolist()
-        for code, (first, last) in zip(marks.code.tolist(), edges, strict=True):
+        edges = nearest_samples(np.stack([marks.start, marks.end], 1), length, dt)
+        edges = np.nan_to_num(edges).clip(0, length)  # without a known end nothing
+        for code, (first, last) in zip(marks.code.tolist(), edges.astype(int).tolist(), strict=True):
             codes[first:last] = code
         return codes
 

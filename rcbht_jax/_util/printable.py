@@ -1,8 +1,11 @@
-"""Text of other people's files as it may be shown."""
+"""Text of other people's files as it may be shown and written."""
 
 from __future__ import annotations
 
+import re
 import unicodedata
+
+_BYTES = re.compile("[\udc80-\udcff]")  # what stands for a byte that is not UTF-8 in the name of a file (PEP 383)
 
 
 def printable(text: str) -> str:
@@ -15,3 +18,12 @@ def printable(text: str) -> str:
         c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf") else c.encode("unicode_escape").decode()
         for c in text
     )
+
+
+def spelled(name: object) -> str:
+    r"""A file's name, or a text that quotes it, as text that can be written: bytes that are not UTF-8 are spelled out.
+
+    >>> spelled("run-\udcff.csv")
+    'run-\\xff.csv'
+    """
+    return _BYTES.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:x}", str(name))

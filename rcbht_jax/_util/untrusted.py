@@ -29,6 +29,7 @@ MAX_BYTES = 2**31  # of a file that is read whole, and of the arrays that it dec
 MAX_TEXT_BYTES = 2**29  # of a table as text
 MAX_JSON_BYTES = 2**26
 MAX_MAP_BYTES = 2**20  # of a mapping
+MAX_BAG_INFO_BYTES = 2**17  # of the metadata of a bag, some 550 per topic, for which the YAML parser takes seconds
 MAX_BAG_BYTES = 2**34  # of a bag, which is read message by message
 MAX_CHUNK = 2**26  # of a chunk or record of a bag; recorders write chunks of 1 to 4 MiB
 MAX_SCHEMA = 2**17  # of the description of a message in a bag; of the largest in use, some 50 kB
@@ -49,6 +50,7 @@ MAX_CHANNELS = 10_000  # records of channels and their schemas in a bag
 MAX_NAME = 1000  # characters of a name in a model
 MAX_DIGITS = 300  # of a whole number, which a float must hold
 MAX_VALUES = 2**27  # numbers kept of one bag, and samples of one recording
+MAX_PADDED = 2**20  # samples to which recordings may be padded; beyond, MAX_RATIO times those of the longest
 
 _HEADERS: Mapping[tuple[int, int], Any] = {
     (1, 0): np.lib.format.read_array_header_1_0,

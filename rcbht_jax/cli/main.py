@@ -5,6 +5,7 @@ Exit status: 0 done; 1 the machine failed (disk full, output closed); 2 wrong in
 
 from __future__ import annotations
 
+import _thread
 import difflib
 import errno
 import importlib
@@ -15,6 +16,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -35,32 +37,58 @@ GROUP = "rcbht.commands"  # entry points of other packages, each a table such as
 USAGE = "usage: rcbht COMMAND [options]; every command has --help, and --json for a machine-readable result"
 
 
+AGAIN = 0.05  # s until a signal is sent again whose exception was lost: what loses one takes less
+
+
 class Ended(KeyboardInterrupt):
-    """SIGTERM or SIGHUP: as Ctrl-C, with a status of its own."""
+    """SIGINT, SIGTERM or SIGHUP: each with a status of its own."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
-        self.status = 128 + number
+        self.number = number
 
 
 @contextmanager
 def endings() -> Iterator[None]:
-    """End by SIGTERM and SIGHUP as by Ctrl-C, so that recordings are finished; where nobody set another way to end."""
+    """End by SIGTERM and SIGHUP as by Ctrl-C, so that recordings are finished; where nobody set another way to end.
+
+    Python discards what is raised in a destructor or in a callback of the garbage collector, of which JAX has one: a
+    signal that came then is sent again.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    ctrl_c, other = signal.default_int_handler, signal.SIG_DFL
+    defaults: dict[int, Any] = {signal.SIGINT: ctrl_c, signal.SIGTERM: other, signal.SIGHUP: other}
+    ours = {number: default for number, default in defaults.items() if signal.getsignal(number) is default}
+    lost, main_thread, report = set[int](), threading.get_ident(), sys.unraisablehook
 
     def end(number: int, _: FrameType | None) -> None:
+        lost.clear()  # a second exception would interrupt what the first one finishes
         raise Ended(number)
 
-    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    def discarded(unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, Ended):
+            report(unraisable)
+            return
+        lost.add(unraisable.exc_value.number)
+        _thread.start_new_thread(again, (unraisable.exc_value.number,))  # a Timer takes locks, which may be held here
+
+    def again(number: int) -> None:
+        time.sleep(AGAIN)
+        if number in lost:
+            signal.pthread_kill(main_thread, number)  # wakes it, too
+
     for number in ours:
         signal.signal(number, end)
+    sys.unraisablehook = discarded
     try:
         yield
     finally:
-        for number in ours:
-            signal.signal(number, signal.SIG_DFL)
+        lost.clear()
+        sys.unraisablehook = report
+        for number, default in ours.items():
+            signal.signal(number, default)
 
 
 @cache
@@ -94,12 +122,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _fail(str(error), 2)
     except KeyboardInterrupt as ending:
-        status = ending.status if isinstance(ending, Ended) else 130
+        status = 128 + (ending.number if isinstance(ending, Ended) else signal.SIGINT)
         return _fail("Interrupted; no incomplete file was left, and what a stream had recorded is kept.", status)
     except BrokenPipeError:
         # The reader of our output has gone: the exit must not fail while flushing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError as error:
+        detail = f" ({str(error).splitlines()[0]})" if str(error) else ""
+        return _fail(f"The memory does not suffice{detail}; use fewer or shorter recordings, or a larger machine.", 2)
     except UnicodeEncodeError as error:  # of somebody's names or remarks, on their way into a file
         return _fail(f"A text holds {error.object[error.start : error.end]!r}, which is not valid Unicode.", 2)
     except OSError as error:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax._util.untrusted import load_json
+from rcbht_jax._util.untrusted import checked_number, load_json
+from rcbht_jax._util.values import positive
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
@@ -74,12 +75,12 @@ def validate(limits: NDArray[np.floating]) -> None:
     """Check a host array of limits ``[..., axis, 4]``.
 
     Raises:
-        InputError: wrong shape, not finite, not positive or not ordered.
+        InputError: wrong shape, not finite in single precision, not positive or not ordered.
     """
     if limits.ndim < 2 or limits.shape[-1] != 4:
         raise InputError(f"Thresholds have shape {limits.shape}; expected [..., axis, 4].")
-    if not np.all(np.isfinite(limits)) or not np.all(limits > 0):
-        raise InputError("Thresholds must be finite and positive numbers.")
+    if not positive(limits):
+        raise InputError("Thresholds must be positive numbers of 1.2e-38 to 3.4e38, which single precision holds.")
     if not np.all(limits[..., :-1] >= limits[..., 1:]):
         raise InputError("Thresholds must be ordered: impulse >= big >= medium >= small.")
 
@@ -210,7 +211,7 @@ def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[n
     """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
 
     Raises:
-        InputError: not such a file, or it has nothing for one of the axes.
+        InputError: not such a file, it has nothing for one of the axes, or something that is no number.
     """
     try:
         content = load_json(path)
@@ -220,7 +221,7 @@ def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[n
         rows, provenance = content["limits"], dict(content["provenance"])
         if missing := [axis for axis in axes if axis not in rows]:
             raise InputError(f"{path} has no thresholds for {', '.join(missing)}; it has {', '.join(rows)}.")
-        columns = {name: np.array([float(rows[axis][name]) for axis in axes]) for name in COLUMNS[version]}
+        columns = {name: np.array([_number(path, rows, axis, name) for axis in axes]) for name in COLUMNS[version]}
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; expected a file of thresholds.") from None
     except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
@@ -228,6 +229,10 @@ def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[n
             raise
         raise InputError(f'{path} is not a file of thresholds, as "rcbht calibrate" writes them.') from None
     return version, columns, provenance
+
+
+def _number(path: Path, rows: Mapping[str, Any], axis: str, name: str) -> float:
+    return checked_number(f"{path}: {name} of {axis}", rows[axis][name])
 
 
 def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path, axes: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.values import positive
 from rcbht_jax.encoding.thresholds import validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
@@ -52,8 +53,10 @@ class FitLimits:
             raise InputError(
                 f"Tolerances have shape {tolerance.shape}; expected one, or one for each of {gradients.shape[-2]} axes."
             ) from None
-        if not (np.isfinite(tolerance).all() and (tolerance > 0).all()):
-            raise InputError("A tolerance must be a finite, positive number.")
+        if not positive(tolerance):
+            raise InputError(
+                "A tolerance must be a positive number of 1.2e-38 to 3.4e38, which single precision holds."
+            )
         return np.concatenate([gradients, tolerance[..., None]], axis=-1)
 
 

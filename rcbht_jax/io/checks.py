@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
+from rcbht_jax._util.untrusted import MAX_PADDED, MAX_RATIO, MAX_VALUES
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
@@ -27,8 +29,9 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         gaps: allow recordings of length 0, which keep a place.
 
     Raises:
-        InputError: there is no recording, a shape or dtype is wrong, a length exceeds the array, a sample is not
-            finite within the length or not zero beyond it, or an annotation is about no recording.
+        InputError: there is no recording, a shape or dtype is wrong, a text is not valid Unicode, a length exceeds the
+            array or is far from filling it, a sample is not finite within the length or not zero beyond it, or an
+            annotation is about no recording.
     """
     wrench = np.asarray(recordings.wrench)
     if wrench.ndim != 3 or 0 in (wrench.shape[::2] if gaps else wrench.shape):
@@ -41,6 +44,7 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
         raise InputError(
             f"axes {axes[0]} have units {axes[1]}; expected {wrench.shape[2]} different names, with units."
         )
+    check_padding(wrench.shape[1], int(recordings.length.max(initial=0)))
     for row, samples in enumerate(recordings.length):
         where = f"recording {row} ({recordings.trial[row]})"
         if not (0 if gaps else 1) <= samples <= wrench.shape[1]:
@@ -55,6 +59,20 @@ def validate(recordings: Recordings, gaps: bool = False) -> None:
     _check_annotations(recordings)
 
 
+def check_padding(padded: int, longest: int) -> None:
+    """Refuse recordings that are padded to far more samples than the longest has: a store only declares them.
+
+    Raises:
+        InputError: says how many there may be.
+    """
+    most = min(MAX_VALUES, max(MAX_PADDED, MAX_RATIO * longest))
+    if padded > most:
+        raise InputError(
+            f"the wrench has {padded} samples, and the longest recording {longest}; expected at most {most}. Cut what "
+            "lies beyond."
+        )
+
+
 def _check_annotations(recordings: Recordings) -> None:
     marks = recordings.annotations
     if len(marks) and not (marks.recording.min() >= 0 and marks.recording.max() < len(recordings)):
@@ -66,6 +84,14 @@ def _check_annotations(recordings: Recordings) -> None:
         raise InputError("an annotation has no finite start or an infinite end; expected seconds.")
 
 
+def _check_text(what: str, texts: Iterable[str]) -> None:
+    for row, text in enumerate(texts):
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{what} of recording {row} is {text!r}, which is not valid Unicode; rename it.") from None
+
+
 def _check_shapes(recordings: Recordings, count: int) -> None:
     for name, dtype in VARIABLES.items():
         array = np.asarray(getattr(recordings, name))
@@ -73,6 +99,8 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
         matches = array.dtype.kind == "U" if dtype == "string" else array.dtype == dtype
         if array.shape != shape or not matches:
             raise InputError(f"{name} is {array.dtype} of shape {array.shape}; expected {dtype} of shape {shape}.")
+        if dtype == "string":
+            _check_text(name, array.tolist())
     for name, values in recordings.columns.items():
         if np.shape(values) != (count,) or np.asarray(values).dtype.kind not in "Ubiuf":
             raise InputError(
@@ -80,3 +108,5 @@ def _check_shapes(recordings: Recordings, count: int) -> None:
             )
         if not NAME.fullmatch(name) or name in VARIABLES:
             raise InputError(f"{name!r} is not a name for a column; expected letters, digits and _ - . only.")
+        if np.asarray(values).dtype.kind == "U":
+            _check_text(f"column {name}", values.tolist())

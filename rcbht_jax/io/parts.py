@@ -84,7 +84,7 @@ def layout_of(group: zarr.Group) -> Layout:
         InputError: it cannot be, or is not that of its parts.
     """
     layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
-    if layout.rows < 0 or layout.part < 1 or _member(group, DIGESTS).shape != (len(layout), _DIGEST):
+    if layout.rows < 0 or layout.part < 1 or zarr_io.member(group, DIGESTS).shape != (len(layout), _DIGEST):
         raise InputError(
             f"{group.store_path} says that it has {layout.rows} rows in parts of {layout.part}; it has not."
         )
@@ -132,7 +132,7 @@ def write(folder: Path, layout: Layout, number: int, fields: Mapping[str, Field]
 def seal(folder: Path, number: int, digest: str) -> None:
     """Write the digest of a part, all of whose arrays are there: from now on it counts."""
     group = zarr_io.open_group(folder, "r+")
-    _member(group, DIGESTS)[number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
+    zarr_io.member(group, DIGESTS)[number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
 
 
 def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
@@ -186,13 +186,13 @@ def digest_file(number: int) -> str:
 
 def digests(group: zarr.Group) -> list[str | None]:
     """Digest of each part, None = it is missing."""
-    stored = np.asarray(_member(group, DIGESTS)[...])
+    stored = np.asarray(zarr_io.member(group, DIGESTS)[...])
     return [row.tobytes().hex() if row.any() else None for row in stored]
 
 
 def digest(group: zarr.Group, number: int) -> str | None:
     """Digest of one part, None = it is missing."""
-    row = np.asarray(_member(group, DIGESTS)[number])
+    row = np.asarray(zarr_io.member(group, DIGESTS)[number])
     return row.tobytes().hex() if row.any() else None
 
 
@@ -210,7 +210,7 @@ def read(
     Raises:
         InputError: the array is missing or has another dtype.
     """
-    array = _member(group, name)
+    array = zarr_io.member(group, name)
     found = "string" if array.dtype.kind in "TUO" else str(array.dtype)
     if found != made.dtype:
         raise InputError(f"{group.store_path}: {name} is {found}; expected {made.dtype}.")
@@ -233,13 +233,6 @@ def fields_in(group: zarr.Group) -> dict[str, Field]:
             dimensions = tuple(map(str, array.metadata.dimension_names[1:]))  # type: ignore[union-attr,index]
             found[name] = Field(dtype, dimensions, tuple(array.shape[1:]))
     return found
-
-
-def _member(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    array = group.get(name)
-    if not isinstance(array, zarr.Array):
-        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
-    return array
 
 
 def _chunks(layout: Layout, made: Field) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
@@ -283,7 +276,7 @@ def write_array(
     chunk, shard = _chunks(layout, made)
     folder = Path(str(group.store_path).removeprefix("file://")) / name / "c"
     if made.dtype == "string":
-        _member(group, name)[layout.span(number)] = values.astype(np.dtypes.StringDType())
+        zarr_io.member(group, name)[layout.span(number)] = values.astype(np.dtypes.StringDType())
     elif shard is None:
         chunk_files.write_chunk(folder.joinpath(str(number), *["0"] * (values.ndim - 1)), values, chunk)
     else:

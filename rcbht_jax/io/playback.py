@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rcbht_jax.annotations import Annotations
+from rcbht_jax.annotations import Annotations, begin_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
@@ -90,7 +90,7 @@ def read_folder(path: Path, arm: str = "R", starts: str = "harmonised") -> Itera
     record = records[0]
     table = record.table
     onset = record.onset_harmonised if starts == "harmonised" else record.onset
-    begins = onset[np.isfinite(onset)] if starts != NONE else onset[:0]
+    begins = onset if starts != NONE else onset[:0]
     yield from _trial(table.time, table.values.astype(np.float64), begins, float(np.median(np.diff(table.time))))
 
 
@@ -100,7 +100,7 @@ def _trial(
     starts: Float[np.ndarray, " interval"],
     dt: float,
 ) -> Iterator[Message]:
-    begins = set(np.rint(starts / dt).astype(int).tolist()) - {0}
+    begins = set(begin_samples(starts, len(wrench), dt)) - {0}
     for index, (stamp, row) in enumerate(zip(time.tolist(), wrench.tolist(), strict=True)):
         if index in begins:
             yield Begin()

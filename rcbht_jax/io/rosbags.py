@@ -17,7 +17,7 @@ from jaxtyping import Int
 
 from rcbht_jax._util.atomic import atomic_write, draft_of
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_MAP_BYTES, check_file, check_inside
+from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_BAG_INFO_BYTES, check_file, check_inside
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import LEVELS, Belief, Event, Word
 from rcbht_jax.io.bag_chunks import bound_chunks, take_packed, unpacked_file, unpacked_message
@@ -159,8 +159,8 @@ def _files(path: Path) -> list[Path]:
     check_inside(path, path)
     parts = [part for part in sorted(path.iterdir()) if not part.is_dir()]  # the metadata may name any of them
     for part in parts:
-        known = part.suffix in SUFFIXES or part.name == "metadata.yaml"
-        check_file(part, MAX_MAP_BYTES if part.name == "metadata.yaml" else MAX_BAG_BYTES, empty=not known)
+        about = part.name == "metadata.yaml"
+        check_file(part, MAX_BAG_INFO_BYTES if about else MAX_BAG_BYTES, empty=not (about or part.suffix in SUFFIXES))
     return parts
 
 

@@ -210,10 +210,7 @@ def longest_of(path: Path) -> int:
     Raises:
         InputError: ``path`` does not exist, is not a store of this format, or is damaged.
     """
-    group = open_store(path)
-    with zarr_io.reading(path):
-        wrench: Any = group["wrench"]
-        return int(wrench.shape[1])
+    return store_reader.padded_to(path, open_store(path))
 
 
 def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
@@ -390,6 +387,7 @@ def _valid(path: Path, recordings: Recordings) -> Recordings:
 
 def _read_old(path: Path, group: zarr.Group) -> Recordings:
     """Recordings of a store of version 1 or 2, verified."""
+    store_reader.padded_to(path, group)
     with zarr_io.reading(path):
         read = store_v1.read if group.attrs["format_version"] == 1 else store_v2.read
         recordings, digest = read(group)

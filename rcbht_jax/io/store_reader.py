@@ -18,7 +18,7 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.checks import VARIABLES
+from rcbht_jax.io.checks import VARIABLES, check_padding
 from rcbht_jax.io.parts import Field
 from rcbht_jax.io.store_schema import (
     ANNOTATIONS,
@@ -85,15 +85,29 @@ def read_all(stored: Stored) -> Recordings:
         InputError: the store is damaged or not finished.
     """
     count, at = len(stored.rows()), 0
-    with zarr_io.reading(stored.path):
-        longest = stored.group["wrench"].shape[1]  # type: ignore[union-attr]
-    wrench = np.zeros((count, longest, len(stored.schema.axes)), np.float32)
+    wrench = np.zeros((count, padded_to(stored.path, stored.group), len(stored.schema.axes)), np.float32)
     tables = []
     for part in read_parts(stored):
         wrench[at : at + len(part), : part.wrench.shape[1]] = part.wrench
         at += len(part)
         tables.append(replace(part, wrench=part.wrench[:, :0]))
     return replace(Recordings.join(tables), wrench=wrench)
+
+
+def padded_to(path: Path, group: zarr.Group) -> int:
+    """Samples to which the recordings of a store of any version are padded.
+
+    Raises:
+        InputError: it declares far more than the longest has, or is damaged.
+    """
+    with zarr_io.reading(path):
+        padded = int(group["wrench"].shape[1])  # type: ignore[union-attr]
+        longest = int(zarr_io.read_array(group, "length", "int32").max(initial=0))
+    try:
+        check_padding(padded, longest)
+    except InputError as error:
+        raise InputError(f"{path} holds contradictory recordings: {error}") from None
+    return padded
 
 
 def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
@@ -107,6 +121,7 @@ def read_parts(stored: Stored, most: int | None = None) -> Iterator[Recordings]:
         InputError: the store is damaged or not finished.
     """
     check_whole(stored)
+    padded_to(stored.path, stored.group)
     for number in range(len(stored.schema.layout)):
         small = read_small(stored, number)
         length = small["length"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
-from rcbht_jax._util.untrusted import MAX_BYTES
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
@@ -28,6 +28,7 @@ with needs_extra("store"):
     from zarr.core.buffer import Buffer, BufferPrototype
     from zarr.storage import LocalStore
 
+    from rcbht_jax.io.bounded_chunks import bounded
     from rcbht_jax.io.chunk_files import LEVEL
 
 
@@ -167,8 +168,9 @@ class _Files(LocalStore):
             status = (self.root / key).stat()
         except OSError:  # it does not exist: the reader knows what that means
             return
-        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or status.st_size > MAX_BYTES:
-            raise ValueError(f"{key} is not a regular file of at most {MAX_BYTES} bytes")
+        most = MAX_JSON_BYTES if key.endswith(".json") else MAX_BYTES
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or status.st_size > most:
+            raise ValueError(f"{key} is not a regular file of at most {most} bytes")
 
 
 @contextmanager
@@ -223,6 +225,18 @@ def write_array(
     array[...] = values.astype(np.dtypes.StringDType()) if dtype == "string" else values
 
 
+def member(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    """An array of a group, whose chunks are bounded.
+
+    Raises:
+        InputError: the array is missing, or packed in an unknown way.
+    """
+    array = group.get(name)
+    if not isinstance(array, zarr.Array):
+        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
+    return bounded(array)
+
+
 @uninterrupted()
 def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     """Read a whole array, strings as fixed-width NumPy strings; ``dtype`` None accepts any.
@@ -230,10 +244,7 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     Raises:
         InputError: the array is missing or has another dtype.
     """
-    array = group.get(name)
-    if not isinstance(array, zarr.Array):
-        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
-    values = np.asarray(array[...])
+    values = np.asarray(member(group, name)[...])
     if dtype == "string":
         return np.array(values.tolist(), np.str_)
     if dtype is not None and values.dtype != dtype:

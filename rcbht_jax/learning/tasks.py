@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.annotations import Annotations
+from rcbht_jax.annotations import Annotations, nearest_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     Features,
@@ -326,9 +326,11 @@ def _of_track(
     """Intervals of a track whose ends are known, in the order of the trials and of time."""
     marks = recordings.annotations.of(track)
     labels = np.array(marks.labels[track], np.str_)
-    start = np.rint(marks.start / recordings.dt)
+    longest = int(recordings.length.max())
+    start = nearest_samples(marks.start, longest, recordings.dt)
+    end = np.nan_to_num(nearest_samples(marks.end, longest, recordings.dt), nan=-1.0)
     # What lasts beyond the record is cut off there; an unknown end is before every start.
-    end = np.minimum(np.nan_to_num(np.rint(marks.end / recordings.dt), nan=-1.0), recordings.length[marks.recording])
+    end = np.minimum(end, recordings.length[marks.recording])
     usable = (start >= 0) & (end > start)
     if spec.complete:
         usable &= _complete(marks, usable, len(recordings))[marks.recording]

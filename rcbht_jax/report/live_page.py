@@ -313,6 +313,7 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
     block_on_close = False
+    request_queue_size = CONNECTIONS  # that wait to be accepted: a further one comes again after 1 s
 
     def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()

@@ -8,7 +8,6 @@ mount's vertical. Values are in SI units, those of ``PartParams`` and ``SensorPa
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -19,6 +18,7 @@ import numpy as np
 
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.untrusted import checked_number, load_json
+from rcbht_jax._util.values import LARGEST
 from rcbht_jax.errors import InputError
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
@@ -32,7 +32,7 @@ FORMAT = "rcbht-physical"
 
 
 def check(physical: Physical) -> None:
-    """Refuse a name that means nothing, a value that is no number, or a delay that the sensor cannot have.
+    """Refuse a name that means nothing, a value that is no number or absurd, or a delay that the sensor cannot have.
 
     Raises:
         InputError: which one, and what there is.
@@ -42,8 +42,8 @@ def check(physical: Physical) -> None:
         if match is None or match[2] not in {field.name for field in fields(GROUPS[match[1]])}:
             known = ", ".join(f"{group}.{f.name}" for group, kind in GROUPS.items() for f in fields(kind))
             raise InputError(f"There is no physical parameter {name!r}; expected one of {known}.")
-        if not math.isfinite(value):
-            raise InputError(f"The physical parameter {name} is {value}; expected a finite number.")
+        if not abs(value) <= LARGEST:  # NaN compares as false; what is drawn around it must fit in single precision
+            raise InputError(f"The physical parameter {name} is {value:g}; expected a finite number up to {LARGEST:g}.")
         if match[2] == "delay" and not 0 <= round(value) < LONGEST_DELAY:  # others would be clipped without a word
             raise InputError(
                 f"The physical parameter {name} is {value:g}; expected 0 to {LONGEST_DELAY - 1} control periods."

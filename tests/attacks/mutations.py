@@ -160,6 +160,14 @@ def pipe(path: Path) -> None:
     os.mkfifo(path)
 
 
+def _declaring(rng: random.Random, raw: bytes) -> bytes:
+    """The description of an array that says that it is far larger than its chunks."""
+    content = json.loads(raw)
+    if shape := content.get("shape"):
+        shape[rng.randrange(len(shape))] = rng.choice((10**12, 2**62))
+    return json.dumps(content).encode()
+
+
 def damage_tree(rng: random.Random, folder: Path) -> None:
     """Damage one file of a folder, or what it is."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -178,6 +186,8 @@ def damage_tree(rng: random.Random, folder: Path) -> None:
         path.unlink()
     elif kind == 4:
         path.write_bytes(rng.choice(files).read_bytes())
+    elif path.name == "zarr.json" and kind == 5:
+        path.write_bytes(_declaring(rng, path.read_bytes()))
     elif path.suffix == ".json" and kind < 10:
         path.write_bytes(damaged_json_text(rng, path.read_bytes()))
     else:

@@ -1,4 +1,4 @@
-"""Hostile names of trials through every export: files stay inside, names come back, no cell is a formula."""
+"""Hostile names of trials and folders through every export: files stay inside, names come back, no cell a formula."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ def attack(seed: str, folder: Path) -> str:
     out = folder / "out"
     try:
         export(DataSet.of(recordings(tuple(made))), out, kind)
+        out = out.rename(folder / rng.choice(("out", "o\udcff")))  # as files from another machine may be called
         found = read_source(out, kind).recordings
     except InputError:
         return "refused"
     if any(not path.resolve().is_relative_to(folder.resolve()) for path in folder.rglob("*")):
         return "a file is outside"
-    if sorted(path.name for path in folder.iterdir()) != ["out"]:
+    if sorted(path.name for path in folder.iterdir()) != [out.name]:
         return "a file is beside the export"
     if found.trial.tolist() != made:
         return f"{kind}: names come back as {found.trial.tolist()!r}, not {made!r}"

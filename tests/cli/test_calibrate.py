@@ -188,6 +188,33 @@ def test_limits_out_of_order_are_refused(tmp_path):
         read_thresholds(path)
 
 
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        ("1", "small of Fz is '1', no finite number"),
+        (True, "small of Fz is 'True', no finite number"),
+        (None, "small of Fz is 'None', no finite number"),
+        (1e-300, "1.2e-38 to 3.4e38"),
+        (1e-40, "1.2e-38 to 3.4e38"),
+    ],
+)
+def test_limits_that_are_no_numbers_of_single_precision_are_refused(store, tmp_path, capsys, value, sentence):
+    path, fit = tmp_path / "t.json", tmp_path / "fit.json"
+    write_thresholds(path, preset(), {})
+    write_limits(fit, FitLimits(preset().limits, np.ones(6)), {})
+    content = json.loads(path.read_text())
+    content["limits"]["Fz"]["small"] = value
+    path.write_text(json.dumps(content))
+    content = json.loads(fit.read_text())
+    content["limits"]["Fz"]["tolerance"] = 1e300 if isinstance(value, float) else value
+    fit.write_text(json.dumps(content))
+    for words in ([str(path)], [str(fit), "--rule", "fit"]):
+        assert main(["encode", str(store), "--thresholds", *words]) == 2
+        error = capsys.readouterr().err
+        assert sentence.replace("small", "tolerance" if "fit" in words else "small") in error
+        assert "Warning" not in error
+
+
 @given(
     st.one_of(
         st.binary(max_size=60),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -91,6 +92,8 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     [
         (KeyboardInterrupt(), 130, "Interrupted"),
         (OSError(errno.ENOSPC, "No space left on device"), 1, "disk is full"),
+        (MemoryError(), 2, "The memory does not suffice; use fewer"),
+        (MemoryError("Unable to allocate 7 TiB"), 2, "does not suffice (Unable to allocate 7 TiB); use"),
         (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
     ],
 )
@@ -111,6 +114,48 @@ def test_interruptions_end_in_a_sentence(
     monkeypatch.setattr(main, "parse", lambda name, words: Failing())
     assert main.main(["info"]) == status
     assert sentence in capsys.readouterr().err
+
+
+LOSES = {  # Python discards what is raised there
+    "collector": "gc.callbacks.append(lambda phase, info: hit())\nbody = gc.collect",
+    "destructor": "Thing = type('Thing', (), {'__del__': lambda self: hit()})\nbody = lambda: [Thing()].clear()",
+    "own code": "body = hit",
+}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("where", LOSES)
+def test_a_signal_ends_the_command_wherever_it_comes(where: str, number: int) -> None:
+    code = (
+        "import gc, os, signal, sys, time\n"
+        "from rcbht_jax.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "todo = [1]\n"
+        f"def hit():\n    if todo:\n        todo.pop()\n        os.kill(os.getpid(), {number})\n"
+        "    return sum(range(1000))\n"
+        f"{LOSES[where]}\n"
+        "main._dispatch = lambda words: (body(), time.sleep(6), 0)[2]\n"
+        "start = time.monotonic()\nstatus = main.main([])\n"
+        "assert time.monotonic() - start < 4 and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL\n"
+        "assert sys.unraisablehook is sys.__unraisablehook__\nsys.exit(status)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert run.returncode == 128 + number, run.stderr
+    assert run.stderr.splitlines() == [
+        "rcbht: Interrupted; no incomplete file was left, and what a stream had recorded is kept."
+    ]
+
+
+def test_what_else_a_destructor_raises_is_reported_as_before() -> None:
+    def fails(self: object) -> None:
+        raise ValueError("else")
+
+    reported = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "unraisablehook", lambda unraisable: reported.append(str(unraisable.exc_value)))
+        with main.endings():
+            type("Thing", (), {"__del__": fails})()
+    assert reported == ["else"]
 
 
 def test_closed_output_is_no_traceback(hiro_store: Path) -> None:

@@ -57,7 +57,15 @@ def test_free_parameters_round_trip() -> None:
 
 @pytest.mark.parametrize(
     "limits",
-    [np.ones(4), np.ones((6, 3)), -np.ones((6, 4)), np.full((6, 4), np.nan), np.tile([1.0, 2.0, 3.0, 4.0], (6, 1))],
+    [
+        np.ones(4),
+        np.ones((6, 3)),
+        -np.ones((6, 4)),
+        np.full((6, 4), np.nan),
+        np.full((6, 4), 1e39),
+        np.full((6, 4), 1e-39),
+        np.tile([1.0, 2.0, 3.0, 4.0], (6, 1)),
+    ],
 )
 def test_bad_thresholds_are_refused(limits: np.ndarray) -> None:
     with pytest.raises(InputError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -182,3 +183,19 @@ def test_stamps_that_ros_cannot_hold(tmp_path, stamps, written):
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         found = [received * 1e-9 for _, received, _ in reader.messages()]
     assert sorted(found) == pytest.approx(written or [0.0, 3.0, 2.0**31 - 1, 2.0**31 - 1])
+
+
+def test_metadata_of_a_bag_that_take_long_are_refused_before(tmp_path):
+    """Lists in a list: the YAML parser takes 20 s for each MB of them."""
+    path = write_bag(tmp_path / "b", "mcap", np.zeros((3, 6)))
+    (path / "metadata.yaml").write_text("[" + "1," * 500_000 + "1]")
+    start = time.process_time()
+    with pytest.raises(InputError, match=r"metadata\.yaml has 1000003 bytes; expected at most 131072"):
+        list(read_bag(path))
+    assert time.process_time() - start < 1
+
+
+def test_a_bag_of_four_hundred_topics_is_read(tmp_path):
+    path = write_bag(tmp_path / "b", "mcap", np.zeros((2, 6)), tuple(f"/robot/arm{k}/wrench" for k in range(400)))
+    assert (path / "metadata.yaml").stat().st_size > 110_000
+    assert len([one for one in read_bag(path, "/robot/arm7/wrench") if isinstance(one, Sample)]) == 2

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
 from rcbht_jax.io.hiro import importer
 from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.onsets import fallback, harmonised, needs_harmonising, onsets_from_marks
@@ -275,3 +276,20 @@ def test_without_angles_the_boundary_comes_from_the_pose_or_the_share(tmp_path: 
     }
     np.testing.assert_allclose(recordings.starts(HARMONISED)[:, 2], [1.2, 1.4])
     np.testing.assert_allclose(recordings.starts(RECORDED)[:, 2], 0.505)
+
+
+def test_names_that_are_not_utf8_are_spelled_out(tmp_path: Path) -> None:
+    source = tmp_path / "set\udcff_SUCCESS"
+    trial(source / "a", 1)
+    trial(source / "b\udcff", 2)
+    trial(source / "b\udcfe", 3)
+    trial(tmp_path / "set_ERROR" / "copy\udcff", 1)
+    (trial(source / "cut\udcff", 4) / "R_Torques.dat").write_text("0 1 2\n")
+    out = tmp_path / "out.zarr"
+    report = importer.import_hiro(tmp_path, out)
+    recordings = store.read_recordings(out)
+    assert recordings.trial.tolist() == ["copy\\xff", "a", "b\\xfe", "b\\xff"]
+    assert recordings.source.tolist()[1] == "set\\xff_SUCCESS"
+    assert notes(recordings)["a"].endswith("contradictory-duplicate:copy\\xff")
+    assert [path for path, _ in report.skipped] == ["set\\xff_SUCCESS/cut\\xff/R_Torques.dat"]
+    assert importer.import_hiro(source, tmp_path / "one.zarr").imported == ["a/R", "b\\xfe/R", "b\\xff/R"]

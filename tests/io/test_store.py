@@ -313,6 +313,8 @@ def test_foreign_folders_are_one_sentence(tmp_path: Path, path: Path) -> None:
         ({"columns": {"grip": np.zeros(2)}}, "grip is float64 of shape"),
         ({"columns": {"a/b": np.zeros(3)}}, "not a name for a column"),
         ({"columns": {"wrench": np.zeros(3)}}, "not a name for a column"),
+        ({"note": np.array(["", "a\udcff", ""])}, r"note of recording 1 is 'a\\udcff', which is not valid Unicode"),
+        ({"columns": {"part": np.array(["\ud800"] * 3)}}, "column part of recording 0 is"),
         ({"dt": 0.0}, "dt is 0.0"),
         ({"dt": 1e-320}, "expected 1e-09 to"),
         ({"dt": 1e300}, "expected 1e-09 to"),

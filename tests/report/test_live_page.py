@@ -331,3 +331,12 @@ def test_connections_are_bounded(monkeypatch):
                     return
             time.sleep(0.02)
         pytest.fail("the server is still full")
+
+
+def test_as_many_as_may_connect_wait_at_once():
+    """Of a queue of five each seventh connection waited 1 s for the system to try again."""
+    server = PageServer(port=0)  # which accepts nobody yet
+    with contextlib.ExitStack() as stack:
+        stack.callback(server.server_close)
+        for _ in range(live_page.CONNECTIONS):
+            stack.enter_context(socket.create_connection(server.server_address[:2], timeout=0.5))

@@ -13,6 +13,7 @@ from jaxtyping import Int8, Int16, UInt8
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import data_hash, wrench_digests
+from rcbht_jax.annotations import nearest_samples
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import config_of, limits_for, made_by
 from rcbht_jax.encoding.thresholds import preset
@@ -207,8 +208,8 @@ def states_at_samples(recordings: Recordings, row: int) -> Int16[np.ndarray, " s
     if not track:
         return state
     marks = recordings.annotations.of_recording(row).of(track)
-    for code, start, end in zip(marks.code, marks.start, marks.end, strict=True):
-        state[samples >= np.rint(start / recordings.dt)] = code
-        if np.isfinite(end):
-            state[samples >= np.rint(end / recordings.dt)] = -1
+    starts, ends = (nearest_samples(times, len(samples), recordings.dt) for times in (marks.start, marks.end))
+    for code, start, end in zip(marks.code, starts, ends, strict=True):
+        state[samples >= start] = code
+        state[samples >= end] = -1  # never where the end is unknown
     return state

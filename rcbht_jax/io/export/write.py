@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
 from rcbht_jax._util.optional import require
+from rcbht_jax.annotations import begin_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
@@ -205,7 +204,7 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
 def _mcap_recording(block: Block, row: int, path: Path) -> None:
     recordings, samples = block.recordings, int(block.recordings.length[row])
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
-    begins = set(np.rint(recordings.annotations.begins(row) / recordings.dt).astype(int).tolist())
+    begins = set(begin_samples(recordings.annotations.begins(row), samples, recordings.dt))
     with McapWriter(path, recordings.axes) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_TEXT_BYTES, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -63,11 +64,11 @@ def find_trials(directory: Path) -> list[tuple[str, Path]]:
         raise InputError(f"{directory} is a single trial; expected its parent folder, the data set.")
     children = _folders(directory, directory)
     if any(_is_trial(child) for child in children):
-        return [(directory.resolve().name, child) for child in children]
+        return [(spelled(directory.resolve().name), child) for child in children]
     sets = [child for child in children if any(_is_trial(folder) for folder in _folders(child, directory))]
     if not sets:
         raise InputError(f"{directory} holds no trial; expected folders with R_Torques.dat inside, or folders of such.")
-    return [(child.name, folder) for child in sets for folder in _folders(child, directory)]
+    return [(spelled(child.name), folder) for child in sets for folder in _folders(child, directory)]
 
 
 def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, ImportReport]:
@@ -90,12 +91,12 @@ def read_hiro(directory: Path, progress: Progress = iter) -> tuple[Recordings, I
     trials = find_trials(directory)
 
     def name(path: Path) -> str:
-        return str(path.relative_to(directory))
+        return spelled(path.relative_to(directory))
 
     def into(problems: list[tuple[str, str]]) -> Report:
         # The report is stored: it must not name folders of the importing machine.
         prefix = f"{directory}/"
-        return lambda path, text: problems.append((name(path), text.replace(prefix, "")))
+        return lambda path, text: problems.append((name(path), spelled(text.replace(prefix, ""))))
 
     source_of = {folder: source for source, folder in trials}
     skip, warn = into(report.skipped), into(report.warnings)
@@ -177,7 +178,7 @@ def _without_copies(
                 originals[label] = first.folder
         originals_of_all.update(originals.values())
         for folder in originals.values() if len(originals) > 1 else ():
-            rest = [other.name for other in originals.values() if other != folder]
+            rest = [spelled(other.name) for other in originals.values() if other != folder]
             others[folder] = ",".join(rest).replace(";", ",")
             report.warnings.append((name(folder), f"identical to {', '.join(rest)}, whose name contradicts it."))
     return [

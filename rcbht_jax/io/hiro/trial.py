@@ -6,7 +6,6 @@ is a link out of the data set counts as broken.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rcbht_jax._util.digest import content_hash
+from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import check_inside
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat, onsets
@@ -63,7 +63,7 @@ def read_trial(folder: Path, source: str, skip: Report, warn: Report) -> list[Ar
     Returns:
         right arm, left arm: those with a valid wrench table.
     """
-    trial = os.fsencode(folder.name).decode("utf-8", "replace")
+    trial = spelled(folder.name)
     paths = {arm: data_file(folder, arm, "Torques") for arm in ARMS}
     if not any(paths.values()):
         skip(folder, "no R_Torques.dat or L_Torques.dat inside.")

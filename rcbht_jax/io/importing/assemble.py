@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import spelled
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
@@ -112,13 +113,13 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
     defaults: dict[str, list[str]] = {
         "trial": _trials(records),
         "arm": [arm_of(record.name) or STANDARD_COLUMNS["arm"] for record in records],
-        "source": [source.resolve().stem] * len(records),
+        "source": [spelled(source.resolve().stem)] * len(records),
         "session": folders if any(folders) else [STANDARD_COLUMNS["session"]] * len(records),
         "outcome": [STANDARD_COLUMNS["outcome"]] * len(records),
         "note": [""] * len(records),
     }
     if any(folders) and "session" not in columns:
-        report.remarks.append(f"The sessions are the sub-folders of {source.name}: {len(set(folders))}.")
+        report.remarks.append(f"The sessions are the sub-folders of {spelled(source.name)}: {len(set(folders))}.")
     if "outcome" not in columns:
         report.remarks.append("No column states the outcome: it is unknown. Name one with --outcome or in a map.")
     for name, texts in defaults.items():

@@ -65,7 +65,8 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None]:
     """Columns that can be imported, and the rate where the metadata state it."""
     size = check_file(path)
     pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
-    with pq.ParquetFile(path, thrift_string_size_limit=2**24, thrift_container_size_limit=2**20) as file:
+    limits = {"thrift_string_size_limit": 2**24, "thrift_container_size_limit": 2**20}
+    with path.open("rb") as raw, pq.ParquetFile(raw, **limits) as file:  # pyarrow takes no name that is not UTF-8
         meta, schema = file.metadata, file.schema_arrow
         if meta.num_columns > MAX_COLUMNS:
             raise InputError(f"{path} has {meta.num_columns} columns; expected at most {MAX_COLUMNS}.")
@@ -189,12 +190,12 @@ def episode_tables(path: Path, _: str) -> Iterator[Table]:
     Raises:
         InputError: damaged.
     """
-    with reading(path, "Parquet"):
-        pq = require("pyarrow.parquet", "import")
-        check_declared(path, pq.read_metadata(path).num_rows * 8, check_file(path))
-        schema = pq.read_schema(path)
-        wanted = [key for key in schema.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
-        for row in pq.read_table(path, columns=wanted).to_pylist():
+    size = check_file(path)
+    with reading(path, "Parquet"), path.open("rb") as raw:
+        file = require("pyarrow.parquet", "import").ParquetFile(raw)
+        check_declared(path, file.metadata.num_rows * 8, size)
+        wanted = [key for key in file.schema_arrow.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
+        for row in file.read(columns=wanted).to_pylist():
             plain = {key: value for key, value in row.items() if isinstance(value, str | int | float)}
             number = str(int(plain.pop(EPISODE)))
             if isinstance(row.get("tasks"), list):

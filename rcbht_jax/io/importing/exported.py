@@ -119,8 +119,8 @@ def exported_tables(path: Path, name: str) -> Iterator[Table]:
         InputError: damaged.
     """
     check_declared(path, 0, check_file(path))
-    with reading(path, "Parquet"):
-        table = require("pyarrow.parquet", "import").read_table(path)
+    with reading(path, "Parquet"), path.open("rb") as raw:
+        table = require("pyarrow.parquet", "import").read_table(raw)
         columns = {key: table.column(key).to_numpy() for key in table.column_names}
     plain = {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
     yield Table(name, plain)

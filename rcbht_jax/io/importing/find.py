@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import MAX_FILES
 from rcbht_jax.errors import InputError
 
@@ -21,7 +22,7 @@ KINDS = ("auto", "csv", "parquet", "npz", "hdf5", "matlab", "mcap", "bag", "lero
 class Item:
     """A file, or a folder that is one recording or data set."""
 
-    name: str  # relative to the source
+    name: str  # relative to the source, as it can be written
     path: Path
     kind: str  # one of KINDS but "auto", or "export"
 
@@ -46,7 +47,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
             raise InputError(
                 f"{source} is not a file of a known kind; say which, for example: rcbht import csv {source}."
             )
-        return [Item(source.name, source, chosen)], []
+        return [Item(spelled(source.name), source, chosen)], []
     if (whole := _whole(source)) and (whole == kind or kind in ("auto", "bag", "mcap") or whole == "export"):
         return [Item("", source, whole)], []
     if kind == "lerobot":
@@ -56,7 +57,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
         here = Path(folder)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         if here != source and (whole := _whole(here)):
-            items.append(Item(here.relative_to(source).as_posix(), here, whole))
+            items.append(Item(spelled(here.relative_to(source).as_posix()), here, whole))
             folders.clear()
             continue
         for name in sorted(files):
@@ -65,7 +66,7 @@ def find(source: Path, kind: str = "auto") -> tuple[list[Item], list[str]]:
                 found = (
                     "csv" if kind == "csv" and path.suffix.lower() in TEXTS else SUFFIXES.get(path.suffix.lower(), "")
                 )
-                relative = path.relative_to(source).as_posix()
+                relative = spelled(path.relative_to(source).as_posix())
                 if found and kind in ("auto", found):
                     items.append(Item(relative, path, found))
                 else:

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.printable import spelled
 from rcbht_jax._util.untrusted import check_inside, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -128,7 +129,7 @@ def read_item(item: Item, mapping: Mapping) -> Iterator[Table]:
     if item.kind in ("bag", "mcap"):
         from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
 
-        return read_bag_tables(item.path, item.name or item.path.name, mapping.topic)
+        return read_bag_tables(item.path, item.name or spelled(item.path.name), mapping.topic)
     readers = {
         "csv": read_csv, "parquet": columnar.read_parquet, "npz": arrays.read_npz, "hdf5": arrays.read_hdf5,
         "matlab": arrays.read_matlab, "lerobot": columnar.read_lerobot,
@@ -140,7 +141,7 @@ def _exported(source: Path, item: Item) -> Imported:
     check_inside(source, source)
     recordings = read_export(source)
     names = [f"{trial}/{arm}" for trial, arm in zip(recordings.trial.tolist(), recordings.arm.tolist(), strict=True)]
-    report = ImportReport(names, remarks=[f"{source.name} was written by rcbht export; read as it is."])
+    report = ImportReport(names, remarks=[f"{spelled(source.name)} was written by rcbht export; read as it is."])
     report.content_sha256 = _digest(source, [item])
     return Imported(recordings, Mapping(), report)
 
@@ -173,21 +174,27 @@ def _read(
                     if isinstance(record, tuple):
                         report.skipped.append(record)
                         continue
-                    _beside(source, record, extra, report)
+                    _beside(source, item, record, extra, report)
                     found.append(record)
                     used[record.name] = mapping, understood
         except InputError as error:
-            report.skipped.append((item.name or item.path.name, str(error).replace(f"{source}/", "")))
+            report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
     return found, used, beside
 
 
-def _beside(source: Path, record: Record, tracks: list[Track], report: ImportReport) -> None:
+def _reason(error: InputError, source: Path) -> str:
+    """A sentence for the report, which is stored: it must not name folders of the importing machine."""
+    return spelled(str(error).replace(f"{source}/", ""))
+
+
+def _beside(source: Path, item: Item, record: Record, tracks: list[Track], report: ImportReport) -> None:
     """Add the intervals that files beside a recording hold; a missing file leaves the others."""
+    file = Path(source.name) if item.path == source else item.path.relative_to(source)
     for track in tracks:
         try:
-            intervals = marks.track_intervals(source, record.name, track)
+            intervals = marks.track_intervals(source, file, record.name, track)
         except InputError as error:
-            report.warnings.append((record.name, str(error).replace(f"{source}/", "")))
+            report.warnings.append((record.name, _reason(error, source)))
             continue
         shift = record.origin if track.clock == "stamps" else 0.0
         record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)

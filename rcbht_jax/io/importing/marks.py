@@ -68,13 +68,17 @@ def same_recording(given: str, name: str) -> bool:
     return given in ({f"{form}#{part}" for form in forms} | {part} if part else forms)
 
 
-def beside(source: Path, name: str, pattern: str) -> Path:
+def beside(source: Path, file: Path, pattern: str) -> Path:
     """The file that a pattern names for a recording: "{stem}" is its file without suffix, in the same folder.
+
+    Args:
+        source: a file or a folder.
+        file: of the recording, relative to the folder.
+        pattern: of the file beside it.
 
     Raises:
         InputError: the file lies outside the source.
     """
-    file = PurePosixPath(name.partition("#")[0])
     folder = source if source.is_dir() else source.parent
     path = folder / file.parent / pattern.replace("{stem}", file.stem) if "{stem}" in pattern else folder / pattern
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -82,26 +86,32 @@ def beside(source: Path, name: str, pattern: str) -> Path:
     return path
 
 
-def track_intervals(source: Path, name: str, track: Track) -> list[Interval]:
+def track_intervals(source: Path, file: Path, name: str, track: Track) -> list[Interval]:
     """The intervals of a track that a file beside a recording holds.
+
+    Args:
+        source: a file or a folder.
+        file: of the recording, relative to the folder.
+        name: of the recording.
+        track: of its intervals.
 
     Raises:
         InputError: the file is missing or not a table of intervals.
     """
     if track.file:
-        path = beside(source, name, track.file)
+        path = beside(source, file, track.file)
         [table] = read_csv(path, path.name)
         if not is_intervals(table.columns):
             raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
         return intervals_of(table, track, name)
-    ends, ids = (_lines(beside(source, name, pattern)) for pattern in (track.ends, track.ids))
+    ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
     if len(ends) != len(ids):
-        raise InputError(f"{beside(source, name, track.ends)} has {len(ends)} ends for {len(ids)} labels.")
+        raise InputError(f"{beside(source, file, track.ends)} has {len(ends)} ends for {len(ids)} labels.")
     try:
         times = [0.0, *map(float, ends)]
         labels = [text(float(one)) if not one.isalpha() else one for one in ids]
     except ValueError:
-        raise InputError(f"{beside(source, name, track.ends)} holds a line that is not a number.") from None
+        raise InputError(f"{beside(source, file, track.ends)} holds a line that is not a number.") from None
     words = [track.words.get(label, label) for label in labels]
     rows = zip(words, times[:-1], times[1:], strict=True)
     return [(track.track, label, start, end) for label, start, end in rows if label not in track.ignore]
@@ -123,7 +133,7 @@ def rows_of(source: Path, mapping: Mapping) -> dict[str, dict[str, str]]:
     """
     if not mapping.table:
         return {}
-    path = beside(source, "", mapping.table)
+    path = beside(source, Path(), mapping.table)
     if path.suffix.lower() == ".json":
         content = read_json(path)
         if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):

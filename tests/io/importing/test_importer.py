@@ -10,9 +10,11 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
 from rcbht_jax.io.store import read_attrs, read_recordings
+from rcbht_jax.types import Recordings
 
 DT = 0.002
 
@@ -259,3 +261,36 @@ def test_a_store_says_where_it_comes_from(tmp_path: Path) -> None:
     with (tmp_path / "a.csv").open("a") as file:
         file.write("0.4,1\n")
     assert read_source(tmp_path / "a.csv").report.content_sha256 != one
+
+
+@pytest.mark.parametrize("kind", ["csv", "auto"])
+def test_names_that_are_not_utf8_are_spelled_out(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Such as a file from an old Windows machine: it is imported, and so are the others, their intervals included."""
+    source = tmp_path / "r\udce9sultats"
+    for seed, name in enumerate(("a.csv", "b\udcff.csv", "s\udcff/c.csv")):
+        write(source / name, noise(seed))
+    (source / "broken\udcff.csv").write_text("t,Fx\n0,1\n1")
+    (source / "b\udcff.marks").write_text("label,start\npush,0.02\n")
+    beside = tmp_path / "map.toml"
+    beside.write_text('[[annotations]]\ntrack = "phase"\nfile = "{stem}.marks"\n')
+    out = tmp_path / "out.zarr"
+    assert main(["import", kind, str(source), str(out), "--map", str(beside)]) == 0, capsys.readouterr().err
+    recordings, report = read_recordings(out), read_attrs(out)["import_report"]
+    assert recordings.trial.tolist() == ["a", "b\\xff", "s\\xff/c"]
+    assert set(recordings.source.tolist()) == {"r\\xe9sultats"}
+    assert recordings.session.tolist()[2] == "s\\xff"
+    assert recordings.annotations.recording.tolist() == [1]
+    assert [name for name, _ in report["skipped"]] == ["broken\\xff.csv"]
+    assert str(tmp_path) not in json.dumps(report)
+    one = tmp_path / "one.zarr"
+    assert main(["import", kind, str(source / "b\udcff.csv"), str(one)]) == 0
+    assert read_recordings(one).trial.tolist() == ["b\\xff"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap", "lerobot"])
+def test_exports_in_folders_whose_names_are_not_utf8_are_read(tmp_path: Path, kind: str) -> None:
+    export(DataSet.of(Recordings.example()), tmp_path / "plain", kind)
+    other = (tmp_path / "plain").rename(tmp_path / "other\udcff")
+    found = read_source(other)
+    assert len(found.recordings) == 8
+    json.dumps(found.report.to_dict(), ensure_ascii=False).encode()

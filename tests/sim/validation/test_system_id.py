@@ -153,6 +153,8 @@ def test_named_parameters_reach_the_trial_and_nothing_else_changes() -> None:
         (("parts.friction[0]", 1.0), "does not exist"),
         (("parts.hook_overlap[2:2]", 1.0), "does not exist"),
         (("parts.friction", float("nan")), "finite number"),
+        (("parts.friction", 1e300), "friction is 1e\\+300; expected a finite number up to 1e\\+30"),
+        (("sensor.bias", -3.4e38), "bias is -3.4e\\+38; expected a finite number"),
         (("parts.friction", -1.0), "friction must be positive"),
         (("sensor.delay", 1e18), "expected 0 to 11 control periods"),
         (("sensor.delay", 12.0), "expected 0 to 11 control periods"),
@@ -173,6 +175,9 @@ def test_simulate_takes_a_parameter_file(tmp_path: Path, capsys: pytest.CaptureF
     low, high = DomainRandomization().friction
     assert ((simulation["friction"] >= 0.123 * low) & (simulation["friction"] <= 0.123 * high)).all()
     assert read_attrs(out)["simulated"]["job"]["spec"]["physical"] == [["parts.friction", 0.123]]
+    path.write_text('{"format": "rcbht-physical", "values": {"parts.friction": 1e300}}')
+    assert main.main([*words, "--overwrite", "--physical", str(path)]) == 2
+    assert "expected a finite number up to 1e+30" in capsys.readouterr().err
     path.write_text("{}")
     assert main.main([*words, "--overwrite", "--physical", str(path)]) == 2
     assert "holds no physical parameters" in capsys.readouterr().err

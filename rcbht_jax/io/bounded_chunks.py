@@ -1,0 +1,77 @@
+"""Arrays whose chunks unpack to no more than they can hold: a store of a stranger may pack gigabytes into kilobytes.
+
+Stores of all versions pack their chunks in one way: bytes or texts, Zstandard, CRC-32C, some within shards. Zarr makes
+room for as many bytes as a packed chunk says; here what it says is looked at first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.untrusted import MAX_RATIO, SMALL
+from rcbht_jax.errors import InputError
+
+with needs_extra("store"):
+    import zarr
+    from zarr.abc.codec import Codec
+    from zarr.codecs import BytesCodec, Crc32cCodec, ShardingCodec, VLenUTF8Codec, ZstdCodec
+    from zarr.core.array_spec import ArraySpec
+    from zarr.core.buffer import Buffer
+
+_MAGIC, _HEADER = b"\x28\xb5\x2f\xfd", 18  # how a frame of Zstandard begins, and bytes until its content
+
+
+def bounded(array: zarr.Array[Any]) -> zarr.Array[Any]:
+    """The same array, of which no chunk unpacks to more bytes than its shape has, nor than measured signals do.
+
+    Raises:
+        InputError: its chunks are packed in a way in which no version of this program packs them.
+    """
+    metadata: Any = array.metadata
+    match metadata.codecs:
+        case (ShardingCodec(index_codecs=(BytesCodec(), Crc32cCodec())) as shards,):
+            codecs: tuple[Codec, ...] = (replace(shards, codecs=_bounded(shards.codecs, array)),)
+        case plain:
+            codecs = _bounded(plain, array)
+    return zarr.Array(zarr.AsyncArray(replace(metadata, codecs=codecs), array.store_path))
+
+
+def _bounded(codecs: tuple[Codec, ...], array: zarr.Array[Any]) -> tuple[Codec, ...]:
+    match codecs:
+        case (BytesCodec() | VLenUTF8Codec() as first, ZstdCodec() as packed, Crc32cCodec() as last):
+            return first, _Zstd(level=packed.level, checksum=packed.checksum), last
+    raise InputError(f"{array.store_path} is packed as no version of rcbht packs it. Import it again from its source.")
+
+
+class _Zstd(ZstdCodec):
+    """Zstandard that refuses a chunk before there is room for what it unpacks to."""
+
+    def _decode_sync(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> Buffer:
+        packed, dtype = len(chunk_bytes), chunk_spec.dtype.to_native_dtype()
+        most = max(SMALL, MAX_RATIO * packed)
+        if dtype.kind not in "TUO":  # a text may have any length
+            most = min(most, math.prod(chunk_spec.shape) * dtype.itemsize)
+        size = content_size(chunk_bytes[:_HEADER].to_bytes())
+        if size is None or size > most:
+            raise ValueError(f"a chunk of {packed} bytes says that it unpacks to {size}; expected at most {most}")
+        return super()._decode_sync(chunk_bytes, chunk_spec)
+
+
+def content_size(frame: bytes) -> int | None:
+    """Bytes to which a frame of Zstandard says that it unpacks; None = it does not say so, or is none (RFC 8878).
+
+    >>> from numcodecs.zstd import compress
+    >>> content_size(compress(bytes(1000))), content_size(b"abc")
+    (1000, None)
+    """
+    if frame[:4] != _MAGIC or len(frame) < 5:
+        return None
+    flags = frame[4]
+    single, width = flags >> 5 & 1, 1 << (flags >> 6)
+    if width == 1 and not single:
+        return None
+    start = 5 + (1 - single) + (0, 1, 2, 4)[flags & 3]  # behind the size of the window and the number of a dictionary
+    return int.from_bytes(frame[start : start + width], "little") + (256 if width == 2 else 0)

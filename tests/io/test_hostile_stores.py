@@ -1,0 +1,163 @@
+"""Stores of strangers that declare or unpack to far more than they hold: refused in one sentence, within memory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+import pytest
+import zarr
+from numcodecs.zstd import compress
+from zarr.codecs import BytesCodec, Crc32cCodec, GzipCodec, ShardingCodec, ZstdCodec
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.bounded_chunks import content_size
+from tests.support.store_cases import encoded_store, same, simple
+
+
+def declare(path: Path, samples: int) -> None:
+    """Have the wrench declare another number of samples, also where the metadata are collected."""
+    for file in (path / "wrench" / "zarr.json", path / "zarr.json"):
+        content = json.loads(file.read_text())
+        collected = content.get("consolidated_metadata", {"metadata": {"wrench": content}})
+        collected["metadata"]["wrench"]["shape"][1] = samples
+        file.write_text(json.dumps(content))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    store.write_recordings(tmp_path / "trials.zarr", simple(3, 200), {})
+    return tmp_path / "trials.zarr"
+
+
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = encoded_store(tmp_path_factory.mktemp("encoded") / "trials.zarr", simple(3, 200))
+    declare(path, 10**12)
+    return path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["encode", "--window", "7"],
+        ["stream", "--robot", "hiro"],
+        ["plot", "map", "-o", "map.pdf"],
+        ["describe", "t1"],
+        ["evaluate"],
+        ["info"],
+        ["calibrate", "--method", "rest", "-o", "limits.json"],
+    ],
+)
+def test_a_huge_time_axis_is_one_sentence(
+    encoded: Path, words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(encoded.parent)
+    count = 2 if words[0] == "plot" else 1
+    status = main([*words[:count], str(encoded), *words[count:]])
+    error = capsys.readouterr().err
+    if words != ["info"]:  # which shows what is counted of a large store, and reads no sample
+        assert status == 2
+        assert f"{10**12} samples, and the longest recording 200; expected at most 1048576" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("read", [store.longest_of, store.read_recordings, lambda path: list(store.read_batches(path))])
+def test_no_reader_believes_a_huge_time_axis(path: Path, read: object) -> None:
+    declare(path, 2**62)
+    with pytest.raises(InputError, match=r"trials\.zarr holds contradictory recordings: the wrench has 4611686\d+"):
+        read(path)  # type: ignore[operator]
+    with pytest.raises(InputError, match="the longest recording 200"):
+        store.read_recordings(path)
+
+
+def test_padding_that_recordings_may_have_is_kept(tmp_path: Path) -> None:
+    """Recordings chosen from longer ones are padded as those were."""
+    recordings = simple(3, 2000)
+    recordings.length[:] = 20
+    recordings.wrench[:, 20:] = 0
+    store.write_recordings(tmp_path / "x.zarr", recordings, {})
+    same(store.read_recordings(tmp_path / "x.zarr"), recordings)
+    assert store.longest_of(tmp_path / "x.zarr") == 2000
+
+
+def test_what_no_reader_takes_is_not_written(tmp_path: Path) -> None:
+    recordings = simple(1, 50)
+    wide = np.zeros((1, 2**20 + 1, 6), np.float32)
+    wide[:, :50] = recordings.wrench
+    vars(recordings)["wrench"] = wide
+    with pytest.raises(InputError, match="Cut what lies beyond"):
+        store.write_recordings(tmp_path / "x.zarr", recordings, {})
+
+
+BOMB = 400_000_000  # bytes
+
+
+def sealed(data: bytes) -> bytes:
+    return data + google_crc32c.value(data).to_bytes(4, "little")
+
+
+def bomb(path: Path, chunk: str) -> None:
+    """Have a chunk, or the first one of a shard, unpack to BOMB bytes."""
+    packed = sealed(compress(np.zeros(BOMB, np.uint8), 1))
+    if not chunk.startswith("wrench/"):
+        (path / chunk).write_bytes(packed)
+        return
+    index = np.full((8, 2), 2**64 - 1, "<u8")
+    index[0] = 0, len(packed)
+    (path / chunk).write_bytes(packed + sealed(index.tobytes()))
+
+
+@pytest.mark.parametrize("chunk", ["length/c/0", "trial/c/0", "axis/c/0", "wrench/c/0/0/0"])
+def test_a_packed_chunk_takes_no_more_memory_than_it_may(path: Path, chunk: str) -> None:
+    bomb(path, chunk)
+    code = (
+        "import resource, sys; from pathlib import Path; from rcbht_jax.errors import InputError\n"
+        "from rcbht_jax.io import store\n"
+        "used = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "path, before = Path(sys.argv[1]), used()\n"
+        "try:\n    store.read_recordings(path)\n"
+        "except InputError as error:\n    print(used() - before, error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
+    grown, _, sentence = run.stdout.partition(" ")
+    assert int(grown) < 150_000  # KiB
+    assert "says that it unpacks to 400000000; expected at most" in sentence
+
+
+@pytest.mark.parametrize("size", [0, 1, 255, 256, 257, 65_791, 65_792, 10**6])
+def test_the_size_of_a_frame_is_read_as_it_was_written(size: int) -> None:
+    assert content_size(compress(bytes(size), 1)) == size
+    assert content_size(compress(np.random.default_rng(0).bytes(size), 9)[:18]) == size
+
+
+@pytest.mark.parametrize(
+    "codecs",
+    [
+        [BytesCodec(), GzipCodec()],
+        [BytesCodec(), ZstdCodec(), GzipCodec()],
+        [BytesCodec(), ZstdCodec(), ZstdCodec(), Crc32cCodec()],
+        [ShardingCodec(chunk_shape=(4,), codecs=[BytesCodec(), GzipCodec()])],
+        [ShardingCodec(chunk_shape=(4,), index_codecs=[BytesCodec(), GzipCodec()])],
+    ],
+)
+def test_chunks_packed_otherwise_are_refused(path: Path, codecs: list[zarr.abc.codec.Codec]) -> None:
+    file = path / "length" / "zarr.json"
+    content = json.loads(file.read_text())
+    content["codecs"] = [codec.to_dict() for codec in codecs]
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="length is packed as no version of rcbht packs it"):
+        store.read_recordings(path)
+
+
+def test_a_description_is_no_larger_than_json_may_be(path: Path) -> None:
+    with (path / "length" / "zarr.json").open("ab") as file:
+        file.truncate(2**26 + 1)
+    with pytest.raises(InputError, match="not a regular file of at most"):
+        store.read_recordings(path)
