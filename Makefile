@@ -79,6 +79,7 @@ peers: $(PEERS)/.installed ## measure other methods on the same folds, in an env
 $(PEERS)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/python -m pip install $(PIP) --editable '.[peers]'
+	$(PEERS)/bin/python -m pip install $(PIP) --no-deps $$(grep '^scikit-learn==' constraints.txt) # or its folds are others
 	@touch $@
 
 constraints: $(INSTALLED) ## write the versions in .venv to constraints.txt
