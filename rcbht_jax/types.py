@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -171,9 +172,9 @@ class LabelTracks:
         if len(shape) < 2 or not isinstance(self.llb.label, np.ndarray | jax.Array) or _traced(self.llb.label):
             return f"LabelTracks({shape or self.llb.label})"
         count = [int(np.count_nonzero(getattr(self, layer).label)) for layer in labels.LAYERS]
-        size = f"{_plural(len(self._recordings()), 'recording')}, {_plural(shape[-2], 'axis', 'axes')}"
+        size = f"{plural(len(self._recordings()), 'recording')}, {plural(shape[-2], 'axis', 'axes')}"
         rate = "" if self.info is None else f" at {self.info.rate:g} Hz"
-        words = ", ".join(map(_plural, count, ("primitive", "composition", "behaviour")))
+        words = ", ".join(map(plural, count, ("primitive", "composition", "behaviour")))
         return f"LabelTracks({size}{rate}: {words})"
 
     def _repr_html_(self) -> str:
@@ -226,10 +227,6 @@ def _traced(values: Array) -> bool:
     return isinstance(values, jax.core.Tracer)
 
 
-def _plural(count: int, one: str, many: str = "") -> str:
-    return f"{count} {one if count == 1 else many or one + 's'}"
-
-
 # What is written where nothing was given; further columns may have any name.
 STANDARD_COLUMNS = {"arm": "R", "source": "mine", "session": "1", "outcome": "unknown", "note": ""}
 
@@ -265,7 +262,7 @@ class Recordings:
         return int(self.length.shape[0])
 
     def __repr__(self) -> str:
-        size = f"{_plural(len(self), 'recording')}, {', '.join(self.axes)} at {1 / self.dt:g} Hz"
+        size = f"{plural(len(self), 'recording')}, {', '.join(self.axes)} at {1 / self.dt:g} Hz"
         tracks = ", ".join(self.annotations.tracks) or "none"
         return f"Recordings({size}; annotations: {tracks}; columns: {', '.join((*_TEXTS, *self.columns))})"
 

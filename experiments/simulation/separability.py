@@ -18,8 +18,6 @@ from jaxtyping import Float64
 
 from experiments._lib.benchmarks import recorded, rounded
 from experiments._lib.results_io import write_result
-from sim_mjx.assembly.hooked_parts import HookedParams
-from sim_mjx.assembly.scene import hooked, one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import ONE_ARM, PRESETS
 from sim_mjx.validation import sessions
@@ -57,9 +55,7 @@ def of_recordings(reference: Profiles) -> dict[str, Any]:
 def of_simulation(name: str) -> dict[str, float]:
     """Simulated trials against themselves with half the step, and against another seed."""
     preset = PRESETS[name]
-    make = hooked if isinstance(preset.parts, HookedParams) else one_arm
-    scene = make(impratio=preset.impratio)
-    half = make(scene.substeps * 2, impratio=preset.impratio)
+    scene, half = preset.scene(), preset.scene(finer=2)
     first, halved, again = (
         sessions.profiles(native.simulate(each, sessions.trials_of(preset, seed=seed, whole=False)))
         for each, seed in ((scene, SEED), (half, SEED), (scene, SEED + 1))

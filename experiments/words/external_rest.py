@@ -10,7 +10,6 @@ Reads the recordings of other robots (RCBHT_EXTERNAL).
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,17 +19,15 @@ from jaxtyping import Bool
 from experiments._lib.benchmarks import rounded
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.results_io import write_result
+from experiments.words.sets import MAPPINGS, annotated_samples
 from rcbht_jax.calibration.rest import RestCalibration, rest_not_constant, rest_thresholds
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
+from rcbht_jax.encoding.rules import AUTO, config_of, limits_for
 from rcbht_jax.io.importing.importer import read_source
 from rcbht_jax.io.importing.mapping import read_mapping
 from rcbht_jax.labels import LLB, MC, Primitive
-from rcbht_jax.types import LabelTracks, Recordings
+from rcbht_jax.types import LabelTracks
 
-MAPPINGS = Path(__file__).resolve().parents[2] / "examples" / "mappings"
 SETS = {  # folder, kind of file, mapping, samples of a window
     "caps, 40 Hz": ("caps/runs_40hz", "csv", "caps_40hz", 5),
     "caps, 40 Hz, W=2": ("caps/runs_40hz", "csv", "caps_40hz", 2),
@@ -39,17 +36,6 @@ SETS = {  # folder, kind of file, mapping, samples of a window
 }
 STILL = ("none", "free_space_motion")
 LAYERS = {"primitive": Primitive.CONS, "mc": MC.K, "llb": LLB.FX}
-
-
-def annotated(recordings: Recordings) -> Bool[np.ndarray, "recording time axis"] | None:
-    """Samples in which nothing is annotated that touches; None without annotations."""
-    if not recordings.annotations.labels:
-        return None
-    track = recordings.annotations.choose()
-    codes = [recordings.annotations.labels[track].index(name) for name in STILL]
-    samples = recordings.wrench.shape[1]
-    rows = [recordings.annotations.of_samples(i, track, samples, recordings.dt) for i in range(len(recordings))]
-    return np.broadcast_to(np.isin(np.stack(rows), codes)[..., None], recordings.wrench.shape)
 
 
 def by_sample(calibration: RestCalibration, samples: int, window: int) -> Bool[np.ndarray, "recording time axis"]:
@@ -69,18 +55,17 @@ def of_set(folder: str, kind: str, mapping: str, window: int) -> dict[str, Any]:
     """Both rules on the rest of one set."""
     recordings = read_source(EXTERNAL / folder, kind, read_mapping(MAPPINGS / f"{mapping}.toml")).recordings
     calibration = rest_thresholds(recordings, window)
-    config = FitConfig(window, recordings.dt)
-    tolerance = auto_tolerance(recordings.wrench, recordings.length, config.needed)
-    limits = FitLimits(np.asarray(calibration.thresholds.limits), tolerance)
-    rules = {"paper": (EncoderConfig(window, recordings.dt), calibration.thresholds), "fit": (config, limits)}
-    own, by_hand = by_sample(calibration, recordings.wrench.shape[1], window), annotated(recordings)
+    own = by_sample(calibration, recordings.wrench.shape[1], window)
     rests = {"of the calibration": own}
-    if by_hand is not None:
+    if track := recordings.annotations.choose():
+        by_hand = annotated_samples(recordings, track, STILL)
         rests = {"annotated": by_hand, "annotated, and of the calibration": own & by_hand}
     seconds = {name: float(rest.sum((0, 1)).min() * recordings.dt) for name, rest in rests.items()}
     rows = {}
-    for rule, (settings, given) in rules.items():
-        tracks = encode_batch(settings, given, recordings.wrench, recordings.length)
+    for rule in ("paper", "fit"):
+        config = config_of(rule, window, recordings.dt)
+        limits = limits_for(config, calibration.thresholds, AUTO, recordings.wrench, recordings.length)
+        tracks = encode_batch(config, limits, recordings.wrench, recordings.length)
         rows |= {f"{rule}: {name}": constant(tracks, rest) | {"seconds": seconds[name]} for name, rest in rests.items()}
     return {"recordings": len(recordings), "axes": list(recordings.axes), "window": window, "rows": rows}
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from experiments._lib.benchmarks import REAL, REAL_FAILURES, SIM1, SIM2, of_sources, recorded, rounded
 from experiments._lib.results_io import write_result
+from experiments.words.sets import annotated_samples
 from rcbht_jax.calibration.rest import rest_not_constant
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -64,17 +65,6 @@ def latency(track: LabelTrack, recordings: Recordings) -> dict[str, float]:
     return {"median": median, "p95": late, "max": float(seconds.max())}
 
 
-def before_contact(recordings: Recordings) -> NDArray[np.bool_]:
-    """Samples ``[recording, time, axis]`` of the annotated approach."""
-    code = recordings.annotations.labels["states"].index("approach")
-    samples = recordings.wrench.shape[1]
-    rows = [
-        recordings.annotations.of_samples(row, "states", samples, recordings.dt) == code
-        for row in range(len(recordings))
-    ]
-    return np.broadcast_to(np.stack(rows)[..., None], recordings.wrench.shape)
-
-
 def inside(approach: NDArray[np.bool_], dt: float) -> NDArray[np.bool_]:
     """The samples of the approach that are further than EDGE from its ends."""
     count, found = round(EDGE / dt), np.zeros_like(approach)
@@ -99,7 +89,7 @@ def measured(tracks: LabelTracks, recordings: Recordings, approach: NDArray[np.b
 def of_set(recordings: Recordings) -> dict[str, Any]:
     """Both rules on one set; the fit rule with several tolerances."""
     thresholds = preset("hiro", recordings.axes)
-    approach = before_contact(recordings)
+    approach = annotated_samples(recordings, "states", ("approach",))
     wrench, length = recordings.wrench, recordings.length
     tolerance = auto_tolerance(wrench, length, FitConfig(WINDOW, recordings.dt).needed)
     paper = encode_batch(EncoderConfig(WINDOW, recordings.dt), thresholds, wrench, length)

@@ -33,6 +33,14 @@ OURS = tuple(COUNTS)[:3]  # recorded with the robot whose thresholds are known
 SHORT = 100  # samples: recordings of fewer get smaller windows
 
 
+def annotated_samples(recordings: Recordings, track: str, labels: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Samples ``[recording, time, axis]`` with one of these labels."""
+    codes = [recordings.annotations.labels[track].index(label) for label in labels]
+    samples = recordings.wrench.shape[1]
+    rows = [recordings.annotations.of_samples(i, track, samples, recordings.dt) for i in range(len(recordings))]
+    return np.broadcast_to(np.isin(np.stack(rows), codes)[..., None], recordings.wrench.shape)
+
+
 @dataclass(frozen=True)
 class Part:
     """Recordings of a set, and what the rules need for them."""

@@ -20,6 +20,15 @@ def printable(text: str) -> str:
     )
 
 
+def plural(count: int, one: str, many: str = "") -> str:
+    """A number of things in words.
+
+    >>> plural(1, "recording"), plural(2, "axis", "axes")
+    ('1 recording', '2 axes')
+    """
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
 def spelled(name: object) -> str:
     r"""A file's name, or a text that quotes it, as text that can be written: bytes that are not UTF-8 are spelled out.
 

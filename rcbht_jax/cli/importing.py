@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, Flag, OutStore, option, progress_bar
 from rcbht_jax.cli.store import sentence
 
@@ -87,11 +88,8 @@ class Import(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         axes = ", ".join(f"{axis} ({unit or 'unit unknown'})" for axis, unit in result["axes"].items())
-        count = result["recordings"]
-        lines = [
-            f"{count} recording{'s' * (count != 1)} at {result['rate']:g} Hz in {result['store']}",
-            f"axes: {axes}",
-        ]
+        count = plural(result["recordings"], "recording")
+        lines = [f"{count} at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
         lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]
         if result["columns"]:
             lines.append(f"columns: {', '.join(result['columns'])}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
 from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
 from rcbht_jax.errors import InputError
@@ -115,8 +116,8 @@ class Info(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
-        count = result["recordings"]
-        head = f"{result['store']}: {count} recording{'s' * (count != 1)} of {axes} at {1 / result['dt']:g} Hz"
+        count = plural(result["recordings"], "recording")
+        head = f"{result['store']}: {count} of {axes} at {1 / result['dt']:g} Hz"
         if result["content_sha256"] is None:
             head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
         elif not result["verified"]:

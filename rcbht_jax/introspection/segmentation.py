@@ -236,6 +236,11 @@ class Protocol:
     folds: int = 5
     one_shot: bool = False
 
+    def folds_of(self, groups: NDArray[Any]) -> tuple[int, int]:
+        """How many folds recordings of these groups make, and of how many groups."""
+        count = len(np.unique(groups))
+        return min(self.folds or count, count), count
+
 
 @dataclass(frozen=True)
 class Segmentation:
@@ -275,10 +280,8 @@ class Segmentation:
     def to_json(self) -> dict[str, Any]:
         """Scores and what they are about."""
         y = np.concatenate(self.truth)
-        groups = len(np.unique(self.recordings.column(self.protocol.group)[self.annotated]))
-        folds = "one group held out at a time"
-        if 0 < self.protocol.folds < groups:
-            folds = f"{self.protocol.folds} folds"
+        count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
+        folds = f"{count} folds" if count < groups else "one group held out at a time"
         how = "one recording teaches, all others are tests" if self.protocol.one_shot else folds
         return {
             "track": self.protocol.track,
@@ -344,6 +347,5 @@ def _splits(rows: NDArray[np.int64], groups: NDArray[Any], protocol: Protocol) -
     if protocol.one_shot:
         yield from ((np.array([row]), rows[groups[rows] != groups[row]]) for row in rows)
         return
-    count = len(np.unique(groups[rows]))
-    folds = GroupKFold(min(protocol.folds or count, count), shuffle=True, random_state=0)
+    folds = GroupKFold(protocol.folds_of(groups[rows])[0], shuffle=True, random_state=0)
     yield from ((rows[train], rows[test]) for train, test in folds.split(rows, groups=groups[rows]))

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from sim_mjx.assembly.hooked_parts import HookedParams
 from sim_mjx.assembly.parts import PartParams
-from sim_mjx.assembly.scene import IMPRATIO, Scene, hooked, one_arm
+from sim_mjx.assembly.scene import HOOK_SUBSTEPS, IMPRATIO, SUBSTEPS, Scene, hooked, one_arm
 from sim_mjx.assembly.sensor import SensorParams
 from sim_mjx.assembly.task import TaskParams
 
@@ -65,10 +65,10 @@ class SessionPreset:
     pose_limits: Range | None = None  # rms distance, mm, and turn, degrees, of computed and recorded tool poses
     gate: GateLimits | None = None  # what the simulated wrench must have in common with the recorded one
 
-    def scene(self) -> Scene:
-        """One arm with these parts, whose contacts creep as the session says."""
-        make = hooked if isinstance(self.parts, HookedParams) else one_arm
-        return make(impratio=self.impratio)
+    def scene(self, finer: int = 1) -> Scene:
+        """One arm with these parts, whose contacts creep as the session says; ``finer`` times the physics steps."""
+        make, steps = (hooked, HOOK_SUBSTEPS) if isinstance(self.parts, HookedParams) else (one_arm, SUBSTEPS)
+        return make(steps * finer, impratio=self.impratio)
 
 
 def jr3_sensor(reference: Vector, bias: tuple[float, ...]) -> SensorParams:

@@ -109,10 +109,10 @@ def _check(table: Table, mapping: Mapping) -> None:
         if table.columns[name].dtype.kind == "U":
             raise InputError(f"{table.name}: column {name!r} is text; expected numbers.")
     if not mapping.time and (mapping.source_rate or table.rate) is None:
-        for name in (name for name in table.columns if base_and_unit(name)[0] in TIMES and len(table.columns[name])):
-            raise InputError(
-                f"{table.name}: column {name!r} holds {str(table.columns[name][0])!r}, which is not a time."
-            )
+        texts = (key for key, values in table.columns.items() if base_and_unit(key)[0] in TIMES and len(values))
+        if name := next(texts, ""):
+            found = str(table.columns[name][0])
+            raise InputError(f"{table.name}: column {name!r} holds {found!r}, which is not a time.")
         raise InputError(f"{table.name} has no column of time; name it in a map, or give --source-rate.")
 
 
