@@ -23,7 +23,7 @@ from sim_mjx.assembly.parts import TABS
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import STATES
 from sim_mjx.assembly.two_arm_scene import ARMS, two_arm
-from sim_mjx.presets import preset
+from sim_mjx.presets import DEFAULT, preset
 from sim_mjx.presets.two_arm import TwoArmPreset
 from sim_mjx.randomization import trials
 from sim_mjx.randomization import two_arm as randomization_two_arm
@@ -103,7 +103,7 @@ def _paired(assembly: str, robot: str) -> Scenario:
     if assembly == SNAP:
         if robot != HIRO:
             raise InputError(f"{SNAP} is simulated with the robot {HIRO}, and only with it.")
-        return get_scenario("A")
+        return get_scenario(DEFAULT)
     return pair(named(assembly, ASSEMBLIES, Assembly, "assembly"), named(robot, ROBOTS, Robot, "robot"))
 
 

@@ -40,7 +40,7 @@ GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
     "missing-tab": (("one tab of four", {}),),
     "moved-part": tuple((f"{away:g} mm", {"moved_by": away * 1e-3}) for away in (1, 2, 4, 8, 30)),
     "early-stop": tuple(
-        (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.5, 0.7, 0.85, 0.97)
+        (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.6, 0.9, 1.1, 1.3)
     ),
 }
 TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still
@@ -87,7 +87,9 @@ def batches(nominal: tuple[int, ...], per_kind: int) -> list[tuple[str, int, int
     return [first, *faulty, *more]
 
 
-def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int) -> Trials:
+def trials(
+    folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, seed: int, engine: str = "native"
+) -> Trials:
     """Simulate what is not in the folder yet, and read it all.
 
     Args:
@@ -96,6 +98,7 @@ def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, s
         nominal: numbers of nominal trials, one store each.
         per_kind: trials of each kind of fault.
         seed: of the simulation.
+        engine: that simulates; stores that are there are read, whatever engine made them.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lots = []
@@ -104,9 +107,8 @@ def trials(folder: Path, preset: str, nominal: tuple[int, ...], per_kind: int, s
     ):
         path = folder / f"{preset}-{kind}-{grade}-{count}-{1000 * seed + number}.zarr"
         if not path.exists():
-            synthesise(
-                path, SynthesisConfig(preset, count, 1000 * seed + number, shard=_SHARD, spec=spec_of(kind, grade))
-            )
+            job = SynthesisConfig(preset, count, 1000 * seed + number, engine, _SHARD, spec_of(kind, grade))
+            synthesise(path, job)
         lots.append(_lot(path, preset, kind, grade))
     columns = {field.name: [getattr(lot, field.name) for lot in lots] for field in fields(Trials)}
     recordings = Recordings.join(columns.pop("recordings"))

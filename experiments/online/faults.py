@@ -8,7 +8,7 @@ record goes on for three seconds after that, and an alarm in a nominal trial is 
 well. A trial with a fault that seats nevertheless is a success: alarms about those are counted apart. So are faults
 without contact.
 
-Run: python -m experiments.online.faults --folder faults --preset B C A --repeats 5 --seed 2
+Run: python -m experiments.online.faults --folder faults --repeats 5 --seed 2 [--engine warp] [--jobs 5]
 Simulated trials and their features are kept in the folder; run it again to go on where it was interrupted.
 """
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -196,9 +197,11 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
     }
 
 
-def measure(w: Watched, repeats: int, seed: int) -> dict[str, Any]:
+def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any]:
     """All numbers of a preset."""
-    runs = [run(w, s) for s in tqdm(range(seed, seed + repeats), file=sys.stderr, disable=None)]
+    with ThreadPoolExecutor(jobs) as pool:  # the machines learn outside of Python's lock
+        made = pool.map(lambda s: run(w, s), range(seed, seed + repeats))
+        runs = list(tqdm(made, total=repeats, file=sys.stderr, disable=None))
     return {
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),
         "of them seated": int(w.trials.nominal.sum()),
@@ -219,11 +222,13 @@ def arguments(about: str | None) -> argparse.ArgumentParser:
     """What both experiments on simulated faults are told."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
+    parser.add_argument("--preset", nargs="+", default=["hooked-B", "hooked-C", "hooked-A"])
     parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
     parser.add_argument("--per-kind", type=int, default=80)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--engine", default="native", help="that simulates what is missing")
+    parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
     return parser
 
 
@@ -231,8 +236,8 @@ def main() -> None:
     args = arguments(__doc__).parse_args()
     done: dict[str, Any] = {}
     for preset in args.preset:
-        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed)
-        done[preset] = measure(w, args.repeats, args.seed)
+        w = watched(args.folder, preset, tuple(args.nominal), args.per_kind, args.seed, args.engine)
+        done[preset] = measure(w, args.repeats, args.seed, args.jobs)
         keep(done, args, preset == args.preset[-1])
 
 
@@ -259,6 +264,7 @@ def keep_faults(name: str, module: str, result: dict[str, Any], args: argparse.N
     """Write a result with the command that makes it."""
     presets, nominal = (" ".join(map(str, values)) for values in (args.preset, args.nominal))
     sizes = f"--nominal {nominal} --per-kind {args.per_kind} --repeats {args.repeats} --seed {args.seed}"
+    sizes += f" --engine {args.engine}" * (args.engine != "native")
     command = f"python -m experiments.online.{module} --folder FOLDER --preset {presets} {sizes}"
     write_result(name, command, result, args.seed, show=result["complete"])
 

@@ -11,7 +11,7 @@ trials (see ``experiments.online.faults``, whose first way is repeated here):
 
 Each learns from about as many trials.
 
-Run: python -m experiments.online.faults_across --folder faults --preset B C A --repeats 1 --seed 2
+Run: python -m experiments.online.faults_across --folder faults --repeats 1 --seed 2
 Simulated trials are those of ``experiments.online.faults``; they and all alarms are kept in the folder, so that an
 interrupted run goes on.
 """
@@ -123,10 +123,8 @@ def measure(those: Trials, repeats: dict[str, list[dict[str, Streamed]]]) -> dic
 
 
 def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--jobs", type=int, default=1, help="repeats at a time")
-    args = parser.parse_args()
-    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed) for p in args.preset}
+    args = arguments(__doc__).parse_args()
+    sets = {p: watched(args.folder, p, tuple(args.nominal), args.per_kind, args.seed, args.engine) for p in args.preset}
     seeds = range(args.seed, args.seed + args.repeats)
     lot = f"{'-'.join(str(count) for count in args.nominal)}-{args.per_kind}-{args.seed}"
 

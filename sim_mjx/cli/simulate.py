@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 FIT = MadeBy('"rcbht fidelity fit HIRO.zarr -o {path}"')
 
 
+Preset = Literal["hooked-A", "hooked-B", "hooked-C", "A", "B", "C", "openhrp", "rigid-openhrp", "two", "two-fixed"]
+
+
 @dataclass(frozen=True)
 class Simulate(Command):
     """Simulate randomised trials of an assembly, nominal and faulty, into a store.
@@ -27,7 +30,9 @@ class Simulate(Command):
     With the engine native, and processors with the same instructions, the same options give the same bytes. The same
     command, called again while it runs, shares the work, on any machine that sees the same folder.
 
-    Example: rcbht simulate trials.zarr --preset A --trials 200 --seed 1
+    Example: rcbht simulate trials.zarr --trials 200 --seed 1
+
+    Example: rcbht simulate blocks.zarr --preset A --trials 10000
 
     Example: rcbht simulate pegs.zarr --assembly peg-in-hole --robot panda --trials 100
 
@@ -41,12 +46,15 @@ class Simulate(Command):
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
     robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """panda, ur5e, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
-    preset: Literal[
-        "A", "B", "C", "openhrp", "two", "two-fixed", "hooked-A", "hooked-B", "hooked-C", "rigid-openhrp"
-    ] = "A"
-    """Recorded session whose controller is simulated; two = two arms, the left one compliant, two-fixed = fixed;
-    hooked-A, -B, -C = with one set of parts whose hooks catch, at half the speed; rigid-openhrp = openhrp with harder
-    contacts, and with what its sensor and solver add."""
+    preset: Annotated[
+        Preset | None,
+        option(
+            "Recorded session whose controller is simulated. hooked-A, -B, -C: one set of parts whose hooks catch and "
+            "hold; A, B, C: blocks that rub, some three times as fast; openhrp: the authors' simulation; "
+            "rigid-openhrp: with harder contacts, and what its sensor and solver add; two: two arms, the left one "
+            "compliant; two-fixed: fixed.", "hooked-B",
+        ),
+    ] = None  # fmt: skip
     trials: int = 200
     """Number of trials."""
     seed: int = 0
@@ -133,11 +141,12 @@ class Simulate(Command):
         Raises:
             InputError: unknown assembly or robot, or an option that it does not have.
         """
+        from sim_mjx.presets import DEFAULT
         from sim_mjx.randomization import overrides
         from sim_mjx.registry import HIRO, SNAP, get_scenario
 
         snap = self.assembly == SNAP
-        if not snap and (self.preset != "A" or self.physical is not None):
+        if not snap and (self.preset is not None or self.physical is not None):
             raise InputError(f"--preset and --physical belong to the assembly {SNAP}; leave them out.")
         robot = self.robot or (HIRO if snap else "panda")
         name = f"{self.assembly}@{robot}"
@@ -145,7 +154,7 @@ class Simulate(Command):
         if not snap:
             return name, scenario.spec(**values)
         physical = () if self.physical is None else overrides.read(self.physical)
-        return self.preset, scenario.spec(**values, physical=physical)
+        return self.preset or DEFAULT, scenario.spec(**values, physical=physical)
 
     def text(self, result: dict[str, Any]) -> str:
         if self.status or self.worker:

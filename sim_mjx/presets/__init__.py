@@ -15,6 +15,7 @@ ONE_ARM = {preset.name: preset for preset in (SESSION_A, SESSION_B, SESSION_C, O
 HOOKED = {preset.name: preset for preset in (HOOKED_A, HOOKED_B, HOOKED_C)}  # with one set of parts, whose hooks catch
 TWO_ARM = {preset.name: preset for preset in (TWO, TWO_FIXED)}
 PRESETS: dict[str, SessionPreset] = {**ONE_ARM, **HOOKED, RIGID.name: RIGID, **TWO_ARM}
+DEFAULT = HOOKED_B.name  # its tabs let go as recorded ones do
 
 
 def preset(name: str) -> SessionPreset:

@@ -87,7 +87,7 @@ LIMITS: dict[str, Range] = {
     "mating": (0.1, 600.0), "fault_x": (-0.1, 0.1), "fault_y": (-0.1, 0.1), "fault_roll": (-1.0, 1.0),
     "jam_friction": (0.01, 20.0), "jam_overlap": (1e-5, 1.99e-3),
     "wedge_roll": (0.0, 1.0), "wedge_tilt": (0.0, 0.5), "missing_overlap": (-1.0, 1.0), "moved_by": (0.0, 0.1),
-    "stop_at": (0.01, 1.0),
+    "stop_at": (0.01, 3.0),
 }  # fmt: skip
 
 

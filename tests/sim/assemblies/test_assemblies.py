@@ -223,7 +223,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
         get_scenario("bolt@panda")
     with pytest.raises(InputError, match="camera-snap is simulated with the robot hiro"):
         get_scenario("camera-snap@panda")
-    assert get_scenario("camera-snap@hiro").preset.name == "A"
+    assert get_scenario("camera-snap@hiro").preset.name == "hooked-B"
     far = Robot("far", ROBOTS["panda"].build, "WRIST", ROBOTS["panda"].home, (2.0, 0.0, 0.1))
     with pytest.raises(InputError, match="far does not reach the start of clip"):
         home(ASSEMBLIES["clip"], far)
