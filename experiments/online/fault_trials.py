@@ -40,7 +40,7 @@ GRADES: dict[str, tuple[tuple[str, dict[str, float]], ...]] = {
     "missing-tab": (("one tab of four", {}),),
     "moved-part": tuple((f"{away:g} mm", {"moved_by": away * 1e-3}) for away in (1, 2, 4, 8, 30)),
     "early-stop": tuple(
-        (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.6, 0.9, 1.1, 1.3)
+        (f"after {share:.0%} of the way to mating", {"stop_at": share}) for share in (0.3, 0.5, 0.7, 0.85, 0.97)
     ),
 }
 TAIL = 3.0  # s, for which every record goes on after the planned end of its trial, the robot keeping still

@@ -1,6 +1,6 @@
 """Simulated trials of which about half of every kind of fault fail: severities drawn finely about the boundary.
 
-The ranges were found with 16 or 32 trials of each kind and session (seeds 77 and 78), so that 20 to 80 % fail; the sets
+The ranges were found with 32 or 48 trials of each kind and session (seeds 77 to 79), so that 20 to 80 % fail; the sets
 that are scored were drawn afterwards. A missing tab is a worn one whose hook has nothing left: a continuous severity,
 of which the half that is below zero fails. The kind "no contact" stands apart: its parts never touch, all of it fails.
 
@@ -31,25 +31,26 @@ from sim_mjx.synthesis.plan import SynthesisConfig
 Ranges = dict[str, tuple[float, float]]
 # Session -> kind of fault -> the ranges of the distributions from which its severity is drawn.
 SEVERITIES: dict[str, dict[str, Ranges]] = {
-    "A": {
-        "jamming": {"jam_overlap": (1.15e-3, 1.5e-3), "jam_friction": (2.0, 3.2)},
-        "wedging": {"wedge_roll": (0.01, 0.07), "wedge_tilt": (0.005, 0.035)},
+    "hooked-A": {
+        "jamming": {"jam_overlap": (1.4e-3, 1.85e-3), "jam_friction": (3.0, 7.0)},
+        "wedging": {"wedge_roll": (0.0, 0.07), "wedge_tilt": (0.0, 0.035)},
         "missing-tab": {"missing_overlap": (-1.0, 1.0)},
-        "moved-part": {"moved_by": (0.5e-3, 5e-3)},
-        "early-stop": {"stop_at": (0.88, 1.0)},
+        "moved-part": {"moved_by": (0.5e-3, 7e-3)},
+        "early-stop": {"stop_at": (0.98, 1.04)},  # its hooks let go as mating begins
     },
-    "B": {
-        "jamming": {"jam_overlap": (0.85e-3, 1.15e-3), "jam_friction": (1.0, 2.2)},
-        "wedging": {"wedge_roll": (0.01, 0.06), "wedge_tilt": (0.005, 0.04)},
+    "hooked-B": {
+        "jamming": {"jam_overlap": (1.05e-3, 1.5e-3), "jam_friction": (1.5, 4.0)},
+        "wedging": {"wedge_roll": (0.01, 0.09), "wedge_tilt": (0.005, 0.05)},
         "missing-tab": {"missing_overlap": (-1.0, 1.0)},
-        "moved-part": {"moved_by": (1e-3, 5e-3)},
-        "early-stop": {"stop_at": (0.85, 1.0)},
+        "moved-part": {"moved_by": (0.5e-3, 8e-3)},
+        "early-stop": {"stop_at": (1.0, 1.7)},  # its hooks let go seconds into mating
     },
 }
-KINDS = tuple(SEVERITIES["A"])
+SESSIONS = tuple(SEVERITIES)
+KINDS = tuple(SEVERITIES[SESSIONS[0]])
 APART = "no contact"
 OUT_OF_REACH: dict[str, Ranges] = {"moved-part": {"moved_by": (0.021, 0.040)}, "early-stop": {"stop_at": (0.2, 0.35)}}
-LENGTH = {"A": 20.7, "B": 30.7}  # s of each record that are seen, by session
+LENGTH = {"hooked-A": 20.7, "hooked-B": 30.7}  # s of each record that are seen, by session
 SHARD = 64
 
 

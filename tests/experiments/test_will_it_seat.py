@@ -12,7 +12,7 @@ from experiments.online.fault_trials import TAIL
 from experiments.online.seat_trials import APART, KINDS, LENGTH, OUT_OF_REACH, SEVERITIES, SeatTrials, sets, spec_of
 from rcbht_jax.introspection.fault_monitor import NOMINAL
 from rcbht_jax.types import Recordings
-from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets import HOOKED
 from sim_mjx.randomization.trials import check, sample
 
 
@@ -22,7 +22,7 @@ def test_every_set_can_be_drawn_and_says_nothing_by_its_length() -> None:
             spec = spec_of(fault, ranges)
             check(spec)
             assert spec.logs_on == TAIL
-            kind = sample(ONE_ARM[session], 0, 0, spec)[1].kind
+            kind = sample(HOOKED[session], 0, 0, spec)[1].kind
             assert kind == fault
             assert count == (2 if name == APART else 10)
     assert set(OUT_OF_REACH) < set(KINDS)
@@ -37,7 +37,7 @@ def made_up(shift: float, seed: int) -> seat.Seen:
     x[2:, :, 0] += failed  # the first two moments know nothing
     x += shift
     blank = Recordings.from_arrays(np.zeros((len(kind), 4, 6)))
-    trials = SeatTrials(blank, LENGTH["A"], kind, failed, np.ones(len(kind)))
+    trials = SeatTrials(blank, LENGTH["hooked-A"], kind, failed, np.ones(len(kind)))
     return seat.Seen(trials, x, rng.normal(size=(4, len(kind), 2)), np.zeros((4, len(kind), 3)))
 
 
