@@ -25,8 +25,9 @@ from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
+from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import native
-from sim_mjx.presets import DEFAULT, HOOKED, ONE_ARM
+from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization, sample
 from sim_mjx.registry import get_scenario
@@ -34,7 +35,7 @@ from sim_mjx.validation import sessions
 from sim_mjx.validation.replay import Recorder, seated_snaps
 
 SEED, TRIALS, BLOCK = 0, 500, 1000  # seed; trials per preset; trials per batch
-MAP_PRESET, PER_CELL = DEFAULT, 3
+MAP_PRESET, PER_CELL = "B", 3
 OFFSETS = tuple(float(mm) for mm in range(-5, 6))
 ROLLS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # degrees
 
@@ -45,7 +46,7 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
     scenario, mild = get_scenario(preset), DomainRandomization(nominal_share=1.0)
     for first in range(0, trials, BLOCK):
         indices = range(first, min(first + BLOCK, trials))
-        run = native.simulate(scenario.scene(), scenario.draw_batch(SEED, indices, mild)[0])
+        run = native.simulate(one_arm(), scenario.draw_batch(SEED, indices, mild)[0])
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
@@ -67,14 +68,14 @@ def success_map(
     """Share of seated trials [roll, y, x] of the hand displaced by x and y (mm) and turned by roll (degrees)."""
     cells = [(r, y, x) for r in rolls for y in offsets for x in offsets for _ in range(per_cell)]
     spec = DomainRandomization(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
-    trials, scene = [], preset_of(MAP_PRESET).scene()
+    trials = []
     for index, (r, y, x) in enumerate(cells):
         trial = sample(preset_of(MAP_PRESET), SEED, index, spec)[0]
         way = trial.task.way_position + np.array([x, y, 0.0]) * 1e-3
         turned = trial.task.way_rpy + np.array([np.radians(r), 0.0, 0.0])
         trials.append(replace(trial, task=replace(trial.task, way_position=way, way_rpy=turned)))
     seated = np.concatenate(
-        [native.simulate(scene, stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
+        [native.simulate(one_arm(), stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
     )
     return seated.all(1).reshape(len(rolls), len(offsets), len(offsets), per_cell).mean(-1)
 
@@ -91,7 +92,7 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
         panel.set(
             title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
         )
-        if roll == 0:
+        if roll == 0 and MAP_PRESET == "B":
             session = preset_of(MAP_PRESET)
             for cell in session.placements:
                 off = cell in session.off_seat
@@ -99,8 +100,8 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
     panels[0].set_ylabel("y, mm")
     figure.colorbar(image, ax=panels.tolist(), label="share of trials that seat all four tabs", shrink=0.85)
     figure.suptitle(
-        f"Success of the simulated session {MAP_PRESET} when the hand arrives displaced and turned\n"
-        "marks: the recorded session, o = seated, x = off-seat",
+        f"Success of the simulated session {MAP_PRESET} when the hand arrives displaced and turned"
+        + ("\nmarks: the recorded session, o = seated, x = off-seat" if MAP_PRESET == "B" else ""),
         fontsize=12,
     )
     return figure
@@ -108,10 +109,9 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
 
 def simulated_snaps(session: str, count: int | None = None) -> dict[str, Any]:
     """Snaps in the raw force of a session's seated trials."""
-    preset = preset_of(session)
-    params, scene = sessions.trials_of(preset, count, seed=SEED), preset.scene()
-    recorder = Recorder(scene, len(params.command_delay))
-    return seated_snaps(native.simulate(scene, params, watch=recorder.watch), recorder)
+    params = sessions.trials_of(preset_of(session), count, seed=SEED)
+    recorder = Recorder(one_arm(), len(params.command_delay))
+    return seated_snaps(native.simulate(one_arm(), params, watch=recorder.watch), recorder)
 
 
 def recorded_snaps(folder: Path) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def recorded_snaps(folder: Path) -> dict[str, Any]:
 
 
 def rates() -> dict[str, Any]:
-    return {preset: seating(preset) for preset in HOOKED | ONE_ARM}
+    return {preset: seating(preset) for preset in ONE_ARM}
 
 
 def mapped() -> dict[str, Any]:
@@ -137,9 +137,7 @@ def mapped() -> dict[str, Any]:
 
 
 def snapped() -> dict[str, Any]:
-    out: dict[str, Any] = {
-        "simulated": {session: simulated_snaps(session) for session in ("hooked-A", "hooked-B", "A", "B")}
-    }
+    out: dict[str, Any] = {"simulated": {session: simulated_snaps(session) for session in ("A", "B")}}
     if DATA.is_dir():
         out["recorded"] = recorded_snaps(DATA)
     return out
