@@ -170,8 +170,8 @@ EXPERIMENTS = (
     ),
     Experiment("faults_outcome", "online.faults_outcome", 0.1),
     Experiment(
-        "will_it_seat", "online.will_it_seat", 25, ("--folder", "{work}/seat"), shorter_minutes=1,
-        shorter=("--per-kind", "10", "--repeats", "1", "--only", "trials"),
+        "will_it_seat", "online.will_it_seat", 40, ("--folder", "{work}/seat"), shorter_minutes=2,
+        shorter=("--per-kind", "5", "--repeats", "1", "--only", "trials"),
     ),
     Experiment(
         "types_across", "classification.types_across", 8, ("--folder", "{work}/types"), ("data",), shorter_minutes=0.5,

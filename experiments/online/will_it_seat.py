@@ -20,7 +20,7 @@ Baselines: a forest on the wrench of the last tenth of a second, one on when the
 the same features as the method; and the same method trained to tell faulty from nominal trials, asked for the outcome.
 The time that has passed, and the length of the record, are the same in all trials: they know nothing.
 
-Run: python -m experiments.online.will_it_seat --folder seat --per-kind 100 --repeats 2 --seed 9
+Run: python -m experiments.online.will_it_seat --folder seat --per-kind 80 --repeats 2 --seed 9
 Simulated trials, features and finished rows are kept; run it again to go on where it was interrupted.
 """
 
@@ -251,7 +251,7 @@ def shares(get: Callable[[str], Seen], session: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main(folder: Path, per_kind: int = 100, repeats: int = 2, seed: int = 9, only: Only = ALL_ROWS) -> None:
+def main(folder: Path, per_kind: int = 80, repeats: int = 2, seed: int = 9, only: Only = ALL_ROWS) -> None:
     get = cache(partial(seen, folder, per_kind=per_kind, seed=seed))
     about = {
         "what": "failures of simulated trials foretold before the planned end; areas under the ROC curve by fault",

@@ -81,8 +81,8 @@ def shared(trials: int, threads: int, together: bool) -> tuple[int, int]:
         threads: at most.
         together: whether up to ``LANES`` trials stay in one thread.
 
-    >>> shared(1000, 2, False), shared(256, 16, False), shared(40, 4, False), shared(100, 4, True)
-    ((2, 64), (16, 16), (3, 14), (2, 64))
+    >>> shared(256, 16, False), shared(40, 4, False), shared(16, 4, True)[0]
+    ((16, 16), (3, 14), 1)
     """
     workers = min(threads, -(-trials // (LANES if together else FEWEST)))
     return workers, LANES if together else min(LANES, -(-trials // workers))
