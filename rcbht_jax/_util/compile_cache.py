@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import os
+import re
+import warnings
 from pathlib import Path
+from typing import TextIO
 
 import jax
 
 from rcbht_jax.errors import InputError
 
 SLOW = 2.0  # s; programs that compile faster are not stored
+_FAILED = re.compile(r"Error (?:reading|writing) persistent compilation cache entry for '([^']+)'")
 
 
 def default_folder() -> Path:
@@ -38,3 +44,30 @@ def use(folder: Path | None = None) -> None:
         raise InputError(f"The folder {named} for compiled programs cannot be created: {reason}.") from error
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SLOW)
+    _replace_damaged(folder)
+
+
+def _replace_damaged(folder: Path) -> None:
+    """Delete programs that JAX cannot read or write, in place of its warning; it compiles and stores them anew.
+
+    JAX writes a program in place, so that a killed process or a full disk leaves a part of it. It never replaces a file
+    that is there: without this, each later process would warn and compile again.
+    """
+    show_others = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        failed = _FAILED.match(str(message))
+        if not failed:
+            return show_others(message, category, filename, lineno, file, line)
+        for stored in folder.glob(f"{glob.escape(failed[1])}-*"):
+            with contextlib.suppress(OSError):
+                stored.unlink()
+
+    warnings.showwarning = show

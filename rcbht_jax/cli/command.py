@@ -114,6 +114,7 @@ class Command(ABC):
 
     # Former spellings of options, still accepted: the words of one -> the words that replace them.
     FORMER: ClassVar[dict[str, str]] = {}
+    LARGEST_SEED: ClassVar[int] = 2**32 - 1  # that NumPy and scikit-learn take
 
     @abstractmethod
     def run(self) -> dict[str, Any]:
@@ -132,11 +133,14 @@ class Command(ABC):
         return 0
 
     def check_inputs(self) -> None:
-        """Refuse options that name a file or a folder that does not exist, and outputs that are an input.
+        """Refuse options that name a file or a folder that does not exist, outputs that are an input, and wrong seeds.
 
         Raises:
-            InputError: names the command that makes it, or the output.
+            InputError: names the command that makes it, the output, or the seed.
         """
+        seed = vars(self).get("seed")
+        if isinstance(seed, int) and not 0 <= seed <= self.LARGEST_SEED:
+            raise InputError(f"--seed is {seed}; expected 0 to {self.LARGEST_SEED}.")
         paths = self._paths()
         for written, output in paths:
             for name, path in paths:

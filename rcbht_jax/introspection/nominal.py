@@ -137,8 +137,8 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
     def _check(self) -> None:
         for name in ("rate", "score_rate", "memory", "folds"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} is {getattr(self, name)}; expected a positive number.")
+            if not 1e-9 <= getattr(self, name) <= 1e9:
+                raise InputError(f"{name} is {getattr(self, name)}; expected 1e-09 to 1e+09.")
 
     def _cross_peaks(
         self, parts: list[Float[np.ndarray, "_ channel"]], groups: Int[np.ndarray, " recording"]

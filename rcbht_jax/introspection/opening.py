@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,12 +18,15 @@ from jaxtyping import Bool, Float
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.conform import clock
+from rcbht_jax.introspection.resampling import LARGEST
+from rcbht_jax.io.importing.conform import checked_period, clock
 from rcbht_jax.io.messages import Message, Sample
 from rcbht_jax.types import Recordings, axis_names
 
 READINGS = 50  # from which the sampling period is taken
 TIMELESS = 200.0  # Hz, until readings without time stamps have said how many are a second's
+FARTHEST = 1e30  # s: stamps beyond it do not count, so that differences of stamps are finite
+MOST = 1_000_000  # messages that are held at most: a source need not send readings, nor stamps that go on
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Opening:
     """The first readings of a stream.
 
     Attributes:
-        wrench: ``[time, axis]``, in the units of the axes; readings that are not finite are left out.
+        wrench: ``[time, axis]``, in the units of the axes; readings that are not finite, or absurd, are left out.
         time: their stamps, s; NaN = none.
         messages: the whole stream, these readings included.
     """
@@ -49,12 +52,18 @@ class Opening:
         """Samples per second by the time stamps, as a round number.
 
         Raises:
-            InputError: fewer than two readings have a time stamp.
+            InputError: fewer than two readings have a time stamp of their own, or no sensor is as fast or slow.
         """
-        stamped = np.unique(self.time[np.isfinite(self.time)])
-        if len(stamped) < 2:
+        stamps = self.time[np.abs(self.time) <= FARTHEST]
+        moments = np.unique(stamps)
+        if len(stamps) > 1 == len(moments):
+            raise InputError(
+                f"All readings have the time stamp {stamps[0]:g} s: the clock of the source stands still. Leave out "
+                "the stamps, and state the rate with --sampling-rate."
+            )
+        if len(moments) < 2:
             raise InputError("The readings have no time stamps; state their rate with --sampling-rate.")
-        return clock(stamped).rate
+        return 1 / checked_period(clock(moments).period)
 
     def recordings(self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None) -> Recordings:
         """The readings as one recording."""
@@ -67,10 +76,10 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     Args:
         messages: the stream.
         seconds: least duration, by the time stamps of the readings.
-        rate: of the samples, Hz, if it is known; counts the seconds where there are no time stamps.
+        rate: of the samples, Hz, if it is known; counts the seconds where there are no time stamps, or none that go on.
 
     Raises:
-        InputError: the stream ends without a reading.
+        InputError: the stream, or ``MOST`` messages of it, has no reading.
 
     Example:
         >>> opening = read_opening(iter([Sample((0.0, 1.0), 0.01 * k) for k in range(100)]))
@@ -79,15 +88,16 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     """
     read: list[Message] = []
     samples: list[Sample] = []
-    for message in messages:
+    for message in islice(messages, MOST):
         read.append(message)
-        if not (isinstance(message, Sample) and np.isfinite(message.wrench).all()):
+        if not (isinstance(message, Sample) and (np.abs(message.wrench) <= LARGEST).all()):
             continue
         samples.append(message)
         if len(samples) >= READINGS and _duration(samples, rate) >= seconds:
             break
     if not samples:
-        raise InputError("The stream ended before its first reading.")
+        what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"
+        raise InputError(f"{what} no reading that can be used.")
     width = Counter(len(sample.wrench) for sample in samples).most_common(1)[0][0]
     kept = [sample for sample in samples if len(sample.wrench) == width]
     time = np.array([np.nan if sample.time is None else sample.time for sample in kept])
@@ -96,7 +106,7 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
 
 def _duration(samples: list[Sample], rate: float | None) -> float:
     first, last = samples[0].time, samples[-1].time
-    if first is None or last is None or not np.isfinite(last - first) or last < first:
+    if first is None or last is None or not np.isfinite(last - first) or last <= first:
         return len(samples) / (rate or TIMELESS)
     return last - first
 

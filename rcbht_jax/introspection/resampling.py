@@ -21,6 +21,7 @@ from rcbht_jax.labels import AXES
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
 JITTER = 0.25  # of a period: readings further off the grid are reported, once per second
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
+WIDEST = 60.0  # s: gap that may be bridged
 LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
 
 Kind = Literal["gap", "late", "repeated", "not-finite", "jitter"]
@@ -58,13 +59,19 @@ class Resampler:
         axes: values of a reading.
 
     Raises:
-        InputError: the bridge is shorter than two periods or longer than a minute.
+        InputError: the period is longer than half a minute; the bridge is shorter than two periods, or longer than a
+            minute.
     """
 
     def __init__(self, dt: float, bridge: float | None = None, axes: int = len(AXES)) -> None:
-        bridge = max(0.05, 4 * dt) if bridge is None else bridge
-        if not 2 * dt <= bridge <= 60:
-            raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to 60 s.")
+        if 2 * dt > WIDEST:
+            raise InputError(
+                f"A stream needs a reading every {WIDEST / 2:g} s at least; this one has one every {dt:g} s. Are its "
+                "time stamps in seconds?"
+            )
+        bridge = min(max(0.05, 4 * dt), WIDEST) if bridge is None else bridge
+        if not 2 * dt <= bridge <= WIDEST:
+            raise InputError(f"gaps of {bridge:g} s cannot be bridged; choose {2 * dt:g} to {WIDEST:g} s.")
         self._dt, self._bridge = dt, bridge
         self._origin = self._last = 0.0
         self._value: Float[np.ndarray, " axis"] = np.zeros(axes)

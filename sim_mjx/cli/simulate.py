@@ -93,6 +93,7 @@ class Simulate(Command):
     """Only show how far the job is, who works on it and what failed."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
+    LARGEST_SEED: ClassVar[int] = 2**64 - 1  # a key of Philox
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache

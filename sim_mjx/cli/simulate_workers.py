@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sim_mjx.synthesis.plan import SynthesisConfig
     from sim_mjx.synthesis.workers import SynthesisProgress
 
+MOST = 4096  # workers of one job
 # Options that say who works, not on what, and those that workers must not have.
 _NOT_OF_THE_JOB = ("out", "overwrite", "processes", "devices", "launch", "launch_options", "worker", "status")
 
@@ -41,8 +42,8 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     from sim_mjx.synthesis.plan import in_shards
 
     count, gpus, words = command.processes, command.engine != "native", words_of(command)
-    if count is not None and count < 1:
-        raise InputError(f"--processes is {count}; expected 1 or more.")
+    if count is not None and not 1 <= count <= MOST:
+        raise InputError(f"--processes is {count}; expected 1 to {MOST}.")
     if command.devices is not None and (count is not None or command.launch):
         raise InputError("--devices starts a process for each GPU of this machine; leave --processes and --launch out.")
     options = _options(command.launch_options)

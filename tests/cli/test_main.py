@@ -220,3 +220,13 @@ def test_text_that_cannot_be_written_is_one_sentence(
     monkeypatch.setattr(main, "_dispatch", write)
     assert main.main(["info"]) == 2
     assert capsys.readouterr().err == "rcbht: A text holds '\\ud800', which is not valid Unicode.\n"
+
+
+@pytest.mark.parametrize("command", ["evaluate", "train", "train-online", "segment", "monitor fit", "calibrate"])
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_seeds_that_no_generator_takes_are_refused(
+    command: str, seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [] if command in ("evaluate", "segment") else ["-o", str(tmp_path / "out")]
+    assert main.main([*command.split(), str(tmp_path), *out, f"--seed={seed}"]) == 2
+    assert f"--seed is {seed}; expected 0 to 4294967295" in capsys.readouterr().err

@@ -292,6 +292,7 @@ def test_options_that_contradict_each_other(model_path, capsys, monkeypatch):
         (["--rule", "fit", "--tolerance", "1", "2", "--robot", "hiro"], "expected one, or 6"),
         (["--starts", "detected"], "Only a model detects"),
         (["--sampling-rate", "0"], "--sampling-rate is 0"),
+        (["--sampling-rate", "1e300"], "--sampling-rate is 1e+300; expected 0.001 to"),
         (["--lead", "-1"], "--lead is -1"),
         (["--robot", "hiro", "--axes", "a"], "names 1 axes; the stream has 6"),
     ):

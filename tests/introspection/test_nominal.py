@@ -179,6 +179,7 @@ def test_alarms_are_judged_by_the_onset() -> None:
         (NominalMonitor(calibration="none"), pushes(3, 0), "cross, split"),
         (NominalMonitor(neighbours=0), pushes(3, 0), "one neighbour"),
         (NominalMonitor(memory=0), pushes(3, 0), "memory is 0"),
+        (NominalMonitor(score_rate=1e-300), pushes(3, 0), "score_rate is 1e-300"),
         (QuantileBand(share=2), pushes(3, 0), "share is 2"),
         (GaussianProcessBand(points=1), pushes(3, 0), "points is 1"),
     ],

@@ -116,7 +116,7 @@ def test_an_opening_without_stamps_or_readings():
     assert len(opening.wrench) == 100
     with pytest.raises(InputError, match="--sampling-rate"):
         opening.rate()
-    with pytest.raises(InputError, match="before its first reading"):
+    with pytest.raises(InputError, match="ended and has no reading"):
         read_opening(iter([Malformed("x")]))
 
 

@@ -38,6 +38,24 @@ def test_the_second_process_finds_the_programs_of_the_first(tmp_path: Path) -> N
     assert [hit.strip() for hit in hits] == ["False", "True"]
 
 
+def test_a_program_cut_off_is_replaced_without_a_warning(tmp_path: Path) -> None:
+    """As a killed process or a full disk leaves it; JAX would keep it, and warn in each later process."""
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path)]
+    subprocess.run(command, check=True)
+    for stored in tmp_path.glob("*-cache"):
+        stored.write_bytes(stored.read_bytes()[:100])
+    said = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(2)]
+    assert [run.stdout.strip() for run in said] == ["False", "True"]
+    assert [run.stderr for run in said] == ["", ""]
+
+
+def test_other_warnings_are_shown(tmp_path: Path) -> None:
+    code = "compile_cache.use(Path(sys.argv[1])); import warnings; warnings.warn('something else')"
+    command = [sys.executable, "-c", PROGRAM.partition("compile_cache.SLOW")[0] + code, str(tmp_path)]
+    said = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert "something else" in said.stderr
+
+
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be created"):

@@ -36,9 +36,7 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
         InputError: none can be brought onto the grid, or their rate is impossible.
     """
     clocks = [conform.clock(record.time) for record in records]
-    period = 1 / rate if rate else conform.common(clocks)
-    if not 1e-6 <= period <= 1e3:
-        raise InputError(f"the time step is {period:g} s; expected 1e-06 to 1000 s. Is the unit of time right?")
+    period = conform.checked_period(1 / rate if rate else conform.common(clocks))
     kept: list[Record] = []
     values: list[NDArray[np.float32]] = []
     rates: Counter[str] = Counter()

@@ -17,6 +17,7 @@ DRIFT = 0.02  # of a period, after a whole recording: what rounding its period m
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
 HELD = 10  # samples in a row at the largest or smallest value
+SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
 NEAR = 0.05  # the same for recordings whose samples are not evenly spaced
 
@@ -110,6 +111,19 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     middle = float(np.median(np.diff(time)))
     # The mean knows the rate better, if nothing is missing.
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
+
+
+def checked_period(period: float) -> float:
+    """The period, if a sensor can have it.
+
+    Raises:
+        InputError: it cannot.
+    """
+    if not SHORTEST <= period <= LONGEST:
+        raise InputError(
+            f"the time step is {period:g} s; expected {SHORTEST:g} to {LONGEST:g} s. Is the unit of time right?"
+        )
+    return period
 
 
 def _short(period: float, tolerance: float) -> float:

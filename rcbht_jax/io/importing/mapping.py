@@ -252,8 +252,8 @@ def check(mapping: Mapping) -> Mapping:
     for rate in (mapping.rate, mapping.source_rate):
         if rate is not None and not 1e-3 <= rate <= 1e6:
             raise InputError(f"the rate is {rate:g}; expected 0.001 to 1000000 samples per second.")
-    if mapping.tare < 0:
-        raise InputError(f"the tare lasts {mapping.tare:g} s; expected a positive number of seconds.")
+    if not 0 <= mapping.tare < np.inf:
+        raise InputError(f"the tare lasts {mapping.tare:g} s; expected zero or more seconds.")
     if mapping.bias and mapping.channels and len(mapping.bias) != len(mapping.channels):
         raise InputError(f"bias has {len(mapping.bias)} values for {len(mapping.channels)} channels.")
     _check_rotation(mapping)

@@ -245,6 +245,7 @@ def test_the_command_refuses_before_it_reads(tmp_path: Path, capsys: pytest.Capt
         (["--map", str(tmp_path / "none.toml")], "none.toml cannot be read"),
         (["--topic", "/ft", "--rate", "-3"], "the rate is -3"),
         (["--tare", "-1"], "the tare lasts -1 s"),
+        (["--tare", "nan"], "the tare lasts nan s"),
     ):
         assert main([*base, *words]) == 2
         assert sentence in capsys.readouterr().err

@@ -143,6 +143,7 @@ def test_devices_are_those_that_this_process_may_use(monkeypatch: pytest.MonkeyP
     ("words", "sentence"),
     [
         (["--processes", "0"], "--processes is 0"),
+        (["--processes", str(10**30)], "expected 1 to 4096"),
         (["--devices", "all", "--processes", "2"], "leave --processes and --launch out"),
         (["--devices", "none"], 'expected "all"'),
         (["--launch-options", "timeout_min=5"], "are for --launch slurm"),

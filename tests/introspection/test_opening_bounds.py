@@ -1,0 +1,62 @@
+"""Streams whose beginning would never be over: nothing is waited for, or held, without a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+
+import numpy as np
+import pytest
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.introspection import opening
+from rcbht_jax.introspection.opening import read_opening
+from rcbht_jax.introspection.resampling import Resampler
+from rcbht_jax.io.messages import Malformed, Message, Sample
+
+
+def still() -> Iterator[Message]:
+    return (Sample((float(k % 7),), 5.0) for k in count())
+
+
+def test_readings_of_a_clock_that_stands_still_are_counted() -> None:
+    assert len(read_opening(still(), seconds=2.0).wrench) == 400
+    assert len(read_opening(still(), seconds=2.0, rate=50.0).wrench) == 100
+
+
+def test_a_clock_that_stands_still_is_named() -> None:
+    with pytest.raises(InputError, match="time stamp 5 s: the clock of the source stands still"):
+        read_opening(still()).rate()
+
+
+@pytest.mark.parametrize("message", [Malformed("x"), Sample((float("nan"),), 0.0)])
+def test_a_stream_without_readings_ends(message: Message, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "MOST", 300)
+    with pytest.raises(InputError, match="The first 300 messages of the stream have no reading"):
+        read_opening(message for _ in count())
+
+
+def test_a_clock_that_hardly_moves_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "MOST", 300)
+    begun = read_opening((Sample((1.0,), 1e-9 * k) for k in count()), seconds=10.0)
+    assert len(begun.wrench) == 300
+    assert len([next(begun.messages) for _ in range(400)]) == 400  # nothing is lost
+
+
+def test_absurd_readings_and_stamps_do_not_decide() -> None:
+    """They are left out of the stream, too; NumPy warned about them on the terminal."""
+    with np.errstate(all="raise"):
+        readings = [Sample((1.0,), 0.005 * k) for k in range(100)]
+        begun = read_opening(iter([Sample((1e300,), 0.0), *readings, Sample((2.0,), -1e308), Sample((2.0,), 1e308)]))
+        assert begun.rate() == 200
+        assert begun.recordings(200.0, begun.axes).wrench.max() == 1
+        late = read_opening(iter([Sample((2.0,), 1e308), Sample((2.0,), -1e308), *readings]))
+        assert late.rate() == 200
+
+
+def test_stamps_of_another_unit_are_named() -> None:
+    with pytest.raises(InputError, match=r"time step is 5e\+06 s; .* Is the unit of time right"):
+        read_opening(Sample((1.0,), 5e6 * k) for k in count()).rate()
+    with pytest.raises(InputError, match=r"one every 200 s\. Are its time stamps in seconds"):
+        Resampler(200.0)
+    Resampler(20.0)  # whose fourfold is more than is bridged
