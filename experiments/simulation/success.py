@@ -27,7 +27,7 @@ from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import native
-from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets import HOOKED, ONE_ARM
 from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization, sample
 from sim_mjx.registry import get_scenario
@@ -46,7 +46,7 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
     scenario, mild = get_scenario(preset), DomainRandomization(nominal_share=1.0)
     for first in range(0, trials, BLOCK):
         indices = range(first, min(first + BLOCK, trials))
-        run = native.simulate(one_arm(), scenario.draw_batch(SEED, indices, mild)[0])
+        run = native.simulate(scenario.scene(), scenario.draw_batch(SEED, indices, mild)[0])
         seated.append(run.seated)
         diverged += int(run.diverged.sum())
     tabs = np.concatenate(seated)
@@ -121,7 +121,7 @@ def recorded_snaps(folder: Path) -> dict[str, Any]:
 
 
 def rates() -> dict[str, Any]:
-    return {preset: seating(preset) for preset in ONE_ARM}
+    return {preset: seating(preset) for preset in ONE_ARM | HOOKED}
 
 
 def mapped() -> dict[str, Any]:
