@@ -130,6 +130,7 @@ def test_a_signal_ends_the_command_wherever_it_comes(where: str, number: int) ->
         "import gc, os, signal, sys, time\n"
         "from rcbht_jax.cli import main\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # nohup ignores it, for what it starts as well
         "todo = [1]\n"
         f"def hit():\n    if todo:\n        todo.pop()\n        os.kill(os.getpid(), {number})\n"
         "    return sum(range(1000))\n"
