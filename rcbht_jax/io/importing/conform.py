@@ -109,6 +109,8 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     if np.abs(away).max() <= JITTER * period:
         return Clock(_short(period, DRIFT / len(time)), True)
     middle = float(np.median(np.diff(time)))
+    if middle < SHORTEST:  # no sensor is as fast; its rate need not even be a finite number
+        return Clock(middle, False)
     # The mean knows the rate better, if nothing is missing.
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
 
@@ -155,7 +157,7 @@ def common(clocks: list[Clock]) -> float:
 
 def agrees(one: Clock, period: float) -> bool:
     """Whether a recording has this period, as far as its samples show."""
-    return abs(one.period / period - 1) < (EQUAL if one.steady else NEAR)
+    return abs(one.period - period) < (EQUAL if one.steady else NEAR) * period
 
 
 def on_grid(

@@ -125,3 +125,11 @@ def test_any_spacing_gives_finite_values_within_the_signals_range(steps: np.ndar
         return
     assert np.isfinite(moved).all()
     assert len(moved) >= 2
+
+
+def test_a_clock_that_hardly_moves_is_refused_without_a_warning() -> None:
+    source = conform.clock(np.cumsum([0.0, 5e-324, 5e-324, 1.0]))
+    with pytest.raises(InputError, match="the time step is"):
+        conform.checked_period(conform.common([source]))
+    assert conform.common([conform.Clock(0.0, False), conform.Clock(0.005, True)]) == 0.005
+    assert not conform.agrees(source, 0.0)
