@@ -19,6 +19,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -200,7 +201,7 @@ def false_alarms(those: Trials, runs: Sequence[Streamed]) -> dict[str, Any]:
 def measure(w: Watched, repeats: int, seed: int, jobs: int = 1) -> dict[str, Any]:
     """All numbers of a preset."""
     with ThreadPoolExecutor(jobs) as pool:  # the machines learn outside of Python's lock
-        made = pool.map(lambda s: run(w, s), range(seed, seed + repeats))
+        made = pool.map(partial(run, w), range(seed, seed + repeats))
         runs = list(tqdm(made, total=repeats, file=sys.stderr, disable=None))
     return {
         "nominal trials": int((w.trials.kind == NOMINAL).sum()),

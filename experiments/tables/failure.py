@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.online.seat_trials import SESSIONS
 from experiments.tables.cells import NONE, markdown, score, table
 
 Result = dict[str, Any]
@@ -42,7 +41,7 @@ def will_it_seat_said(result: Result) -> str:
     """What the belief in the outcome says at one half: failures believed, seated trials not."""
     lines = []
     titles = {**KINDS, EVERY: "every kind", "none": "no fault", "no contact": "no contact"}
-    for session in SESSIONS:
+    for session in result["severities"]:
         trials = result["rows"][f"{session} | trials"]
         row = result["rows"][f"{session} | belief in the outcome"]["said at 0.5"]
         other = result["rows"][f"{session} | belief in a deviation"]["said at 0.5"]

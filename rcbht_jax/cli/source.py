@@ -142,8 +142,10 @@ class Source(RuleCommand):
         checked_tolerance(self.rule, self.tolerance)
         if self.model is None and self.starts == "detected":
             raise InputError("Only a model detects sub-tasks; name one with --model, or leave out --starts detected.")
-        if not (self.sampling_rate is None or 1e-3 <= self.sampling_rate <= 1e6):
-            raise InputError(f"--sampling-rate is {self.sampling_rate:g}; expected 0.001 to 1e+06 samples per second.")
+        if self.sampling_rate is not None:
+            from rcbht_jax.io.importing.conform import checked_rate
+
+            checked_rate(self.sampling_rate, "--sampling-rate")
         if not 0 <= self.lead <= 600:
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
 

@@ -56,7 +56,7 @@ class Opening:
         """
         stamps = self.time[np.abs(self.time) <= FARTHEST]
         moments = np.unique(stamps)
-        if len(stamps) > 1 == len(moments):
+        if len(moments) == 1 and len(stamps) > 1:
             raise InputError(
                 f"All readings have the time stamp {stamps[0]:g} s: the clock of the source stands still. Leave out "
                 "the stamps, and state the rate with --sampling-rate."

@@ -142,7 +142,6 @@ class Simulate(Command):
         Raises:
             InputError: unknown assembly or robot, or an option that it does not have.
         """
-        from sim_mjx.presets import DEFAULT
         from sim_mjx.randomization import overrides
         from sim_mjx.registry import HIRO, SNAP, get_scenario
 
@@ -155,7 +154,7 @@ class Simulate(Command):
         if not snap:
             return name, scenario.spec(**values)
         physical = () if self.physical is None else overrides.read(self.physical)
-        return self.preset or DEFAULT, scenario.spec(**values, physical=physical)
+        return self.preset or scenario.preset.name, scenario.spec(**values, physical=physical)
 
     def text(self, result: dict[str, Any]) -> str:
         if self.status or self.worker:

@@ -128,6 +128,18 @@ def checked_period(period: float) -> float:
     return period
 
 
+def checked_rate(rate: float, what: str = "the rate") -> float:
+    """The samples per second, if a sensor can have them; ``what`` names them.
+
+    Raises:
+        InputError: it cannot.
+    """
+    least, most = 1 / LONGEST, 1 / SHORTEST
+    if not least <= rate <= most:
+        raise InputError(f"{what} is {rate:g}; expected {least:g} to {most:.0f} samples per second.")
+    return rate
+
+
 def _short(period: float, tolerance: float) -> float:
     """The number with the fewest digits within a relative tolerance."""
     rounded = (float(f"{period:.{digits}g}") for digits in range(1, 12))

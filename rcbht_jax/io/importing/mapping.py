@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.untrusted import MAX_MAP_BYTES, read_bytes
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.conform import checked_rate
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -250,8 +251,8 @@ def check(mapping: Mapping) -> Mapping:
     if mapping.time_unit not in SECONDS:
         raise InputError(f"the unit of time is {mapping.time_unit!r}; expected one of {', '.join(SECONDS)}.")
     for rate in (mapping.rate, mapping.source_rate):
-        if rate is not None and not 1e-3 <= rate <= 1e6:
-            raise InputError(f"the rate is {rate:g}; expected 0.001 to 1000000 samples per second.")
+        if rate is not None:
+            checked_rate(rate)
     if not 0 <= mapping.tare < np.inf:
         raise InputError(f"the tare lasts {mapping.tare:g} s; expected zero or more seconds.")
     if mapping.bias and mapping.channels and len(mapping.bias) != len(mapping.channels):
