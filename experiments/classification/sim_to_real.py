@@ -4,9 +4,10 @@ Of the recorded trials only the mean of their first second, in free space, is us
 cost and feature families are selected on simulated trials: by holding out one preset at a time or, with a single
 training set, by grouped folds inside it. Thresholds are the authors' or calibrated on simulated trials.
 
-Controllers are those of the recorded sessions. Parts and sensor of presets A and B were fitted to the wrenches of those
-sessions, C has B's, and the OpenHRP preset has A's sensor. Transfer without a fit to the session itself is measured by
-the rows that leave it out of training: for A those without preset A, for B those without presets B and C.
+Controllers, placement, stand and sensor are those of the recorded sessions. The parts of A, B and C are one set of
+hooks that catch, fitted to recorded trials of A and to half of B's together; the OpenHRP preset has parts of its own,
+and A's sensor. A row that leaves a session out of training leaves out its controller, stand and sensor, but the parts
+were fitted to its trials too. In ``experiments.classification.zero_shot`` nothing was fitted to recorded trials.
 
 Run: python -m experiments.classification.sim_to_real FOLDER [--only TEXT ...]
 FOLDER holds the sets of ``experiments.classification.sim_to_real_sets``; missing ones are made.
@@ -33,8 +34,8 @@ from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
+from experiments.classification.sim_to_real_sets import PRESETS, SETS, TARE_SECONDS, Labelling, Sets
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
-from experiments.classification.sim_to_real_sets import SETS, TARE_SECONDS, Labelling, Sets
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.objective import Objective
@@ -226,14 +227,15 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
 
 
 def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
-    """Accuracy with its interval by resampling trials, and who was taken for whom."""
-    right = pool.y[test] == predicted
+    """Accuracy, its interval by resampling trials (Wilson's, by trial, if that has no width), mistakes."""
+    right, count = pool.y[test] == predicted, len(np.unique(pool.trial[test]))
     low, high = validation.bootstrap(right, pool.trial[test], SEED)
+    if low == high:
+        low, high = metrics.wilson(right.mean() * count, count)
     wrong = Counter(
         f"{pool.classes[true]} as {pool.classes[answer]}"
         for true, answer in zip(pool.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
     )
-    count = len(np.unique(pool.trial[test]))
     return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
 
 
@@ -241,8 +243,9 @@ def about(experiment: Experiment) -> dict[str, Any]:
     return {
         "what": "states of recorded trials by learners that saw simulated trials only",
         "used of a recorded trial": f"the mean of its first {TARE_SECONDS:g} s, which is subtracted",
-        "presets": "controllers are the recorded sessions'; parts and sensor of A and B were fitted to their wrenches, "
-        "C has B's parts and sensor, and the OpenHRP preset wears A's sensor",
+        "presets": "controllers, placement, stand and sensor are the sessions'; A, B and C have the same hooks, "
+        "fitted to trials of A and half of B's; the OpenHRP preset has parts of its own and wears A's sensor",
+        "simulated by": PRESETS,
         "chance": {"merged": round(1 / 3, 4), "harmonised": 0.25},
         "sets": {name: asdict(one) | {"seed": SEED_OF_SETS} for name, one in SETS.items()},
         "candidates": {name: list(families) for name, families in CANDIDATES.items()},

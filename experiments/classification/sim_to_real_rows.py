@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from experiments.classification.sim_to_real_sets import PRESETS
 from rcbht_jax.features.recipes import PLAIN, SIGNAL, UNTIMED
-from sim_mjx.presets import ONE_ARM as PRESETS
 
 # Families of features that selection may choose from, simple ones first: ties go to the earlier.
 CANDIDATES = {
@@ -57,7 +57,7 @@ def _rows() -> dict[str, Row]:
         "main | without preset A": Row(_of("wide", "B", "C", "openhrp")),
         "main | without preset B": Row(_of("wide", "A", "C", "openhrp")),
         "main | without presets A and B": Row(_of("wide", "C", "openhrp")),
-        "main | without presets B and C": Row(_of("wide", "A", "openhrp")),  # C has B's parts
+        "main | without presets B and C": Row(_of("wide", "A", "openhrp")),
         "baseline | recorded OpenHRP trials": Row(("SIM1",), candidates=FIXED),
         "baseline | recorded OpenHRP trials, values": Row(("SIM1",), candidates=("values",)),
         "baseline | duration alone": replace(ALL, learner="duration"),
@@ -89,7 +89,7 @@ def _rows() -> dict[str, Row]:
         for features in ("words", "all but duration")[: 1 if thresholds == "gradient" else 2]:
             name = f"thresholds | {thresholds}, {features}"
             rows[name] = replace(FEW, thresholds=thresholds, candidates=(features,))
-            if thresholds != "search":  # where all presets are there, its gain does not carry over
+            if thresholds != "search":  # takes longest
                 rows[f"thresholds, without A and B | {thresholds}, {features}"] = replace(
                     others, thresholds=thresholds, candidates=(features,)
                 )

@@ -1,8 +1,8 @@
-"""Simulated sets for ``experiments.classification.sim_to_real``: each preset with no, mild or wide randomisation.
+"""Simulated sets for ``experiments.classification.sim_to_real``: each session with no, mild or wide randomisation.
 
 Run: python -m experiments.classification.sim_to_real_sets FOLDER [--sets none mild wide]
 Every simulated set is a store made by ``sim_mjx.synthesis.pipeline``, which resumes interrupted sets and keeps finished
-ones. The name of a set is a recorded session, or a level of randomisation and a preset, such as "wide B".
+ones. The name of a set is a recorded session, or a level of randomisation and a simulated one, such as "wide B".
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ from rcbht_jax.io.store import read_recordings
 from rcbht_jax.io.tare import tare
 from rcbht_jax.learning.tasks import LabelledIntervals, extract_features, labelled_intervals
 from rcbht_jax.types import LabelTracks, Recordings
-from sim_mjx.presets import ONE_ARM as PRESETS
+from sim_mjx.presets import preset as preset_of
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 from sim_mjx.synthesis.workers import SynthesisProgress
 
 SEED = 20
+# Session -> the preset that simulates it: hooks that catch, one part for A, B and C.
+PRESETS = {"A": "hooked-A", "B": "hooked-B", "C": "hooked-C", "openhrp": "openhrp"}
 ONE = (1.0, 1.0)
 NONE = DomainRandomization(
     nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0), stiffness=ONE, overlap=ONE, friction=ONE, mount=ONE,
@@ -123,19 +125,19 @@ class Sets:
         return extract_features(self.tracks(name, how), self.items(name, boundaries), spec)
 
 
-def store_of(folder: Path, level: str, preset: str) -> Path:
+def store_of(folder: Path, level: str, session: str) -> Path:
     """Where a set is kept."""
-    return folder / f"{level}-{preset}.zarr"
+    return folder / f"{level}-{PRESETS[session]}.zarr"
 
 
-def make(folder: Path, level: str, preset: str) -> None:
+def make(folder: Path, level: str, session: str) -> None:
     """Simulate a set unless it is there."""
-    target = store_of(folder, level, preset)
+    target, preset = store_of(folder, level, session), PRESETS[session]
     if target.exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
     spec = SETS[level].spec
-    if not PRESETS[preset].real and level != "ideal":
+    if not preset_of(preset).real and level != "ideal":
         spec = replace(spec, sensor=WORN)
     job = SynthesisConfig(preset, SETS[level].trials, SEED, shard=64, spec=spec)
 

@@ -46,7 +46,7 @@ from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.synthesis import pipeline
 from sim_mjx.synthesis.plan import SynthesisConfig
 
-SIMULATED = {"simulated B": "B", "simulated A": "A", "simulated two-arm": "two"}  # set -> preset
+SIMULATED = {"simulated B": "hooked-B", "simulated A": "hooked-A", "simulated two-arm": "two"}  # set -> preset
 TRIALS, SHARE, LONGEST = 200, 0.5, 40.0  # of each preset; without a fault; s
 OUTCOME = TaskSpec("outcome", outcomes=())
 FIXED = Grid(kernels=("poly",), costs=(1.0,), scalings=(False,))

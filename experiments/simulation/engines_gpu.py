@@ -31,6 +31,7 @@ from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device, lanes
 from sim_mjx.randomization.trials import DomainRandomization
+from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import in_lanes, pipeline, writers
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.plan import SynthesisConfig
@@ -118,14 +119,14 @@ def synthesis(engine: str, options: argparse.Namespace) -> dict[str, Any]:
 
 def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[str, Any]:
     """One set, after a set of one wave on as many lanes, which compiles."""
-    count = pipeline.lanes_for(trials, engine)
-    out: dict[str, Any] = {"trials": trials, "longest": options.synthesis_longest}
+    count, substeps = pipeline.lanes_for(trials, engine), get_scenario(options.preset).scene().substeps
+    out: dict[str, Any] = {"trials": trials, "preset": options.preset, "longest": options.synthesis_longest}
     spans: dict[str, float] = {}
     for turn, many in (("with_compilation_s", count), ("seconds", trials)):
         with tempfile.TemporaryDirectory(dir=options.scratch) as folder:
             target = Path(folder) / "trials.zarr"
             spec = DomainRandomization(longest=options.synthesis_longest)
-            job = SynthesisConfig("B", many, SEED, engine, shard=options.shard, spec=spec, window=5)
+            job = SynthesisConfig(options.preset, many, SEED, engine, shard=options.shard, spec=spec, window=5)
             with _stopwatch(spans), _kept_lanes() as kept:
                 start = time.perf_counter()
                 report = pipeline.synthesise(target, job, lanes=count)
@@ -134,7 +135,7 @@ def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[st
             out[turn + "_by_part"] = {name: round(value, 2) for name, value in spans.items()}
             out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
             out["store_GB"] = round(sum(file.stat().st_size for file in target.rglob("*") if file.is_file()) / 1e9, 3)
-            out["physics_steps_per_trial"] = round(float(store.read_table(target).length.mean()) * SUBSTEPS)
+            out["physics_steps_per_trial"] = round(float(store.read_table(target).length.mean()) * substeps)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return out | {"host_memory_peak_GB": round(peak * 1024 / 1e9, 2)}
 
@@ -198,6 +199,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8192)
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
     parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each set")
+    parser.add_argument("--preset", default="B", help="of each set")
     parser.add_argument("--shard", type=int, default=256)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     parser.add_argument("--scratch", type=Path, default=None)

@@ -34,7 +34,7 @@ from sim_mjx.env.environment import State
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 
-PRESET, OFFSET = "B", 5e-3  # m, from hand to part
+PRESET, OFFSET = "hooked-B", 5e-3  # m, from hand to part
 LEARN, TEST = 1, 2  # seeds of the trials
 SPREAD = 0.15  # standard deviation at first, of the ranges
 ELITE, KEPT = 0.25, 0.3  # best share of a generation, and share of the old distribution that stays

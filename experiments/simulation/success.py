@@ -25,7 +25,6 @@ from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
 from sim_mjx.assembly.rollout import stack
-from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import HOOKED, ONE_ARM
 from sim_mjx.presets import preset as preset_of
@@ -35,7 +34,7 @@ from sim_mjx.validation import sessions
 from sim_mjx.validation.replay import Recorder, seated_snaps
 
 SEED, TRIALS, BLOCK = 0, 500, 1000  # seed; trials per preset; trials per batch
-MAP_PRESET, PER_CELL = "B", 3
+MAP_PRESET, PER_CELL = "hooked-B", 3
 OFFSETS = tuple(float(mm) for mm in range(-5, 6))
 ROLLS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # degrees
 
@@ -68,14 +67,15 @@ def success_map(
     """Share of seated trials [roll, y, x] of the hand displaced by x and y (mm) and turned by roll (degrees)."""
     cells = [(r, y, x) for r in rolls for y in offsets for x in offsets for _ in range(per_cell)]
     spec = DomainRandomization(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
-    trials = []
+    preset, trials = preset_of(MAP_PRESET), []
     for index, (r, y, x) in enumerate(cells):
-        trial = sample(preset_of(MAP_PRESET), SEED, index, spec)[0]
+        trial = sample(preset, SEED, index, spec)[0]
         way = trial.task.way_position + np.array([x, y, 0.0]) * 1e-3
         turned = trial.task.way_rpy + np.array([np.radians(r), 0.0, 0.0])
         trials.append(replace(trial, task=replace(trial.task, way_position=way, way_rpy=turned)))
+    scene = get_scenario(MAP_PRESET).scene()
     seated = np.concatenate(
-        [native.simulate(one_arm(), stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
+        [native.simulate(scene, stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
     )
     return seated.all(1).reshape(len(rolls), len(offsets), len(offsets), per_cell).mean(-1)
 
@@ -86,14 +86,13 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
     figure.set_layout_engine("constrained")
     panels = np.atleast_1d(figure.subplots(1, len(rolls), sharex=True, sharey=True))
     half = (offsets[1] - offsets[0]) / 2
-    span = (offsets[0] - half, offsets[-1] + half)
+    span, session = (offsets[0] - half, offsets[-1] + half), preset_of(MAP_PRESET)
     for panel, roll, share in zip(panels, rolls, shares, strict=True):
         image = panel.imshow(share, origin="lower", extent=(*span, *span), vmin=0, vmax=1, cmap="RdYlGn")
         panel.set(
             title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
         )
-        if roll == 0 and MAP_PRESET == "B":
-            session = preset_of(MAP_PRESET)
+        if roll == 0:
             for cell in session.placements:
                 off = cell in session.off_seat
                 panel.plot(*cell, "x" if off else "o", color="black", markersize=5, markerfacecolor="none")
@@ -101,7 +100,7 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
     figure.colorbar(image, ax=panels.tolist(), label="share of trials that seat all four tabs", shrink=0.85)
     figure.suptitle(
         f"Success of the simulated session {MAP_PRESET} when the hand arrives displaced and turned"
-        + ("\nmarks: the recorded session, o = seated, x = off-seat" if MAP_PRESET == "B" else ""),
+        "\nmarks: the recorded session, o = seated, x = off-seat",
         fontsize=12,
     )
     return figure
@@ -109,9 +108,9 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
 
 def simulated_snaps(session: str, count: int | None = None) -> dict[str, Any]:
     """Snaps in the raw force of a session's seated trials."""
-    params = sessions.trials_of(preset_of(session), count, seed=SEED)
-    recorder = Recorder(one_arm(), len(params.command_delay))
-    return seated_snaps(native.simulate(one_arm(), params, watch=recorder.watch), recorder)
+    params, scene = sessions.trials_of(preset_of(session), count, seed=SEED), get_scenario(session).scene()
+    recorder = Recorder(scene, len(params.command_delay))
+    return seated_snaps(native.simulate(scene, params, watch=recorder.watch), recorder)
 
 
 def recorded_snaps(folder: Path) -> dict[str, Any]:
@@ -137,7 +136,8 @@ def mapped() -> dict[str, Any]:
 
 
 def snapped() -> dict[str, Any]:
-    out: dict[str, Any] = {"simulated": {session: simulated_snaps(session) for session in ("A", "B")}}
+    simulated = {session: simulated_snaps(session) for session in ("A", "B", "hooked-A", "hooked-B")}
+    out: dict[str, Any] = {"simulated": simulated}
     if DATA.is_dir():
         out["recorded"] = recorded_snaps(DATA)
     return out

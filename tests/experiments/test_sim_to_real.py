@@ -71,6 +71,9 @@ def test_scores_say_who_was_taken_for_whom() -> None:
     assert found["accuracy"] == pytest.approx(1 - 3 / len(said))
     assert found["interval"][0] < found["accuracy"] < found["interval"][1]
     assert found["trials"] == 3 * TRIALS
+    sure = scored(some, np.arange(len(said)), some.y)
+    wilson = [1 / (1 + 1.96**2 / sure["trials"]), 1.0]  # where nothing is wrong
+    assert sure["interval"] == pytest.approx(wilson, abs=1e-3)
 
 
 def trials(samples: tuple[int, ...]) -> Recordings:
