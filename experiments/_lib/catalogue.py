@@ -160,8 +160,8 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment(
-        "faults_online", "online.faults", 35, ("--folder", "{work}/faults", "--preset", "B", "C", "A", "--seed", "2"),
-        shorter_minutes=6, shorter=("--preset", "C", "--repeats", "2", "--nominal", "300", "300", "--per-kind", "40"),
+        "faults_online", "online.faults", 80, ("--folder", "{work}/faults", "--seed", "2"), shorter_minutes=8,
+        shorter=("--preset", "hooked-C", "--repeats", "2", "--nominal", "100", "100", "--per-kind", "20"),
     ),
     Experiment(
         "faults_across", "online.faults_across", 45,

@@ -28,9 +28,11 @@ def faults(presets: dict[str, Any]) -> Figure:
     for row, (session, preset) in zip(panels, presets.items(), strict=True):
         bars(row[0], ["all"], [nominal(preset)])
         for ax, kind in zip(row[1:], kinds, strict=True):
-            cells = list(preset["kinds"][kind]["by grade"].values()) or [preset["kinds"][kind]["with contact"]]
+            grades, causes = (preset["kinds"][kind][name] for name in ("by grade", "by cause"))
+            cells = list((grades or causes).values())
             cells = cells[::-1] if kind == "early-stop" else cells  # the later it stops, the less is missing
-            bars(ax, [str(k + 1) for k in range(len(cells))] if len(cells) > 1 else ["any tab"], map(of_cell, cells))
+            names = [str(k + 1) for k in range(len(cells))] if grades else [name.split()[-1] for name in causes]
+            bars(ax, names, map(of_cell, cells))
         row[0].set_ylabel(f"session {session}\nshare of streamed trials", fontsize=8)
     for ax, kind in zip(panels[0], ["no fault", *kinds], strict=True):
         ax.set_title(kind.replace("-", " "), fontsize=9)

@@ -115,6 +115,12 @@ def trials(
     return Trials(recordings, **{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
+def missing_tab(truth: dict[str, NDArray[np.generic]]) -> NDArray[np.str_]:
+    """The tab of each trial ``[trial]`` that has broken off, if one has: a hook is cut, a block is set back."""
+    gone = truth["tab_cut"] if "tab_cut" in truth else -truth["hook_overlap"]
+    return np.array(TABS)[gone.argmax(1)]
+
+
 def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
     """One store."""
     recordings, truth = read_recordings(path), read_simulation(path)
@@ -122,8 +128,7 @@ def _lot(path: Path, preset: str, kind: str, grade: int) -> Trials:
     touched = np.isfinite(recordings.starts(RECORDED)[:, 1])
     if kind == "moved-part" and GRADES[kind][grade][1]["moved_by"] > 0.02:
         touched &= False  # the part stands beyond the reach of the hand's
-    gone = np.array(TABS)[truth["hook_overlap"].argmin(1)]
-    cause = np.char.add(f"{kind} ", gone) if kind == "missing-tab" else np.full(len(recordings), kind)
+    cause = np.char.add(f"{kind} ", missing_tab(truth)) if kind == "missing-tab" else np.full(len(recordings), kind)
     session = preset_of(preset)
     mating = truth["way_time"][:, -1] + session.mating_begins - session.task.way_time[-1]
     mating = np.where(np.isfinite(recordings.starts(RECORDED)[:, 3]), recordings.starts(RECORDED)[:, 3], mating)

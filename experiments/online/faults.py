@@ -223,7 +223,7 @@ def arguments(about: str | None) -> argparse.ArgumentParser:
     """What both experiments on simulated faults are told."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--preset", nargs="+", default=["B", "C", "A"])
+    parser.add_argument("--preset", nargs="+", default=["hooked-B", "hooked-C", "hooked-A"])
     parser.add_argument("--nominal", type=int, nargs="+", default=[500, 500], help="one store each")
     parser.add_argument("--per-kind", type=int, default=80)
     parser.add_argument("--repeats", type=int, default=5)

@@ -7,12 +7,14 @@ import pytest
 
 from experiments.online import fault_watch as watch
 from experiments.online import faults as online
-from experiments.online.fault_trials import GRADES, TAIL, Trials, batches, spec_of
+from experiments.online.fault_trials import GRADES, TAIL, Trials, batches, missing_tab, spec_of
 from experiments.online.fault_watch import APPROACH, INSERTION, MATING, SETTLED, Watched, alarms, monitor, schedule
 from rcbht_jax.introspection.fault_monitor import NOMINAL, SubtaskSnapshots
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
-from sim_mjx.randomization.trials import check
+from sim_mjx.assembly.parts import TABS
+from sim_mjx.presets import preset as preset_of
+from sim_mjx.randomization.trials import check, sample
 
 DT, CONTACT, MATED, END = 0.1, 1.0, 3.0, 5.0  # s
 
@@ -134,3 +136,13 @@ def test_lots_of_trials_are_possible_and_go_on_after_the_end() -> None:
     for kind, grade, _ in lots:
         check(spec_of(kind, grade))
         assert spec_of(kind, grade).logs_on == TAIL
+
+
+def test_the_missing_tab_is_known_of_blocks_and_of_hooks() -> None:
+    spec, found = spec_of("missing-tab", 0), {}
+    for preset in ("B", "hooked-B"):
+        parts = [sample(preset_of(preset), 1, index, spec)[0].parts for index in range(24)]
+        names = ("hook_overlap", "tab_cut")[: 1 + (preset != "B")]
+        found[preset] = missing_tab({name: np.stack([getattr(one, name) for one in parts]) for name in names})
+    assert set(found["B"]) == set(TABS)
+    assert found["B"].tolist() == found["hooked-B"].tolist()  # the same draw: which tab does not depend on the parts
