@@ -18,10 +18,11 @@ from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.environment import Environment, Trials
 from sim_mjx.env.physics import new_physics, settled
 from sim_mjx.env.senses import new_senses
-from sim_mjx.registry import get_scenario
+from sim_mjx.presets import DEFAULT
+from sim_mjx.registry import SNAP, get_scenario
 
 # task -> the scenario that stands for it
-ALIASES = {"camera-snap": "B"} | {name: f"{name}@panda" for name in ASSEMBLIES}
+ALIASES = {SNAP: DEFAULT} | {name: f"{name}@panda" for name in ASSEMBLIES}
 
 
 def load(
@@ -39,7 +40,7 @@ def load(
     """An environment of a scenario; its trials are drawn, put on the device and settled now.
 
     Args:
-        name: of a task, such as "camera-snap" or "peg-in-hole", or of a scenario, such as "B" or "plug@ur5e".
+        name: of a task, such as "camera-snap" or "peg-in-hole", or of a scenario, such as "hooked-A" or "plug@ur5e".
         config: what an action does and what is observed; None = the defaults.
         spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
         trials: how many are drawn, from which :meth:`Environment.reset` chooses.

@@ -30,7 +30,7 @@ def short_trials() -> TrialParams:
 @pytest.fixture(scope="module")
 def episodes() -> tuple[Any, list[Any]]:
     """Four trials in sixteen lanes, the recorded controller alone; the last lane is steered."""
-    env = environments.load("camera-snap", params=short_trials(), parallel=LANES)
+    env = environments.load("B", params=short_trials(), parallel=LANES)
     actions = np.zeros((LANES, 6), np.float32)
     actions[-1, 2] = 1.0
     step = environments.jit(jax.vmap(env.step))
