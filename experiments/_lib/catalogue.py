@@ -123,10 +123,10 @@ EXPERIMENTS = (
     ),
     Experiment("separability", "simulation.separability", 1.5, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
-    Experiment("recovery", "online.recovery", 2, ("--trials", "16")),
+    Experiment("recovery", "online.recovery", 6, shorter=("--faulty", "6", "--in-place", "2"), shorter_minutes=2),
     Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),
     Experiment(
-        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "8"),
+        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "4"),
         shorter_minutes=2.5,
     ),
     Experiment("engines", "simulation.engines", 8, alone=True),
@@ -160,13 +160,13 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment(
-        "faults_online", "online.faults", 80, ("--folder", "{work}/faults", "--seed", "2"), shorter_minutes=8,
-        shorter=("--preset", "hooked-C", "--repeats", "2", "--nominal", "100", "100", "--per-kind", "20"),
+        "faults_online", "online.faults", 80, ("--folder", "{work}/faults", "--seed", "2"), shorter_minutes=9,
+        shorter=("--preset", "hooked-C", "--repeats", "1", "--per-kind", "10"),
     ),
     Experiment(
-        "faults_across", "online.faults_across", 45,
-        ("--folder", "{work}/across", "--preset", "B", "C", "A", "--repeats", "1", "--seed", "2"),
-        shorter_minutes=25, shorter=("--nominal", "300", "300", "--per-kind", "40"),
+        "faults_across", "online.faults_across", 100,
+        ("--folder", "{work}/across", "--nominal", "300", "400", "200", "--repeats", "1", "--seed", "2"),
+        shorter_minutes=25, shorter=("--preset", "hooked-C", "hooked-A", "--per-kind", "10"),
     ),
     Experiment("faults_outcome", "online.faults_outcome", 0.1),
     Experiment(

@@ -1,25 +1,30 @@
 """A planner that recovers: the part arrives beside its place, the anomaly is recognised, the part re-approached.
 
-Trials of session C's controller are simulated, nominal ones and ones whose hand is 4 to 12 mm beside the part; an
-introspector learns outcome and direction of the deviation from them. Then new faults, unseen by it, are assembled:
-the planner subscribes to events, stops an attempt once an anomaly stands and its kind is certain (or lets it end, if
-it never is), and goes on until an attempt ends without an anomaly. The parts are nearly symmetric in y: on either side
-the same edge meets the hand, and the sign of that deviation hardly shows in the wrench. One belief about it may be
-wrong; so the planner sums the logarithms of the beliefs of all attempts, and the n-th approach anew is n steps against
-the direction that they favour, wherever earlier ones went. The truth (four tabs seated) is looked at only for the
-report.
+Trials of session C's controller are simulated, nominal ones and ones whose hand is 3 to 12 mm beside the part in y (the
+hooks seat wherever the hand stands in x); an introspector learns outcome and direction of the deviation from them. Then
+new faults, unseen by it, are assembled: the planner subscribes to events, stops an attempt once an anomaly stands and
+its kind is certain (or lets it end, if it never is), and goes on until an attempt ends without an anomaly. The parts
+are nearly symmetric in y: on either side the same edge meets the hand, and the sign of that deviation hardly shows in
+the wrench. One belief about it may be wrong; so the planner sums the logarithms of the beliefs of all attempts, and the
+n-th approach anew is n steps against the direction that they favour, wherever earlier ones went. The truth (four tabs
+seated) is looked at only for the report, which says why each part was lost.
+
+The step was chosen so that no deviation lies between two approaches: with other trials (seed 99) the hooks seat within
+1.5 mm.
 
 Run: python -m experiments.online.recovery --trials 24 --seed 0
 """
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from experiments._lib.results_io import write_result
 from experiments._lib.tasks import task
@@ -27,26 +32,34 @@ from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, Event
 from rcbht_jax.introspection.introspector import FAILURE_TYPE, Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
 from rcbht_jax.introspection.training import HeadSpec, train_model
+from rcbht_jax.learning.metrics import wilson
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.task import CONTROL_PERIOD, horizontal
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
 from sim_mjx.randomization import trials as randomize
+from sim_mjx.registry import get_scenario
 
-PRESET = "C"
+PRESET = "hooked-C"
 MILD = randomize.DomainRandomization(nominal_share=1.0)
-DIRECTIONS = {"+x": (1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the hand from the part
-FAULT = (0.004, 0.012)  # m
-STEP = 0.004  # m, by which the planner moves the next approach
+DIRECTIONS = {"+y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the hand from the part
+FAULT = (0.003, 0.012)  # m
+STEP = 0.003  # m, by which the planner moves the next approach
 ATTEMPTS = 6
 # Beliefs per second; s for which an alarm must last. A needless stop costs an approach, a failure that is missed the
 # part: the alarm's level is the paper's k, not one that promises few false alarms.
 RATE, HOLD = 20.0, 1.0
 DOUBT = 0.05  # least probability that one attempt leaves to a direction
-TESTS = (("+x", 0.006), ("+x", 0.010), ("+y", 0.006), ("+y", 0.010), ("-y", 0.006), ("-y", 0.010), ("", 0.0), ("", 0.0))
+FAULTY, IN_PLACE = 50, 10  # parts that are assembled
+# Why a part is not seated in the end, in the order in which the causes are looked for.
+LOSSES = (
+    "a seated part was approached anew",
+    "failure not noticed",
+    "approached on the wrong side",
+    "no approach seated",
+)
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +68,7 @@ def simulate(offsets: Floats, seed: int, first: int) -> Rollouts:
     """Trials with the hand ``offsets`` [trial, 2] (m) beside the part, mildly randomised otherwise."""
     trials, _ = randomize.sample_batch(preset(PRESET), seed, range(first, first + len(offsets)), MILD)
     moved = trials.task.way_position + horizontal(offsets)[:, None]
-    return native.simulate(one_arm(), replace(trials, task=replace(trials.task, way_position=moved)))
+    return native.simulate(get_scenario(PRESET).scene(), replace(trials, task=replace(trials.task, way_position=moved)))
 
 
 def as_recordings(run: Rollouts, offsets: Floats, kinds: list[str]) -> Recordings:
@@ -87,11 +100,12 @@ def learn(per_kind: int, seed: int) -> tuple[IntrospectionModel, dict[str, Any]]
     offsets = np.array([np.array(DIRECTIONS.get(kind, (0, 0))) * size for kind, size in zip(kinds, sizes, strict=True)])
     run = simulate(offsets, seed, 0)
     recordings = as_recordings(run, offsets, kinds)
+    known = (np.array(kinds) != "") | (recordings.outcome == "success")  # a nominal trial that fails is of no kind
     heads = tuple(HeadSpec(task(name)) for name in ("outcome", FAILURE_TYPE))
     failed = {
         kind or "nominal": int((recordings.outcome[np.array(kinds) == kind] == "failure").sum()) for kind in {*kinds}
     }
-    return train_model(recordings, heads, seed=seed), {"trials": len(kinds), "failed": failed}
+    return train_model(recordings.take(known), heads, seed=seed), {"trials": len(kinds), "failed": failed}
 
 
 class Planner:
@@ -160,30 +174,77 @@ def assemble(model: IntrospectionModel, fault: Floats, seed: int, first: int) ->
             break
         planner.next_approach()
     ended = not failed
-    return {"attempts": attempts, "believed done": ended, "seated": ended and attempts[-1]["seated"]}
+    story = {"attempts": attempts, "believed done": ended, "seated": ended and attempts[-1]["seated"]}
+    return story | {"lost by": loss(story, fault)}
 
 
-def main(trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 24, seed: int = 0) -> None:
+def loss(story: dict[str, Any], fault: Floats) -> str:
+    """Why the part is not seated in the end; "" if it is.
+
+    >>> loss({"attempts": [{"seated": False}], "believed done": True, "seated": False}, np.zeros(2))
+    'failure not noticed'
+    """
+    if story["seated"]:
+        return ""
+    if any(attempt["seated"] for attempt in story["attempts"]):
+        return LOSSES[0]
+    if story["believed done"]:
+        return LOSSES[1]
+    last = np.array(story["attempts"][-1]["deviation, mm"])
+    return LOSSES[2] if np.hypot(*last) > np.hypot(*fault) * 1e3 else LOSSES[3]
+
+
+def parts_of(seed: int, faulty: int, in_place: int) -> list[tuple[str, float]]:
+    """Direction and size (m) of the faults of new parts, in turn on either side, then parts in their place."""
+    sizes = np.random.default_rng([seed, 1]).uniform(*FAULT, faulty)
+    sides = [list(DIRECTIONS)[index % len(DIRECTIONS)] for index in range(faulty)]
+    return [*zip(sides, sizes.tolist(), strict=True), *[("", 0.0)] * in_place]
+
+
+def summed(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many parts seat with the planner and without, and what the others were lost by."""
+    first, last = ([bool(run) for run in way] for way in zip(*map(_seated, runs), strict=True))
+    count = len(runs)
+    return {
+        "parts": count,
+        "seated without introspection": share(sum(first), count),
+        "seated with introspection": share(sum(last), count),
+        "lost by": {cause: sum(run["lost by"] == cause for run in runs) for cause in LOSSES},
+        "stopped without need": sum(len(run["attempts"]) > 1 and run["attempts"][0]["seated"] for run in runs),
+        "attempts, mean": round(float(np.mean([len(run["attempts"]) for run in runs])), 2),
+    }
+
+
+def _seated(run: dict[str, Any]) -> tuple[bool, bool]:
+    """At the first attempt, had nothing stopped it, and in the end."""
+    return run["attempts"][0]["seated"], run["seated"]
+
+
+def share(good: int, count: int) -> dict[str, Any]:
+    """A count with Wilson's interval of its share."""
+    low, high = wilson(good, count)
+    return {"count": good, "low": round(low, 4), "high": round(high, 4)}
+
+
+def main(
+    trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 24,
+    faulty: Annotated[int, tyro.conf.arg(help="Parts beside their place.")] = FAULTY,
+    in_place: Annotated[int, tyro.conf.arg(help="Parts in their place.")] = IN_PLACE,
+    seed: int = 0,
+) -> None:
     model, trained = learn(trials, seed)
     runs = []
-    for index, (kind, size) in enumerate(TESTS):
+    parts = parts_of(seed, faulty, in_place)
+    for index, (kind, size) in enumerate(tqdm(parts, desc="assemble", unit="part", file=sys.stderr, disable=None)):
         fault = np.array(DIRECTIONS.get(kind, (0.0, 0.0))) * size
         story = assemble(model, fault, seed, 1_000_000 + 100 * index)
-        runs.append({"fault": f"{kind or 'none'} {size * 1e3:g} mm", **story})
+        runs.append({"fault": f"{kind or 'none'} {size * 1e3:.1f} mm", **story})
     result = {
-        "training": trained,
-        # A part that seats at the first attempt in spite of its deviation was no failure to recover from.
-        "failed at first": sum(not run["attempts"][0]["seated"] for run in runs),
-        "of them recovered": sum(run["seated"] and not run["attempts"][0]["seated"] for run in runs),
-        "stopped without need": sum(len(run["attempts"]) > 1 and run["attempts"][0]["seated"] for run in runs),
-        "runs": runs,
-    }
-    write_result(
-        "recovery",
-        f"python -m experiments.online.recovery --trials {trials} --seed {seed}",
-        result,
-        seed,
-    )
+        "preset": PRESET, "training": trained, "attempts at most": ATTEMPTS,
+        "faulty": summed(runs[:faulty]), "in place": summed(runs[faulty:]), "runs": runs,
+    }  # fmt: skip
+    options = f"--trials {trials} --faulty {faulty} --in-place {in_place} --seed {seed}"
+    write_result("recovery", f"python -m experiments.online.recovery {options}", result, seed)
 
 
 if __name__ == "__main__":
