@@ -107,7 +107,7 @@ CELLS = [
     ("faults-apart", "jamming, parts seated, alarms", "hooked-A",
      "d faults_online > presets > hooked-A > kinds > jamming > with contact > of them alarmed"),
     ("faults-across", "jamming", "same session, without this kind",
-     ".3f faults_across > presets > B > kind never seen > kinds > jamming > share detected > mean"),
+     ".3f faults_across > presets > hooked-B > kind never seen > kinds > jamming > share detected > mean"),
     ("faults-outcome", "hooked-A | wedging", "precision",
      ".3f faults_outcome > sessions > hooked-A > wedging > precision > mean"),
     ("will-it-seat", "hooked-B to hooked-A | belief in the outcome, own nominal", "jamming",
