@@ -124,10 +124,12 @@ EXPERIMENTS = (
     Experiment("separability", "simulation.separability", 1.5, needs=("data",)),
     Experiment("sim_success", "simulation.success", 14, needs=("data",)),
     Experiment("recovery", "online.recovery", 6, shorter=("--faulty", "6", "--in-place", "2"), shorter_minutes=2),
-    Experiment("retry", "online.retry", 8, shorter=("--trials", "4", "--attempts", "2"), shorter_minutes=2),
     Experiment(
-        "learn_setpoints", "simulation.learn_setpoints", 20, shorter=("--generations", "1", "--tests", "4"),
-        shorter_minutes=2.5,
+        "retry", "online.retry", 10, shorter=("--trials", "4", "--repeats", "1", "--attempts", "2"), shorter_minutes=2
+    ),
+    Experiment(
+        "learn_setpoints", "simulation.learn_setpoints", 40, shorter_minutes=2.5,
+        shorter=("--generations", "1", "--trials", "6", "--tests", "4"),
     ),
     Experiment("engines", "simulation.engines", 8, alone=True),
     Experiment("parity_floor", "simulation.parity_floor", 1),

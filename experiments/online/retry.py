@@ -21,7 +21,7 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib.results_io import write_result
-from experiments.online.recovery import DIRECTIONS, DOUBT, HOLD, MILD, PRESET, STEP, learn
+from experiments.online.recovery import ATTEMPTS, DIRECTIONS, DOUBT, HOLD, MILD, PRESET, STEP, learn
 from rcbht_jax.introspection.introspector import FAILURE_TYPE
 from rcbht_jax.introspection.model import IntrospectionModel
 from sim_mjx import env
@@ -131,9 +131,9 @@ def _median(values: Floats) -> float | None:
 
 
 def main(
-    trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 12,
-    repeats: Annotated[int, tyro.conf.arg(help="Parts per kind and size of fault; as many again have none.")] = 1,
-    attempts: int = 4,
+    trials: Annotated[int, tyro.conf.arg(help="Training trials per kind of fault.")] = 24,
+    repeats: Annotated[int, tyro.conf.arg(help="Parts per kind and size of fault; some more have none.")] = 2,
+    attempts: int = ATTEMPTS,
     engine: str = "mjx",
     seed: int = 0,
 ) -> None:
