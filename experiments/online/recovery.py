@@ -1,7 +1,7 @@
 """A planner that recovers: the part arrives beside its place, the anomaly is recognised, the part re-approached.
 
-Trials of session C's controller are simulated, nominal ones and ones whose hand is 3 to 12 mm beside the part in y (the
-hooks seat wherever the hand stands in x); an introspector learns outcome and direction of the deviation from them. Then
+Trials of session C's controller are simulated, nominal ones and ones whose hand is 3 to 12 mm beside the part in y (in
+x these hooks seat up to 8 mm away); an introspector learns outcome and direction of the deviation from them. Then
 new faults, unseen by it, are assembled: the planner subscribes to events, stops an attempt once an anomaly stands and
 its kind is certain (or lets it end, if it never is), and goes on until an attempt ends without an anomaly. The parts
 are nearly symmetric in y: on either side the same edge meets the hand, and the sign of that deviation hardly shows in
@@ -203,21 +203,15 @@ def parts_of(seed: int, faulty: int, in_place: int) -> list[tuple[str, float]]:
 
 def summed(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """How many parts seat with the planner and without, and what the others were lost by."""
-    first, last = ([bool(run) for run in way] for way in zip(*map(_seated, runs), strict=True))
     count = len(runs)
     return {
         "parts": count,
-        "seated without introspection": share(sum(first), count),
-        "seated with introspection": share(sum(last), count),
+        "seated without introspection": share(sum(run["attempts"][0]["seated"] for run in runs), count),
+        "seated with introspection": share(sum(run["seated"] for run in runs), count),
         "lost by": {cause: sum(run["lost by"] == cause for run in runs) for cause in LOSSES},
         "stopped without need": sum(len(run["attempts"]) > 1 and run["attempts"][0]["seated"] for run in runs),
         "attempts, mean": round(float(np.mean([len(run["attempts"]) for run in runs])), 2),
     }
-
-
-def _seated(run: dict[str, Any]) -> tuple[bool, bool]:
-    """At the first attempt, had nothing stopped it, and in the end."""
-    return run["attempts"][0]["seated"], run["seated"]
 
 
 def share(good: int, count: int) -> dict[str, Any]:
