@@ -227,15 +227,14 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
 
 
 def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
-    """Accuracy, its interval by resampling trials (Wilson's, by trial, if that has no width), mistakes."""
-    right, count = pool.y[test] == predicted, len(np.unique(pool.trial[test]))
+    """Accuracy with its interval by resampling trials, and who was taken for whom."""
+    right = pool.y[test] == predicted
     low, high = validation.bootstrap(right, pool.trial[test], SEED)
-    if low == high:
-        low, high = metrics.wilson(right.mean() * count, count)
     wrong = Counter(
         f"{pool.classes[true]} as {pool.classes[answer]}"
         for true, answer in zip(pool.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)
     )
+    count = len(np.unique(pool.trial[test]))
     return {"accuracy": float(right.mean()), "interval": [low, high], "trials": count, "wrong": dict(wrong)}
 
 

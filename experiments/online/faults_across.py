@@ -9,9 +9,10 @@ trials (see ``experiments.online.faults``, whose first way is repeated here):
   from a simulation, and trials that went well.
 * "others": faults and nominal trials of other sessions.
 
-Each learns from about as many trials.
+Each learns from about as many trials. The last takes 900 nominal ones of a session: its alarm levels after mating has
+settled come from half of those of a single other session that train.
 
-Run: python -m experiments.online.faults_across --folder faults --repeats 1 --seed 2
+Run: python -m experiments.online.faults_across --folder faults --nominal 300 400 200 --repeats 1 --seed 2
 Simulated trials are those of ``experiments.online.faults``; they and all alarms are kept in the folder, so that an
 interrupted run goes on.
 """

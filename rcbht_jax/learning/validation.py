@@ -189,9 +189,6 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
     predicted, choice = estimator(train, test, 1000 * seed)
     y_true, classes = y[test], int(y.max()) + 1
     low, high = bootstrap(y_true == predicted, groups[test], seed)
-    if not low < high:
-        trials = len(np.unique(groups[test]))
-        low, high = metrics.wilson(metrics.accuracy(y_true, predicted) * trials, trials)
     return HoldoutScore(
         accuracy=metrics.accuracy(y_true, predicted),
         balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),
@@ -203,10 +200,15 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
 
 
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """95% percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent."""
+    """95% percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
+
+    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
+    """
     number = np.unique(groups, return_inverse=True)[1]
     right, total = np.bincount(number, correct), np.bincount(number)
     draws = np.random.default_rng(seed).integers(0, len(total), (_RESAMPLES, len(total)))
     scores = right[draws].sum(1) / total[draws].sum(1)
     low, high = np.quantile(scores, [0.025, 0.975])
+    if not low < high:
+        return metrics.wilson(float(np.mean(correct)) * len(total), len(total))
     return float(low), float(high)
