@@ -212,5 +212,6 @@ EXPERIMENTS = (
         elsewhere=GPU,
     ),
     Experiment("simulate_gpu", "simulation.simulate_gpu", 8, ("{work}",), elsewhere=GPU),
+    Experiment("native_cores", "simulation.native_cores", 7, elsewhere="needs many cores"),
     Experiment("scaling", "simulation.scaling", 8, ("{work}",), elsewhere="needs several GPUs"),
 )  # fmt: skip

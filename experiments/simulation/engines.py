@@ -14,32 +14,32 @@ from typing import Any
 from experiments._lib.results_io import write_result
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import TrialParams
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, SUBSTEPS, Scene, one_arm
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import parity, reference
 from sim_mjx.validation.solver_convergence import certify
 
-SEED, PRESET = 0, "B"
+SEED, PRESET = 0, "hooked-B"
 CERTIFIED = 64  # trials
 
 
-def trials_of(count: int, longest: float, nominal_share: float = 0.5) -> TrialParams:
+def trials_of(count: int, longest: float, nominal_share: float = 0.5, preset: str = PRESET) -> TrialParams:
     spec = DomainRandomization(nominal_share=nominal_share, longest=longest)
-    params: TrialParams = get_scenario(PRESET).draw_batch(SEED, range(count), spec)[0]
+    params: TrialParams = get_scenario(preset).draw_batch(SEED, range(count), spec)[0]
     return params
 
 
 def speed(engine: str, params: TrialParams, scene: Scene | None = None) -> dict[str, float]:
     """The second run is timed; the first one compiles."""
-    scene = scene or one_arm()
+    scene = scene or get_scenario(PRESET).scene()
     seconds = []
     for _ in range(2):
         start = time.perf_counter()
         out = engines.simulate(scene, params, engine)
         seconds.append(time.perf_counter() - start)
-    steps = int(out.length.sum()) * SUBSTEPS
+    steps = int(out.length.sum()) * scene.substeps
     return {
         "trials": len(out.length),
         "compile_s": round(seconds[0] - seconds[1], 2),
@@ -59,6 +59,7 @@ def main() -> None:
     parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
     options = parser.parse_args()
     few, many = trials_of(options.parity, options.longest), trials_of(options.speed, options.longest)
+    scene = get_scenario(PRESET).scene()
     certificate = certify(trials_of(CERTIFIED, options.longest))
     result: dict[str, Any] = {
         "preset": PRESET,
@@ -66,12 +67,12 @@ def main() -> None:
         "certificate": asdict(certificate) | {"converged": certificate.converged},
         "native": speed("native", many),
     }
-    expected, contact = reference(one_arm(), few)
+    expected, contact = reference(scene, few)
     for engine in options.engines:
         # the first batch compiles, the second one, of the same size, is timed and compared
         measured = speed(engine, few)
         ratio = result["native"]["steps_per_s"] / measured["steps_per_s"]
-        found = engines.simulate(one_arm(), few, engine)
+        found = engines.simulate(scene, few, engine)
         result[engine] = measured | {
             "native_is_faster_by": round(ratio, 2),
             "parity": asdict(parity(expected, contact, found)),

@@ -24,10 +24,10 @@ import jax
 import numpy as np
 
 from experiments._lib.results_io import machine
-from experiments.simulation.engines import SEED, trials_of
+from experiments.simulation.engines import PRESET, SEED, trials_of
 from rcbht_jax.io import store
 from sim_mjx import engines
-from sim_mjx.assembly.scene import SUBSTEPS, Scene, one_arm
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD, ENDED
 from sim_mjx.engines import device, lanes
 from sim_mjx.randomization.trials import DomainRandomization
@@ -43,22 +43,27 @@ CONVERGED = (30, 20)
 COMPARED = 64  # trials
 
 
+def scene_of(options: argparse.Namespace) -> Scene:
+    scene: Scene = get_scenario(options.preset).scene()
+    return scene
+
+
 def timed_parity(engine: str, options: argparse.Namespace) -> dict[str, Any]:
-    params = trials_of(options.parity, options.longest)
+    params, scene = trials_of(options.parity, options.longest, preset=options.preset), scene_of(options)
     start = time.perf_counter()
-    expected, contact = reference(one_arm(), params)
+    expected, contact = reference(scene, params)
     native = time.perf_counter() - start
     start = time.perf_counter()
-    found = engines.simulate(one_arm(), params, engine)
+    found = engines.simulate(scene, params, engine)
     return {
         "native_seconds": round(native, 2), "first_run_seconds": round(time.perf_counter() - start, 2),
         **asdict(parity(expected, contact, found)),
     }  # fmt: skip
 
 
-def throughput(scene: Scene, engine: str, batch: int, longest: float) -> dict[str, Any]:
+def throughput(engine: str, batch: int, options: argparse.Namespace) -> dict[str, Any]:
     """Physics steps per second with controller, sensor and state machine, all trials running to the end."""
-    params = trials_of(batch, longest, nominal_share=1.0)
+    params, scene = trials_of(batch, options.short, 1.0, options.preset), scene_of(options)
     seconds = []
     for _ in range(2):
         start = time.perf_counter()
@@ -69,7 +74,7 @@ def throughput(scene: Scene, engine: str, batch: int, longest: float) -> dict[st
     fields = device.fields_of(scene, params)
     prepared = time.perf_counter() - start
     del fields
-    steps = int((out.phase < ENDED).sum()) * SUBSTEPS
+    steps = int((out.phase < ENDED).sum()) * scene.substeps
     return {
         "batch": batch,
         "compile_s": round(seconds[0] - seconds[1], 2),
@@ -85,13 +90,13 @@ def throughput(scene: Scene, engine: str, batch: int, longest: float) -> dict[st
 def solver(engine: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Speed with other iterations of the solver, and the wrench of 64 trials against that of many iterations."""
     kept, rows = device.SOLVER, []
-    few = trials_of(COMPARED, options.short, nominal_share=1.0)
+    few, scene = trials_of(COMPARED, options.short, 1.0, options.preset), scene_of(options)
     try:
         device.SOLVER = CONVERGED
-        expected = device.run(one_arm(), few, engines.IMPLEMENTATIONS[engine])
+        expected = device.run(scene, few, engines.IMPLEMENTATIONS[engine])
         for device.SOLVER in SOLVERS:
-            found = device.run(one_arm(), few, engines.IMPLEMENTATIONS[engine])
-            speed = throughput(one_arm(), engine, options.batch, options.short)
+            found = device.run(scene, few, engines.IMPLEMENTATIONS[engine])
+            speed = throughput(engine, options.batch, options)
             rows.append({"solver": device.SOLVER, **speed, **_differences(expected, found)})
     finally:
         device.SOLVER = kept
@@ -199,19 +204,19 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8192)
     parser.add_argument("--batches", type=int, nargs="*", default=[1024, 4096, 16384, 32768])
     parser.add_argument("--trials", type=int, nargs="*", default=[10000], help="of each set")
-    parser.add_argument("--preset", default="B", help="of each set")
+    parser.add_argument("--preset", default=PRESET)
     parser.add_argument("--shard", type=int, default=256)
     parser.add_argument("--synthesis-longest", type=float, default=25.0, help="s")
     parser.add_argument("--scratch", type=Path, default=None)
     options = parser.parse_args()
     work: dict[str, Callable[[], Any]] = {
         "parity": lambda: timed_parity(options.engine, options),
-        "speed": lambda: throughput(one_arm(), options.engine, options.batch, options.short),
+        "speed": lambda: throughput(options.engine, options.batch, options),
         "synthesis": lambda: synthesis(options.engine, options),
-        "sweep": lambda: [throughput(one_arm(), options.engine, n, options.short) for n in options.batches],
+        "sweep": lambda: [throughput(options.engine, n, options) for n in options.batches],
         "solver": lambda: solver(options.engine, options),
     }
-    result: dict[str, Any] = {"engine": options.engine, "machine": machine(), "seed": SEED}
+    result: dict[str, Any] = {"engine": options.engine, "preset": options.preset, "machine": machine(), "seed": SEED}
     for section in options.sections:
         start = time.perf_counter()
         try:

@@ -26,7 +26,7 @@ from sim_mjx.env.environment import State
 from sim_mjx.randomization.trials import DomainRandomization
 from sim_mjx.registry import get_scenario
 
-PRESET, SEED = "B", 0
+PRESET, SEED = "hooked-B", 0
 CONFIGS = {
     "set-points, joints and wrench seen": env.EnvConfig(observe=("joints", "wrench")),
     "set-points, words seen too": env.EnvConfig(observe=("joints", "wrench", "words")),

@@ -17,8 +17,9 @@ import tyro
 from experiments._lib.results_io import write_result
 from experiments.simulation.engines import PRESET, SEED, trials_of
 from sim_mjx.assembly.rollout import Rollouts, TrialParams
-from sim_mjx.assembly.scene import Scene, one_arm
+from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
+from sim_mjx.registry import get_scenario
 from sim_mjx.validation.engine_parity import parity, reference
 
 SHIFTS = (1e-9, 1e-8, 1e-7, 1e-6)  # m, standard deviation of each coordinate
@@ -34,9 +35,10 @@ def rounded(scene: Scene, params: TrialParams) -> Rollouts:
     """The same trials with the state in single precision between control periods."""
 
     class Lanes(native._Lanes):
-        def _step(self, pool: Any, live: Any, command: Any) -> None:
-            super()._step(pool, live, command)
+        def _step(self, pool: Any, live: Any, command: Any) -> Any:
+            past = super()._step(pool, live, command)
             self.state[live, 1:] = self.state[live, 1:].astype(np.float32)  # the first is the time
+            return past
 
     kept = native._Lanes
     try:
@@ -47,7 +49,7 @@ def rounded(scene: Scene, params: TrialParams) -> Rollouts:
 
 
 def main(trials: int = 64, longest: Annotated[float, tyro.conf.arg(help="s, cuts every trial")] = 15.0) -> None:
-    scene, params = one_arm(), trials_of(trials, longest)
+    scene, params = get_scenario(PRESET).scene(), trials_of(trials, longest)
     expected, contact = reference(scene, params)
     rows = {f"part moved by {metres:g} m": shifted(scene, params, metres) for metres in SHIFTS}
     rows["state rounded to single precision every 5 ms"] = rounded(scene, params)

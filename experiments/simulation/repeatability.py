@@ -17,10 +17,10 @@ import numpy as np
 import tyro
 
 from experiments._lib.results_io import committed, write_result
-from experiments.simulation.engines import SEED, trials_of
+from experiments.simulation.engines import PRESET, SEED, trials_of
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
-from sim_mjx.assembly.scene import one_arm
+from sim_mjx.registry import get_scenario
 
 LONGEST = 8.0  # s
 DETERMINISTIC = "--xla_gpu_deterministic_ops=true"
@@ -56,15 +56,15 @@ def main(
     trials: int = 512,
 ) -> None:
     """Measure and store."""
-    params, rows = trials_of(trials, LONGEST), dict[str, Any]()
+    scene, params, rows = get_scenario(PRESET).scene(), trials_of(trials, LONGEST), dict[str, Any]()
     ordered = DETERMINISTIC in os.environ.get("XLA_FLAGS", "")
     if ordered:
         rows = committed("repeatability")["engines"]
     for name in engine:
-        first = engines.simulate(one_arm(), params, name)
-        turned = engines.simulate(one_arm(), jax.tree.map(lambda leaf: leaf[::-1].copy(), params), name)
+        first = engines.simulate(scene, params, name)
+        turned = engines.simulate(scene, jax.tree.map(lambda leaf: leaf[::-1].copy(), params), name)
         start = time.perf_counter()
-        again = engines.simulate(one_arm(), params, name)
+        again = engines.simulate(scene, params, name)
         seconds = time.perf_counter() - start
         rows[f"{name}, XLA in fixed order" if ordered else name] = {
             "again": compared(first, again) | {"seconds": round(seconds, 1)},

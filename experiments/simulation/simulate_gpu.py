@@ -15,12 +15,13 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import tyro
 
 from experiments._lib.results_io import write_result
 from sim_mjx.synthesis import launch
 
-ENGINE, PRESET, LONGEST, TRIALS = "warp", "B", 25.0, 10_000
+ENGINE, PRESET, LONGEST, TRIALS = "warp", "hooked-B", 25.0, 10_000
 COMMAND = ("simulate", "--preset", PRESET, "--max-seconds", str(LONGEST), "--engine", ENGINE, "--window", "5")
 
 
@@ -28,7 +29,7 @@ def in_one_process(folder: Path) -> list[dict[str, Any]]:
     """Sets of trials in a process that has compiled, by parts."""
     out = folder / "in_one_process.json"
     sizes = [str(TRIALS), str(10 * TRIALS)]
-    words = ["--engine", ENGINE, "--sections", "synthesis", "--trials", *sizes, "--out", str(out)]
+    words = ["--engine", ENGINE, "--preset", PRESET, "--sections", "synthesis", "--trials", *sizes, "--out", str(out)]
     subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True)
     found: dict[str, Any] = json.loads(out.read_text())["synthesis"]
     return [found[size] | {"gpus": 1} for size in sizes]
@@ -52,16 +53,18 @@ def command(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
 def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
     """Measure and store."""
     gpus = launch.visible_devices()
-    name = "{:,} trials, one GPU, in a process that has compiled"
-    rows = {name.format(row["trials"]): row for row in in_one_process(folder)}
+    name = "{:,} trials of {}, one GPU, in a process that has compiled"
+    rows = {name.format(row["trials"], PRESET): row for row in in_one_process(folder)}
     for what in ("nothing compiled", "programs in the cache"):
-        rows[f"{TRIALS:,} trials, one GPU, command, {what}"] = command(folder, TRIALS, gpus[:1])
+        rows[f"{TRIALS:,} trials of {PRESET}, one GPU, command, {what}"] = command(folder, TRIALS, gpus[:1])
     if len(gpus) > 1:
-        name = f"{2 * TRIALS:,} trials, {{}}, command, programs in the cache"
+        name = f"{2 * TRIALS:,} trials of {PRESET}, {{}}, command, programs in the cache"
         rows[name.format("one GPU")] = command(folder, 2 * TRIALS, gpus[:1])
         rows[name.format("two GPUs")] = command(folder, 2 * TRIALS, gpus[:2])
-        name = f"{10 * TRIALS:,} trials, two GPUs, command, programs in the cache"
+        name = f"{10 * TRIALS:,} trials of {PRESET}, two GPUs, command, programs in the cache"
         rows[name] = command(folder, 10 * TRIALS, gpus[:2])
+    card = jax.devices()[0].device_kind.split()[1]
+    rows = {name: row | {"card": card} for name, row in rows.items()}
     about = {"longest_s": LONGEST, "engine": ENGINE, "preset": PRESET, "rows": rows}
     write_result("simulate_gpu", "python -m experiments.simulation.simulate_gpu FOLDER", about, 0)
 

@@ -20,10 +20,10 @@ import jax
 import tyro
 
 from experiments._lib.results_io import write_result
-from experiments.simulation.engines import SEED, trials_of
+from experiments.simulation.engines import PRESET, SEED, trials_of
 from sim_mjx.assembly.rollout import as_float32
-from sim_mjx.assembly.scene import one_arm
 from sim_mjx.engines import device, lanes
+from sim_mjx.registry import get_scenario
 
 COUNTS = (1024, 8192, 32768)
 TRACED = 8192  # lanes
@@ -42,7 +42,7 @@ KINDS = {  # of kernels, by what their names contain; the first that fits
 
 def begun(count: int) -> tuple[Any, ...]:
     """Compiled programs and the state of lanes in which trials begin."""
-    scene, params = one_arm(), trials_of(count, LONGEST)
+    scene, params = get_scenario(PRESET).scene(), trials_of(count, LONGEST)
     model, empty = device.put_scene(scene, count, "warp")
     fields, params = jax.device_put((device.fields_of(scene, params), as_float32(params)))
     fixed = device.Fixed(model, fields, params, empty)
@@ -117,7 +117,7 @@ def by_kind(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Measure and store."""
-    out: dict[str, Any] = {"engine": "warp", "preset": "B", "lanes": {}}
+    out: dict[str, Any] = {"engine": "warp", "preset": PRESET, "lanes": {}}
     for count in COUNTS:
         out["lanes"][str(count)], profiles = speed(count, count == TRACED)
         for name, rows in profiles.items():

@@ -12,9 +12,13 @@ Result = dict[str, Any]
 
 
 def _runs(gpu: Result, cpu: Result, part: str) -> Result:
-    """One part of the measurements on a GPU, by engine, and of those on a CPU where they have it."""
-    runs = {f"`{engine}`, one H200": gpu[engine].get(part) for engine in ("warp", "mjx")}
-    runs["`mjx`, 2 CPU cores"] = cpu["mjx"].get(part)
+    """One part of the measurements on a GPU, by preset and engine, and of those on a CPU where they have it."""
+    runs = {
+        f"{preset}: `{engine}`, one {measured['card']}": measured[engine].get(part)
+        for preset, measured in gpu["presets"].items()
+        for engine in ("warp", "mjx")
+    }
+    runs[f"{cpu['preset']}: `mjx`, 2 CPU cores"] = cpu["mjx"].get(part)
     return {name: run for name, run in runs.items() if run is not None}
 
 
@@ -139,7 +143,7 @@ def _measure(check: Result | None) -> str:
 
 
 ENCODED = ("time first", "row by row", "compact", "scan")
-SYNTHESIS = (("utilisation", 2), ("host_memory_peak_GB", 1), ("store_GB", 1))
+SYNTHESIS = (("utilisation", 2), ("host_memory_peak_GB", 1), ("store_GB", 1))  # measures and their digits
 
 
 @table("solver", *DEVICES)
@@ -175,9 +179,17 @@ def synthesis(result: Result) -> str:
     lines = []
     for name, row in result["rows"].items():
         rest = [f"{row[key]:.{digits}f}" if key in row else "–" for key, digits in SYNTHESIS]
-        lines.append((name, f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest))
-    head = ("", "seconds", "trials a second", "lanes busy", "host memory, GB", "store, GB")
+        lines.append((name, row["card"], f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest))
+    head = ("", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "store, GB")
     return markdown(head, lines)
+
+
+@table("native-cores", "native_cores")
+def native_cores(result: Result) -> str:
+    """The native engine on many cores, by processes and their threads."""
+    keys = ("processes", "threads", "trials", "seconds", "processor_seconds", "trials_of_15_s_per_minute")
+    head = ("processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute")
+    return markdown(head, [tuple(f"{row[key]:,}" for key in keys) for row in result["rows"]])
 
 
 @table("scaling", "scaling")

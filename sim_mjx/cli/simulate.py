@@ -78,7 +78,7 @@ class Simulate(Command):
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
     processes: int | None = None
-    """Worker processes that share the work; default 1; of Ray one for each node or GPU."""
+    """Worker processes that share the work; default one for 4 cores, with a GPU 1; of Ray one a node or GPU."""
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
     launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
     launch_options: Annotated[

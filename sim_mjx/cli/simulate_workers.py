@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from sim_mjx.synthesis.workers import SynthesisProgress
 
 MOST = 4096  # workers of one job
+CORES = 4  # of a process with the native engine, whose threads share one interpreter
 # Options that say who works, not on what, and those that workers must not have.
 _NOT_OF_THE_JOB = ("out", "overwrite", "processes", "devices", "launch", "launch_options", "worker", "status")
 
@@ -54,12 +56,24 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
     if command.launch == "slurm":
         logs = command.out.absolute().with_name(f"{command.out.name}.jobs")
         return lambda look: launch.slurm(words, count or 1, gpus, options, logs, look, notice)
-    environments = _environments(command.devices, gpus) if command.devices is not None else [{}] * (count or 1)
+    if command.devices is not None:
+        environments = _environments(command.devices, gpus)
+    else:
+        environments = [{}] * (count or (1 if gpus else default_processes(command.trials, command.shard)))
     if len(environments) < 2:
         return None
     if gpus and command.lanes is None:  # the first worker must not take all trials
         words += ["--lanes", str(in_shards(-(-command.trials // len(environments)), command.shard))]
     return lambda look: launch.local(words, environments, look, notice)
+
+
+def default_processes(trials: int, shard: int) -> int:
+    """Processes of this machine that share trials of the native engine: one for four cores, each with a shard to do.
+
+    >>> default_processes(1, 256)
+    1
+    """
+    return max(1, min((os.cpu_count() or 1) // CORES, -(-trials // max(shard, 1))))
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:

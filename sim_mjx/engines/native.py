@@ -1,9 +1,9 @@
 """C MuJoCo, batched over threads: the source of truth.
 
-Each thread steps a fixed number of lanes, some of which stay free where trials are few for the cores. A lane takes the
-next trial as soon as it has ended one, so that no thread waits for another and none for the longest trial of a batch;
-and every trial goes through the same compiled control program, whatever the size of its batch, so that its bytes do
-not depend on the others.
+Each thread steps a fixed number of lanes. A lane takes the next trial as soon as it has ended one, so that no
+thread waits for another and none for the longest trial of a batch; and every trial goes through the same compiled
+control program, whatever the size of its batch, so that its bytes do not depend on the others. The threads of a
+process take turns at about a millisecond of Python each control period: many cores want several processes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
-FEWEST = 16  # trials of a thread: with fewer, its control program takes longer than their physics
+THREADS = 8  # of a process; more wait for each other's turn for longer than their physics takes
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 # One control period: trials that were stepped, their states before (which begin with the trial's time), references
@@ -56,14 +56,14 @@ def simulate(
     Args:
         scene: what is simulated.
         params: batch of trials of the scene's program.
-        threads: default all cores.
+        threads: default one for each core, at most ``THREADS``.
         progress: called with the number of control periods done since the last call, summed over trials.
         watch: called after the physics of each control period of a thread's trials; see ``Watch``. Calls do not
             overlap; up to ``LANES`` trials are all in one thread and in step.
     """
     timeout = np.asarray(scene.program.timeout(params))
-    workers, most = shared(len(timeout), threads or os.cpu_count() or 1, watch is not None)
-    job = _Job(scene, params, deque(np.argsort(-timeout, kind="stable").tolist()), watch, progress, most)
+    job = _Job(scene, params, deque(np.argsort(-timeout, kind="stable").tolist()), watch, progress)
+    workers = min(threads or min(os.cpu_count() or 1, THREADS), -(-len(timeout) // LANES))
     with ThreadPoolExecutor(workers) as pool:
         try:
             done = [future.result() for future in [pool.submit(job.work) for _ in range(workers)]]
@@ -71,21 +71,6 @@ def simulate(
             job.stopped.set()  # or the pool would wait for all trials to end
             raise
     return _gathered([run for runs in done for run in runs], scene.program)
-
-
-def shared(trials: int, threads: int, together: bool) -> tuple[int, int]:
-    """How many threads share the trials, and how many trials each has at once.
-
-    Args:
-        trials: of a batch.
-        threads: at most.
-        together: whether up to ``LANES`` trials stay in one thread.
-
-    >>> shared(256, 16, False), shared(40, 4, False), shared(16, 4, True)[0]
-    ((16, 16), (3, 14), 1)
-    """
-    workers = min(threads, -(-trials // (LANES if together else FEWEST)))
-    return workers, LANES if together else min(LANES, -(-trials // workers))
 
 
 @dataclass(frozen=True)
@@ -123,9 +108,8 @@ class _Job:
         waiting: deque[int],
         watch: Watch | None,
         progress: Callable[[int], None] | None,
-        most: int,  # trials that a thread has at once
     ) -> None:
-        self.scene, self.watch, self.progress, self.most = scene, watch, progress, most
+        self.scene, self.watch, self.progress = scene, watch, progress
         self.params, self.home = as_float32(params), np.asarray(scene.program.home(params), np.float64)
         self.parts = [jax.tree.map(lambda leaf, i=i: leaf[i], params.parts) for i in range(batch_size(params))]
         self.waiting = waiting  # longest first, so that no thread ends up alone with one
@@ -211,7 +195,7 @@ class _Lanes:
     def refill(self) -> None:
         """Put waiting trials into free lanes, at rest in their home pose."""
         fresh = np.zeros(LANES, np.bool_)
-        for lane in np.flatnonzero(~self.busy[: self.job.most]).tolist():
+        for lane in np.flatnonzero(~self.busy).tolist():
             with self.job.lock:
                 if not self.job.waiting:
                     break

@@ -45,9 +45,10 @@ def test_test_trials_are_beside_the_part_and_not_those_of_learning() -> None:
 
 
 def test_the_recorded_policy_changes_nothing_and_a_descent_does() -> None:
-    scene = get_scenario("B").scene()
+    scene = get_scenario(learn_setpoints.PRESET).scene()
     trials = learn_setpoints.beside(0, range(2), 1.5)
-    trials = replace(trials, task=replace(trials.task, way_time=trials.task.way_time / 8))
+    above = trials.task.way_position + np.array([0.0, 0.0, 0.03])  # nothing touches
+    trials = replace(trials, task=replace(trials.task, way_time=trials.task.way_time / 8, way_position=above))
     plain = engines.simulate(scene, trials, "native")
     program = replace(scene, program=steered.steered(scene.program))
     down = steered.RECORDED.copy()

@@ -121,23 +121,6 @@ def test_lanes_are_refilled_without_a_trace() -> None:
         np.testing.assert_array_equal(alone.joints[0], out.joints[row, : out.length[row]])
 
 
-def test_few_trials_are_shared_by_threads_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    params, seen = short_trials(6, 0.2), list[int]()
-    alone = native_engine.simulate(SCENE, params, threads=4)
-    monkeypatch.setattr(native_engine, "FEWEST", 2)
-    refill = native_engine._Lanes.refill
-
-    def counted(lanes: native_engine._Lanes) -> None:
-        refill(lanes)
-        seen.append(int(lanes.busy.sum()))
-
-    monkeypatch.setattr(native_engine._Lanes, "refill", counted)
-    together = native_engine.simulate(SCENE, params, threads=4)
-    assert max(seen) == 2  # of each thread, which else would take all
-    for name in ("wrench", "joints", "length", "seated"):
-        np.testing.assert_array_equal(getattr(together, name), getattr(alone, name))
-
-
 def test_an_error_in_a_thread_ends_the_simulation() -> None:
     def watch(*_: np.ndarray) -> None:
         raise RuntimeError("seen")

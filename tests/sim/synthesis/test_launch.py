@@ -114,6 +114,24 @@ def test_a_worker_has_the_words_of_the_job(tmp_path: Path, monkeypatch: pytest.M
     assert again.physical == tmp_path / "fit.json"
 
 
+@pytest.mark.parametrize(("cores", "trials", "engine", "count"), [
+    (32, 5000, "native", 8), (32, 600, "native", 3), (32, 5000, "warp", None), (7, 5000, "native", None),
+])  # fmt: skip
+def test_many_cores_have_several_processes(
+    cores: int, trials: int, engine: str, count: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each with a shard to do; a GPU and few cores have one."""
+    begun: list[int] = []
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(launch, "local", lambda _, environments, *__: begun.append(len(environments)))
+    command = parse("simulate", [str(tmp_path / "t.zarr"), "--trials", str(trials), "--engine", engine])
+    assert isinstance(command, Simulate)
+    start = simulate_workers.helpers(command, lambda _: None)
+    if start is not None:
+        start(lambda: None)
+    assert begun == ([] if count is None else [count])
+
+
 def test_each_device_has_a_worker_that_sees_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "visible_devices", lambda: ["0", "3", "GPU-7"])
     environments = simulate_workers._environments
