@@ -187,9 +187,13 @@ def synthesis(result: Result) -> str:
 @table("native-cores", "native_cores")
 def native_cores(result: Result) -> str:
     """The native engine on many cores, by processes and their threads."""
-    keys = ("processes", "threads", "trials", "seconds", "processor_seconds", "trials_of_15_s_per_minute")
+    counts = ("processes", "threads", "trials"), ("trials_of_15_s_per_minute",)
+    lines = []
+    for row in result["rows"]:
+        whole, speed = (tuple(f"{row[key]:,}" for key in keys) for keys in counts)
+        lines.append((*whole, f"{row['seconds']:.2f}", f"{row['processor_seconds']:.2f}", *speed))
     head = ("processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute")
-    return markdown(head, [tuple(f"{row[key]:,}" for key in keys) for row in result["rows"]])
+    return markdown(head, lines)
 
 
 @table("scaling", "scaling")
