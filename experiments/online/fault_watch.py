@@ -77,8 +77,8 @@ def watched(
     return Watched(data, SubtaskSnapshots(trial, subtask, begin, now, np.load(path)["x"], recordings.dt))
 
 
-def monitor(w: Watched, inside: NDArray[np.bool_], seed: int) -> FaultMonitor:
-    """Learn from the trials ``inside`` that are nominal or failed with a fault."""
+def monitor(w: Watched, inside: NDArray[np.bool_], seed: int, own: NDArray[np.bool_] | None = None) -> FaultMonitor:
+    """Learn from the trials ``inside`` that are nominal or failed with a fault; those of its ``own`` set the levels."""
     data = w.trials
     onset = data.recordings.starts(RECORDED)[:, MERGED]
     stopped = data.failed & (data.kind == "early-stop")
@@ -90,6 +90,7 @@ def monitor(w: Watched, inside: NDArray[np.bool_], seed: int) -> FaultMonitor:
         kind=data.kind,
         visible=np.where(stopped, data.stop + SEEN, 0.0),
         deadline=np.where(data.contact, data.end, np.nan),
+        own=own,
         config=CONFIG,
         seed=seed,
     )

@@ -5,11 +5,11 @@ trials (see ``experiments.online.faults``, whose first way is repeated here):
 
 * "own": its own faults and nominal trials.
 * "kind never seen": the same without the kind of fault that is streamed.
-* "others, own calm": the faults of other sessions, and its own nominal trials. So one would begin on a robot: faults
-  from a simulation, and trials that went well.
+* "others, own calm": faults and nominal trials of other sessions, and its own nominal trials, which alone set alarm
+  levels and time limits. So one would begin on a robot: a simulation, and trials that went well.
 * "others": faults and nominal trials of other sessions.
 
-Each learns from about as many trials. The last takes 900 nominal ones of a session: its alarm levels after mating has
+Each learns from about as many faults. The last takes 900 nominal ones of a session: its alarm levels after mating has
 settled come from half of those of a single other session that train.
 
 Run: python -m experiments.online.faults_across --folder faults --nominal 300 400 200 --repeats 1 --seed 2
@@ -75,17 +75,16 @@ def some(those: Trials, rows: Rows, share: float, seed: int) -> Rows:
 
 
 def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm: bool) -> FaultMonitor:
-    """A monitor that saw faults of the other sessions; nominal trials are of this one (``calm``), or of those too.
+    """A monitor that saw the other sessions, with ``calm`` also nominal trials of this one, which set the levels.
 
-    It learns from about as many trials as one of the session's own.
+    It learns from about as many faults as one of the session's own. Without nominal trials of the others beside its own
+    it would learn to tell the sessions apart.
     """
-    seen = []
-    for other in others:
-        rows = parts(other.trials, seed)
-        rows = rows & other.trials.failed if calm else rows
-        seen.append(chosen(other, some(other.trials, rows, 1 / len(others), seed)))
-    lessons = together([chosen(w, inside & w.trials.nominal), *seen] if calm else seen)
-    return monitor(lessons, np.ones(len(lessons.trials.kind), bool), seed)
+    seen = [chosen(other, some(other.trials, parts(other.trials, seed), 1 / len(others), seed)) for other in others]
+    own = chosen(w, inside & w.trials.nominal)
+    lessons = together([own, *seen] if calm else seen)
+    every = np.ones(len(lessons.trials.kind), bool)
+    return monitor(lessons, every, seed, np.arange(len(every)) < len(own.trials.kind) if calm else None)
 
 
 def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, FaultMonitor]:

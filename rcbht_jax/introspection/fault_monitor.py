@@ -139,6 +139,7 @@ class FaultMonitor:
         kind: Shaped[np.ndarray, " trial"] | None = None,
         visible: Float[np.ndarray, " trial"] | None = None,
         deadline: Float[np.ndarray, " trial"] | None = None,
+        own: Bool[np.ndarray, " trial"] | None = None,
         config: FaultMonitorConfig | None = None,
         seed: int = 0,
     ) -> FaultMonitor:
@@ -152,6 +153,7 @@ class FaultMonitor:
             kind: over which the share of detected failures is averaged; None = ``cause``.
             visible: s since the trial began, before which a fault cannot show and snapshots do not train; None = 0.
             deadline: s; later alarms do not count as detection. NaN = the trial does not count. None = no deadline.
+            own: trials of the robot that is watched, whose nominal ones set alarm levels and time limits; None = all.
             config: None = the defaults.
             seed: of the folds.
 
@@ -163,8 +165,9 @@ class FaultMonitor:
         nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)
         visible = np.zeros(len(cause)) if visible is None else visible
         deadline = np.full(len(cause), np.inf) if deadline is None else deadline
+        calm = nominal if own is None else nominal & own
         limits = {
-            subtask: conformal_threshold(lasted[streamed & nominal], config.clock_false_alarms)
+            subtask: conformal_threshold(lasted[streamed & calm], config.clock_false_alarms)
             for subtask, lasted in (durations or {}).items()
         }
         shown = snapshots.time >= visible[snapshots.trial]
@@ -173,7 +176,8 @@ class FaultMonitor:
             here = snapshots.subtask == subtask
             rows = _training_rows(snapshots, np.flatnonzero(here & shown), cause, config)
             causes = set(cause[snapshots.trial[rows]].tolist())
-            if NOMINAL in causes and len(causes) > 1:
+            reached = calm[snapshots.trial[rows]].any()  # or nothing says what is a false alarm there
+            if NOMINAL in causes and len(causes) > 1 and reached:
                 machines[subtask] = _classifier(snapshots, here, rows, cause, config.cost, seed, probability)
         if not machines:
             raise InputError(f"no sub-task shows {config.fewest} nominal trials and as many of a cause of failure.")
@@ -181,7 +185,7 @@ class FaultMonitor:
         options = []
         for hold in config.holds:
             steps, share = round(hold * config.rate) + 1, config.false_alarms / len(machines)
-            levels = {subtask: _level(snapshots, subtask, nominal, probability, steps, share) for subtask in machines}
+            levels = {subtask: _level(snapshots, subtask, calm, probability, steps, share) for subtask in machines}
             raised = _detected(snapshots, levels, np.where(scored, deadline, -np.inf), probability, steps)
             detected = _mean_share(raised[scored], (cause if kind is None else kind)[scored])
             options.append(FaultMonitor(machines, levels, hold, limits, detected))
@@ -259,14 +263,14 @@ def _fault(machine: ProbabilisticSvm, probability: Float[np.ndarray, "row class"
 def _level(
     snapshots: SubtaskSnapshots,
     subtask: int,
-    nominal: Bool[np.ndarray, " trial"],
+    calm: Bool[np.ndarray, " trial"],
     probability: Float[np.ndarray, " snapshot"],
     steps: int,
     share: float,
 ) -> float:
     """Alarm level of a sub-task for a share of false alarms."""
-    calm = [rows for trial, rows in snapshots.by_trial(subtask).items() if nominal[trial]]
-    return conformal_threshold(np.array([sustained_peak(probability[rows], steps) for rows in calm]), share)
+    those = [rows for trial, rows in snapshots.by_trial(subtask).items() if calm[trial]]
+    return conformal_threshold(np.array([sustained_peak(probability[rows], steps) for rows in those]), share)
 
 
 def _detected(

@@ -9,6 +9,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.fault_monitor import (
+    COLUMNS,
     NOMINAL,
     FaultMonitor,
     FaultMonitorConfig,
@@ -67,6 +68,21 @@ def test_the_hold_time_counts_only_alarms_before_the_deadline() -> None:
     assert FaultMonitor.fit(snapshots, cause, config=CONFIG).detected > 0.9
     early = np.where(cause == NOMINAL, np.nan, 1.0)
     assert FaultMonitor.fit(snapshots, cause, deadline=early, config=CONFIG).detected < 0.2
+
+
+def test_levels_of_its_own_trials_keep_the_promise_where_others_differ() -> None:
+    def moved(snapshots: SubtaskSnapshots, rows: np.ndarray) -> SubtaskSnapshots:
+        return replace(snapshots, features=snapshots.features + 2.5 * rows[snapshots.trial][:, None])
+
+    own, cause = np.isin(np.arange(520), range(440, 500)), causes(500, 20)
+    lessons = moved(streams(500, 20, 6.0), own)
+    new = moved(streams(1000, 1, 0.0, seed=1), np.ones(1001, bool))
+    found = [FaultMonitor.fit(lessons, cause, subtasks=[1], own=those, config=CONFIG) for those in (own, None)]
+    alone, together = (np.isfinite(one.alarms(new, 1001)["words"][:1000]).mean() for one in found)
+    assert alone < 2 * CONFIG.false_alarms < 4 * CONFIG.false_alarms < together
+    first = lessons.of_trials(np.ones(520, bool))
+    short = replace(first, **{name: getattr(first, name)[~own[first.trial] | (first.subtask == 0)] for name in COLUMNS})
+    assert set(FaultMonitor.fit(short, cause, own=own, config=CONFIG).machines) == {0}
 
 
 def test_input_that_cannot_be_learned_from() -> None:
