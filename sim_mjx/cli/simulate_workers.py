@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 MOST = 4096  # workers of one job
 CORES = 4  # of a process with the native engine, whose threads share one interpreter
+FEWEST = 256  # trials that are worth the start of a process
 # Options that say who works, not on what, and those that workers must not have.
 _NOT_OF_THE_JOB = ("out", "overwrite", "processes", "devices", "launch", "launch_options", "worker", "status")
 
@@ -68,12 +69,12 @@ def helpers(command: Simulate, notice: Callable[[str], None]) -> Helpers | None:
 
 
 def default_processes(trials: int, shard: int) -> int:
-    """Processes of this machine that share trials of the native engine: one for four cores, each with a shard to do.
+    """Processes of this machine that share trials of the native engine: one for four cores, each with enough to do.
 
     >>> default_processes(1, 256)
     1
     """
-    return max(1, min((os.cpu_count() or 1) // CORES, -(-trials // max(shard, 1))))
+    return max(1, min((os.cpu_count() or 1) // CORES, trials // max(shard, FEWEST)))
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
