@@ -115,7 +115,8 @@ def test_a_worker_has_the_words_of_the_job(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(("cores", "trials", "engine", "count"), [
-    (32, 5000, "native", 8), (32, 600, "native", 2), (32, 255, "native", None), (32, 5000, "warp", None), (7, 5000, "native", None),
+    (32, 5000, "native", 8), (32, 600, "native", 2), (32, 255, "native", None),
+    (32, 5000, "warp", None), (7, 5000, "native", None),
 ])  # fmt: skip
 def test_many_cores_have_several_processes(
     cores: int, trials: int, engine: str, count: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
