@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Command, Flag, announce, option
+from rcbht_jax.cli.command import Command, Flag, announce, check_place, option
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _REPEATS = 7
 DT = 0.005
 TRIALS, TRIALS_ON_DEVICE = 100, 8192
+MOST = 10**12  # samples: more would fill any memory
 Values = dict[str, tuple[float, str]]  # name -> value, unit
 
 
@@ -63,25 +64,30 @@ class Bench(Command):
         trials = self.trials if self.trials is not None else TRIALS_ON_DEVICE if self.device else TRIALS
         if trials < 1 or self.samples < 20:
             raise InputError(f"{trials} trials of {self.samples} samples are too few; expected at least 1 trial of 20.")
+        if trials * self.samples > MOST:
+            raise InputError(f"{trials} trials of {self.samples} samples are too many; expected at most {MOST} in all.")
         device = _device(self.device)
-        earlier = None if self.check is None else read_history(self.check)
+        run = {"device": device.device_kind, "trials": trials, "samples": self.samples}
+        old = None if self.check is None else latest(read_history(self.check), run)
+        if self.check is not None and old is None:
+            raise InputError(
+                f"{self.check} has no run of {trials} trials of {self.samples} samples on {device.device_kind}; "
+                f"add one with --history {self.check}."
+            )
+        if self.history is not None:  # what is none is said before the work
+            check_place(self.history, None)
+            if self.history.exists():
+                read_history(self.history)
         with jax.default_device(device):
             values, ratios = measure(signal(trials, self.samples))
         record = {
             "date": time.strftime("%Y-%m-%d", time.gmtime()),
-            "device": device.device_kind,
-            "trials": trials,
-            "samples": self.samples,
+            **run,
             "values": {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()},
             "ratios": ratios,
         }
         result = {**record, "compared_with": None, "fallen": []}
-        if earlier is not None:
-            if (old := latest(earlier, record)) is None:
-                raise InputError(
-                    f"{self.check} has no run of {trials} trials of {self.samples} samples on {device.device_kind}; "
-                    f"add one with --history {self.check}."
-                )
+        if old is not None:
             result |= {"compared_with": old.get("date"), "fallen": fallen(ratios, old["ratios"])}
         if self.history is not None:
             append_record(self.history, record)

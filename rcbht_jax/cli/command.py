@@ -7,6 +7,7 @@ and shell completion are quick. A table of commands (see :mod:`rcbht_jax.cli.com
 
 from __future__ import annotations
 
+import os
 import sys
 import typing
 from abc import ABC, abstractmethod
@@ -34,6 +35,12 @@ class MadeBy(NamedTuple):
     command: str
 
 
+class Folder(NamedTuple):
+    """Mark of an output that is a folder."""
+
+    grows: bool = False  # results are added to what is there, and the folders above it are made
+
+
 def option(text: str, default: str | None = None, **more: Any) -> Any:
     """An option's help, and what stands for its default value there."""
     hint = None if default is None else default and f"(default: {default})"
@@ -58,7 +65,7 @@ LabelledStore = Annotated[
     _PLACE,
     STORE,
 ]
-OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), _PLACE]
+OutStore = Annotated[Path, tyro.conf.Positional, option("Store to create.", metavar="STORE.zarr"), _PLACE, Folder()]
 Trial = Annotated[str, tyro.conf.Positional, option("Name of the trial.", metavar="TRIAL")]
 Tracks = Annotated[str, option("Label tracks to use, if the store has several.", "")]
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
@@ -133,7 +140,7 @@ class Command(ABC):
         return 0
 
     def check_inputs(self) -> None:
-        """Refuse options that name a file or a folder that does not exist, outputs that are an input, and wrong seeds.
+        """Refuse missing inputs, outputs that cannot be made or are an input, and wrong seeds: before the work.
 
         Raises:
             InputError: names the command that makes it, the output, or the seed.
@@ -147,8 +154,10 @@ class Command(ABC):
                 if written in OUTPUTS and name != written and _harms(output, path):
                     raise InputError(f"{output} is to be written and is used as {name}; choose another name.")
         for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
-            for mark in getattr(hint, "__metadata__", ()):
-                path = getattr(self, name)
+            path, marks = getattr(self, name), getattr(hint, "__metadata__", ())
+            if name in OUTPUTS and isinstance(path, Path):
+                check_place(path, next((mark for mark in marks if isinstance(mark, Folder)), None))
+            for mark in marks:
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
@@ -177,6 +186,24 @@ def _harms(output: Path, other: Path) -> bool:
         return False
     inside = (here == there, _is_whole(there) and there in here.parents, _is_whole(here) and here in there.parents)
     return any(inside)
+
+
+def check_place(path: Path, folder: Folder | None) -> None:
+    """Refuse an output that cannot be made at its place, or that would be added to a store.
+
+    Raises:
+        InputError: names the place.
+    """
+    here = Path(os.path.realpath(path))  # behind a link the file that it points to
+    if folder is not None and folder.grows:
+        store = next((place for place in (here, *here.parents) if (place / "zarr.json").is_file()), None)
+        if store is not None:
+            raise InputError(f"{path} is in the store {store}, which holds nothing else; choose another folder.")
+    elif not (url_of(path) or is_stream(path) or here.parent.is_dir()):
+        parent = here.parent if path.is_symlink() else path.parent
+        raise InputError(f"{parent} is not a folder; create it first, or choose another.")
+    elif folder is None and path.is_dir():
+        raise InputError(f"{path} is a folder; choose a name for a file.")
 
 
 def _is_whole(folder: Path) -> bool:

@@ -8,7 +8,17 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from rcbht_jax.cli.command import ONLINE_MODEL, Command, NewWindow, Store, Tolerance, Tracks, WordRule, progress_bar
+from rcbht_jax.cli.command import (
+    ONLINE_MODEL,
+    Command,
+    Folder,
+    NewWindow,
+    Store,
+    Tolerance,
+    Tracks,
+    WordRule,
+    progress_bar,
+)
 from rcbht_jax.cli.drawn import DrawnRule, stored_by
 from rcbht_jax.errors import InputError
 
@@ -25,7 +35,7 @@ class Export(Command):
 
     store: Store
     """Store to export."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")]
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FOLDER"), Folder()]
     """Folder to create."""
     format: Literal["parquet", "lerobot", "mcap", "csv"] = "parquet"
     """Format of the files."""

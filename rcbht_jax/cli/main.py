@@ -12,6 +12,7 @@ import importlib
 import inspect
 import io
 import json
+import logging
 import os
 import signal
 import sys
@@ -112,6 +113,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         the exit status.
     """
     _allow_any_name()
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its remark that a home cannot be written to
     try:
         if not __debug__:
             raise InputError(

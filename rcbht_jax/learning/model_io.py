@@ -6,6 +6,7 @@ names of the features, the encoder's configuration and thresholds, and where it 
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -116,13 +117,19 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
 
     Raises:
         InputError: the folder does not exist, or ``meta`` is not JSON.
+        OSError: the disk is full.
     """
     try:
         text = json.dumps(meta, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the model cannot be written to {path}: {error}.") from error
+    try:
         with atomic_write(path) as draft, draft.open("wb") as out:
             np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
-    except (OSError, TypeError, ValueError) as error:
-        raise InputError(f"the model cannot be written to {path}: {error}.") from error
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise
+        raise InputError(f"the model cannot be written to {path}: {error.strerror or error}.") from error
 
 
 @contextmanager

@@ -74,6 +74,11 @@ class Grid:
     floor: float = 0.0  # see SvmSpec
     ranks: bool = False  # scaled features are ranks, see SvmSpec
 
+    def __post_init__(self) -> None:
+        for name in ("kernels", "costs", "scalings"):
+            if not getattr(self, name):
+                raise InputError(f"There are no {name} to choose from; give at least one.")
+
     def paths(self, candidates: Sequence[str]) -> list[SvmSpec]:
         """Every choice but the cost, which is set to the smallest."""
         return [

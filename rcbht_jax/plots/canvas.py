@@ -88,6 +88,21 @@ def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple
     legend.set_gid(f"legend-{layer}")
 
 
+def check_suffix(path: Path) -> str:
+    """The suffix of a figure's file, which decides its format, in lower case.
+
+    >>> check_suffix(Path("trial.PNG"))
+    '.png'
+
+    Raises:
+        InputError: the suffix is unknown.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise InputError(f"{path} does not end in {', '.join(_METADATA)}; the suffix decides the format of a figure.")
+    return suffix
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
 
@@ -97,9 +112,7 @@ def save(figure: Figure, path: Path) -> None:
         InputError: the suffix is unknown, the folder does not exist, or the file cannot be written.
         OSError: the disk is full.
     """
-    suffix = path.suffix.lower()
-    if suffix not in _METADATA:
-        raise InputError(f"{path} does not end in {', '.join(_METADATA)}; the suffix decides the format of a figure.")
+    suffix = check_suffix(path)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
     if path.is_dir():

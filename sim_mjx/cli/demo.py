@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.atomic import atomic_write
-from rcbht_jax.cli.command import Command, announce
+from rcbht_jax.cli.command import Command, Folder, announce
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words
 from rcbht_jax.cli.encode import Encode
 from rcbht_jax.cli.learning import Evaluate, Train
@@ -29,6 +29,11 @@ WINDOW = 5
 KERNELS: tuple[Literal["linear", "rbf"], ...] = ("linear", "rbf")
 COSTS, REPEATS = (0.1, 1.0, 10.0, 100.0), 2
 STEPS = 5
+TITLE = "rcbht demo"
+WRITTEN = (
+    "trials.zarr", "hiro.zarr", "states.model", "outcome.model", "success.png", "failure.png", "label-map.png",
+    "summary.txt",
+)  # fmt: skip
 RECORDED = "REAL_HIRO_ONE_SA_SUCCESS"
 
 
@@ -42,7 +47,7 @@ class Demo(Command):
     Example: rcbht demo --out demo-out
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path("demo-out")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT"), Folder(grows=True)] = Path("demo-out")
     """Folder for stores, models, pictures and the summary; those of an earlier demo are replaced."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of the authors' data sets, to use in place of a simulation."""
@@ -60,7 +65,7 @@ class Demo(Command):
         from rcbht_jax.io.store import read_recordings
 
         start = time.perf_counter()
-        self.out.mkdir(parents=True, exist_ok=True)
+        _begin(self.out)
         store = self.out / "trials.zarr"
         announce(1, STEPS, f"simulate {self.trials} trials of the preset {PRESET} on {os.cpu_count()} cores")
         simulated = Simulate(store, preset=PRESET, trials=self.trials, seed=self.seed, overwrite=True).run()
@@ -122,6 +127,27 @@ class Demo(Command):
         return paths
 
 
+def _begin(out: Path) -> None:
+    """Make the folder of a demo, or take over that of an earlier one, which its summary shows, complete or not.
+
+    Raises:
+        InputError: the folder holds files of somebody else, which may have the names of ours.
+    """
+    summary = out / "summary.txt"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; expected a folder.")
+    if out.is_dir() and any(path.name in WRITTEN for path in out.iterdir()):
+        try:
+            ours = summary.is_file() and summary.read_bytes().startswith(TITLE.encode())
+        except OSError as error:
+            raise InputError(f"{summary} cannot be read: {error.strerror}.") from error
+        if not ours:
+            raise InputError(f"{out} holds files of the same names that no demo made; choose another folder.")
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(summary) as draft:
+        draft.write_text(f"{TITLE}: not complete\n")
+
+
 def _first(recordings: Recordings, store: Path, fault: str, outcome: str) -> int | None:
     """Row of the first trial with a fault and an outcome."""
     from rcbht_jax.io.store import read_simulation
@@ -134,7 +160,7 @@ def _summary(result: dict[str, Any]) -> str:
     simulated = result["simulated"]
     labels = ", ".join(f"{count:,} {layer}" for layer, count in result["labels"].items())
     lines = [
-        f"rcbht demo: {simulated['stored']} simulated trials in {result['seconds']:.0f} s",
+        f"{TITLE}: {simulated['stored']} simulated trials in {result['seconds']:.0f} s",
         "",
         f"Simulated   {result['seconds_per_trial']:.1f} s a trial on average; all four tabs seated in "
         f"{simulated['seated']} of {simulated['stored']}",
@@ -173,10 +199,13 @@ def _run_recorded(data: Path, out: Path, rule: Literal["fit", "paper"]) -> dict[
     Raises:
         InputError: ``data`` is not a folder of their data sets.
     """
+    from rcbht_jax.io.hiro.importer import find_trials
+
     if not data.is_dir():
         raise InputError(f"{data} is not a folder; give the folder of the authors' data sets: --data DIR.")
+    find_trials(data)  # a folder without one is said before the work
     start = time.perf_counter()
-    out.mkdir(parents=True, exist_ok=True)
+    _begin(out)
     store, summary = out / "hiro.zarr", out / "summary.txt"
     announce(1, 4, f"import {data} into {store}")
     imported = ImportHiro(data, store, overwrite=True).run()
@@ -198,7 +227,7 @@ def _run_recorded(data: Path, out: Path, rule: Literal["fit", "paper"]) -> dict[
     }
     labels = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
     lines = [
-        f"rcbht demo, {result['seconds']:.0f} s",
+        f"{TITLE}, {result['seconds']:.0f} s",
         f"{result['recordings']} recordings imported, {result['left_out']} left out",
         f"labels: {labels}",
         "",

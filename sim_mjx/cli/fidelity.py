@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 import rcbht_jax
-from rcbht_jax.cli.command import Command, Flag, MadeBy, announce, progress_bar
+from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 Measured = tuple[dict[str, Any], Any]  # values of the report, figure or None
 HIRO = MadeBy('"rcbht import hiro DIR {path}"')
 Session = Literal["A", "B", "C", "openhrp", "hooked-A", "hooked-B", "hooked-C", "rigid-openhrp"]
+
+MOST = 100_000  # trials, which are all in memory at once
 
 # Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
 BOUNDS = {
@@ -52,7 +54,7 @@ class Fidelity(Command):
     Example: rcbht fidelity -o fidelity-out --recorded hiro.zarr --data ../shared/data/hiro
     """
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = Path("fidelity-out")
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT"), Folder(grows=True)] = Path("fidelity-out")
     """Folder to write to; created if it does not exist."""
     recorded: Annotated[Path | None, tyro.conf.arg(metavar="HIRO.zarr"), HIRO] = None
     """Store of "rcbht import hiro" with the recorded trials, to compare wrenches with."""
@@ -90,12 +92,21 @@ class Fidelity(Command):
         return f"{table(result)}\n\n{result['folder']}: report.json, report.txt, pictures ({result['seconds']:.0f} s)"
 
     def _check(self) -> None:
-        if self.trials < 4 or not 0.0 < self.max_seconds < 1000.0:
-            raise InputError(f"{self.trials} trials of {self.max_seconds} s: expected at least 4, and a positive time.")
+        from rcbht_jax.io.hiro.importer import find_trials
+        from sim_mjx import engines
+
+        if not 4 <= self.trials <= MOST or not 0.0 < self.max_seconds < 1000.0:
+            raise InputError(
+                f"{self.trials} trials of {self.max_seconds} s: expected 4 to {MOST}, and a positive time below 1000 s."
+            )
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out} is a file; expected a folder.")
         if self.data is not None and not self.data.is_dir():
             raise InputError(f"{self.data} is not a folder; expected that of the authors' data sets.")
+        for engine in self.engines:
+            engines.check(engine)
+        if self.data is not None:
+            find_trials(self.data)
 
     def _jobs(self) -> dict[str, Callable[[], Measured]]:
         """The measurements, in order; wrong input is found now, before the first of them."""

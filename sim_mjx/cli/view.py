@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -103,14 +104,17 @@ class View(Command):
         return alone, encode_batch(config, limits, alone.wrench, alone.length), 0, self.rule
 
     def _check(self, out: Path | None) -> None:
+        from rcbht_jax.plots.canvas import check_suffix
         from sim_mjx.plots import animation
 
         if not 0.01 <= self.speed <= 100.0:
             raise InputError(f"The speed is {self.speed}; expected 0.01 to 100.")
-        if out is not None and not out.absolute().parent.is_dir():
-            raise InputError(f"{out.parent} is not a folder; create it first, or choose another.")
-        if out is not None and out.suffix.lower() in animation.SUFFIXES:
+        if out is None:
+            check_window()
+        elif out.suffix.lower() in animation.SUFFIXES:
             animation.check(out)
+        else:
+            check_suffix(out)
 
     def _replay(self, recordings: Recordings, row: int) -> Replay:
         from rcbht_jax.io.store import read_attrs
@@ -126,6 +130,20 @@ class View(Command):
 def has_display() -> bool:
     """Whether windows can be opened here."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def check_window() -> None:
+    """Refuse a display that cannot be opened, for which MuJoCo would end the process.
+
+    Raises:
+        InputError: there is none.
+    """
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # GLFW reports by a warning what the sentence says
+        if not glfw.init():
+            raise InputError("The display cannot be opened; write a picture instead: -o OUT.png.")
 
 
 def show(replay: Replay, speed: float) -> None:

@@ -94,6 +94,31 @@ def test_what_is_no_history_is_refused(text: str, tmp_path: Path, capsys: pytest
     assert path.read_text() == text
 
 
+@pytest.mark.parametrize("words", [["--trials", "9" * 23], ["--samples", "9" * 23], ["--trials", "-1"]])
+def test_sizes_that_no_memory_has_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", *words]) == 2
+    assert "are too" in capsys.readouterr().err
+
+
 def test_a_device_must_be_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SMALL, "--device"]) == 2
     assert "no accelerator" in capsys.readouterr().err
+
+
+def test_a_comparison_or_a_file_that_is_in_vain_is_refused_before_measuring(
+    measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "measure", lambda _: pytest.fail("it measured"))
+    (tmp_path / "other.json").write_text("{}x")
+    others = {
+        "--check": [(measured, "has no run of 3 trials of 40 samples")],
+        "--history": [
+            (tmp_path, "is a folder"),
+            (tmp_path / "none" / "x.json", "none is not a folder"),
+            (tmp_path / "other.json", "is not a history"),
+        ],
+    }
+    for option, cases in others.items():
+        for path, sentence in cases:
+            assert main(["bench", "--trials", "3", "--samples", "40", option, str(path)]) == 2
+            assert sentence in capsys.readouterr().err

@@ -231,3 +231,32 @@ def test_seeds_that_no_generator_takes_are_refused(
     out = [] if command in ("evaluate", "segment") else ["-o", str(tmp_path / "out")]
     assert main.main([*command.split(), str(tmp_path), *out, f"--seed={seed}"]) == 2
     assert f"--seed is {seed}; expected 0 to 4294967295" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["train", "train-online", "segment", "classify -m M", "monitor fit", "calibrate"])
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("missing/x.csv", "missing is not a folder; create it first"),
+        ("file/x.csv", "file is not a folder"),
+        ("link.csv", "missing is not a folder"),
+        ("folder.csv", "folder.csv is a folder; choose a name for a file."),
+    ],
+)
+def test_files_that_cannot_be_made_are_refused_before_the_work(
+    command: str, name: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "link.csv").symlink_to(tmp_path / "missing" / "x.csv")
+    model = [str(tmp_path / "file") if word == "M" else word for word in command.split()]
+    assert main.main([*model, str(tmp_path), "-o", str(tmp_path / name)]) == 2  # no store: reading it is the work
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_home_that_cannot_be_written_to_is_no_remark(hiro_store: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    words = [sys.executable, "-m", "rcbht_jax.cli", "plot", "trial", str(hiro_store), "nothing", "-o", "x.png"]
+    surroundings = {**os.environ, "MPLCONFIGDIR": str(tmp_path / "file" / "none")}
+    run = subprocess.run(words, env=surroundings, cwd=tmp_path, capture_output=True, text=True)
+    assert [line[:7] for line in run.stderr.splitlines()] == ["rcbht: "]

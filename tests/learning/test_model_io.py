@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,6 +135,9 @@ def test_what_cannot_be_written_is_refused(model, tmp_path):
     assert not (tmp_path / "m").exists()
     with pytest.raises(InputError, match="cannot be written"):
         save(tmp_path / "none" / "m", model)
+    if Path("/dev/full").exists():  # Linux
+        with pytest.raises(OSError, match="No space"):  # for which the command line has a sentence and a status
+            save(Path("/dev/full"), model)
 
 
 @pytest.mark.parametrize(

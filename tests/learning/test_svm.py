@@ -234,3 +234,9 @@ def test_bad_input_is_refused():
     model = fit(x, y, NAMES[:2], replace(SvmSpec(), kernel="linear"))
     with pytest.raises(InputError, match="7 features"):
         model.decision(x[:, :5])
+
+
+@pytest.mark.parametrize("empty", ["kernels", "costs", "scalings"])
+def test_a_grid_without_a_choice_is_refused(empty):
+    with pytest.raises(InputError, match=f"no {empty} to choose from"):
+        Grid(**{empty: ()})

@@ -52,3 +52,36 @@ def test_too_few_trials_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureF
     assert main.main(["demo", "--out", str(tmp_path / "out"), "--trials", "3"]) == 2
     assert "3 trials are too few" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["trials.zarr", "states.model", "summary.txt", "hiro.zarr"])
+def test_files_that_no_demo_made_are_kept(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_text("mine")
+    assert main.main(["demo", "-o", str(tmp_path)]) == 2
+    assert "files of the same names that no demo made" in capsys.readouterr().err
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_an_interrupted_demo_is_begun_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        (tmp_path / "trials.zarr").mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "Simulate", interrupted)
+    assert main.main(["demo", "-o", str(tmp_path)]) == 130
+    (tmp_path / "trials.zarr").rmdir()
+    assert main.main(["demo", "-o", str(tmp_path)]) == 130
+
+
+def test_a_folder_without_trials_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["demo", "--data", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert "holds no trial" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["demo", "fidelity"])
+def test_a_store_is_no_folder_for_results(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "zarr.json").write_text("{}")
+    assert main.main([command, "-o", str(tmp_path / "deep" / "out")]) == 2
+    assert "is in the store" in capsys.readouterr().err
+    assert len(list(tmp_path.iterdir())) == 1

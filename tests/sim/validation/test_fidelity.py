@@ -220,7 +220,9 @@ def test_misses_are_said() -> None:
     ("words", "sentence"),
     [
         (["--trials", "2"], "2 trials of 13.0 s"),
+        (["--trials", "9" * 20], "expected 4 to 100000"),
         (["--data", "nowhere"], "nowhere is not a folder"),
+        (["--data", "."], "holds no trial"),
         (["--recorded", "nowhere.zarr"], "nowhere.zarr"),
     ],
 )

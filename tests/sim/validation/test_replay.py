@@ -127,6 +127,7 @@ def test_with_a_display_the_viewer_plays_it(
         return Window(data)
 
     monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("sim_mjx.cli.view.check_window", lambda: None)
     monkeypatch.setattr(mujoco.viewer, "launch_passive", launch)
     assert main.main(["view", str(simulated), TRIAL]) == 0
     assert len(seen) == 3

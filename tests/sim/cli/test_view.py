@@ -1,0 +1,29 @@
+"""``rcbht view``: what cannot be shown is said before the trial is simulated again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rcbht_jax.cli import main
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert main.main(["view", *words]) == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    return sentence
+
+
+def test_a_picture_of_no_format_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # no store: reading it is the work
+    assert "trial.txt does not end in" in refused(capsys, str(tmp_path), "t", "-o", str(tmp_path / "trial.txt"))
+
+
+def test_a_display_that_is_not_there_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("glfw")
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert "The display cannot be opened" in refused(capsys, str(tmp_path), "t")
