@@ -1,8 +1,6 @@
 """``python -m rcbht_jax.cli``: the ``rcbht`` command without an installed script."""
 
-import sys
-
-from rcbht_jax.cli.main import main
+from rcbht_jax.cli.main import script
 
 if __name__ == "__main__":
-    sys.exit(main())
+    script()

@@ -19,10 +19,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import rcbht_jax
 from rcbht_jax._util.atomic import targets
@@ -269,5 +269,16 @@ def _allow_any_name() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def script() -> NoReturn:
+    """Run one command and end the process with its status."""
+    status = main()
+    if status > 128:  # XLA's threads may be at what was interrupted, and crash when the interpreter ends beneath them
+        with suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    script()

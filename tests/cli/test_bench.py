@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +17,7 @@ from rcbht_jax._util import ratios
 from rcbht_jax.cli import bench
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
+from tests.support.compiler import as_users_compile
 
 SMALL = ("bench", "--trials", "2", "--samples", "40")
 
@@ -122,3 +127,17 @@ def test_a_comparison_or_a_file_that_is_in_vain_is_refused_before_measuring(
         for path, sentence in cases:
             assert main(["bench", "--trials", "3", "--samples", "40", option, str(path)]) == 2
             assert sentence in capsys.readouterr().err
+
+
+def test_an_interruption_while_it_compiles_ends_with_its_status() -> None:
+    default = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a shell may have ignored it
+    code = f"{default}; from rcbht_jax.cli.main import script; script()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "bench"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        env=as_users_compile() | {"JAX_ENABLE_COMPILATION_CACHE": "false"},
+    ) as run:  # fmt: skip
+        assert run.stderr is not None
+        assert b"[1/" in run.stderr.readline()
+        time.sleep(1.0)
+        run.send_signal(signal.SIGINT)
+        assert run.wait(timeout=60) == 130
