@@ -81,10 +81,10 @@ def from_others(w: Watched, inside: Rows, others: list[Watched], seed: int, calm
     it would learn to tell the sessions apart.
     """
     seen = [chosen(other, some(other.trials, parts(other.trials, seed), 1 / len(others), seed)) for other in others]
-    own = chosen(w, inside & w.trials.nominal)
-    lessons = together([own, *seen] if calm else seen)
+    mine = [chosen(w, inside & w.trials.nominal)] if calm else []
+    lessons = together([*mine, *seen])
     every = np.ones(len(lessons.trials.kind), bool)
-    return monitor(lessons, every, seed, np.arange(len(every)) < len(own.trials.kind) if calm else None)
+    return monitor(lessons, every, seed, np.arange(len(every)) < len(mine[0].trials.kind) if calm else None)
 
 
 def learned(w: Watched, inside: Rows, others: list[Watched], seed: int, way: str) -> dict[str, FaultMonitor]:

@@ -58,8 +58,8 @@ def main() -> None:
     parser.add_argument("--longest", type=float, default=15.0, help="s, cuts every trial")
     options = parser.parse_args()
     few, many = trials_of(options.parity, options.longest), trials_of(options.speed, options.longest)
-    scene = get_scenario(PRESET).scene()
-    certificate = certify(trials_of(CERTIFIED, options.longest))
+    scene_of = get_scenario(PRESET).scene
+    scene, certificate = scene_of(), certify(trials_of(CERTIFIED, options.longest), scene_of)
     result: dict[str, Any] = {
         "preset": PRESET,
         "solver": [ITERATIONS, LS_ITERATIONS],

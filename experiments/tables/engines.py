@@ -187,11 +187,11 @@ def synthesis(result: Result) -> str:
 @table("native-cores", "native_cores")
 def native_cores(result: Result) -> str:
     """The native engine on many cores, by processes and their threads."""
-    counts = ("processes", "threads", "trials"), ("trials_of_15_s_per_minute",)
-    lines = []
-    for row in result["rows"]:
-        whole, speed = (tuple(f"{row[key]:,}" for key in keys) for keys in counts)
-        lines.append((*whole, f"{row['seconds']:.2f}", f"{row['processor_seconds']:.2f}", *speed))
+    keys = (
+        ("processes", ",d"), ("threads", ",d"), ("trials", ",d"), ("seconds", ".2f"), ("processor_seconds", ".2f"),
+        ("trials_of_15_s_per_minute", ",.0f"),
+    )  # fmt: skip
+    lines = [tuple(format(row[key], form) for key, form in keys) for row in result["rows"]]
     head = ("processes", "threads of each", "trials", "seconds", "processor seconds", "trials of 15 s a minute")
     return markdown(head, lines)
 

@@ -199,6 +199,8 @@ def check_place(path: Path, folder: Folder | None) -> None:
         store = next((place for place in (here, *here.parents) if (place / "zarr.json").is_file()), None)
         if store is not None:
             raise InputError(f"{path} is in the store {store}, which holds nothing else; choose another folder.")
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path} is a file; expected a folder.")
     elif not (url_of(path) or is_stream(path) or here.parent.is_dir()):
         parent = here.parent if path.is_symlink() else path.parent
         raise InputError(f"{parent} is not a folder; create it first, or choose another.")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import _thread
 import difflib
-import errno
 import importlib
 import inspect
 import io
@@ -25,7 +24,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import rcbht_jax
-from rcbht_jax._util.atomic import targets
+from rcbht_jax._util.atomic import DISK_FULL, targets
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.printable import printable
 from rcbht_jax.cli import commands
@@ -136,7 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UnicodeEncodeError as error:  # of somebody's names or remarks, on their way into a file
         return _fail(f"A text holds {error.object[error.start : error.end]!r}, which is not valid Unicode.", 2)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in DISK_FULL:
             return _fail(
                 "The disk is full. Free some space and try again; no file was replaced by an incomplete one, and the "
                 "events of a stream end where it filled up.",

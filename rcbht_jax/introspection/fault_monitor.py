@@ -175,9 +175,8 @@ class FaultMonitor:
         for subtask in np.unique(snapshots.subtask).tolist() if subtasks is None else subtasks:
             here = snapshots.subtask == subtask
             rows = _training_rows(snapshots, np.flatnonzero(here & shown), cause, config)
-            causes = set(cause[snapshots.trial[rows]].tolist())
-            reached = calm[snapshots.trial[rows]].any()  # or nothing says what is a false alarm there
-            if NOMINAL in causes and len(causes) > 1 and reached:
+            trained = snapshots.trial[rows]
+            if calm[trained].any() and not nominal[trained].all():  # else nothing says what is a false alarm there
                 machines[subtask] = _classifier(snapshots, here, rows, cause, config.cost, seed, probability)
         if not machines:
             raise InputError(f"no sub-task shows {config.fewest} nominal trials and as many of a cause of failure.")

@@ -6,7 +6,6 @@ names of the features, the encoder's configuration and thresholds, and where it 
 
 from __future__ import annotations
 
-import errno
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts, parse_json, read_arrays
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
@@ -127,7 +126,7 @@ def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDAr
         with atomic_write(path) as draft, draft.open("wb") as out:
             np.savez_compressed(out, allow_pickle=False, meta=np.array(text), **arrays)
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno in DISK_FULL:
             raise
         raise InputError(f"the model cannot be written to {path}: {error.strerror or error}.") from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from rcbht_jax._util.atomic import atomic_write
+from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.printable import printable
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
@@ -121,6 +120,6 @@ def save(figure: Figure, path: Path) -> None:
         with atomic_write(path) as draft:
             figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
-        if error.errno == errno.ENOSPC:
+        if error.errno in DISK_FULL:
             raise
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from error

@@ -134,8 +134,6 @@ def _begin(out: Path) -> None:
         InputError: the folder holds files of somebody else, which may have the names of ours.
     """
     summary = out / "summary.txt"
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out} is a file; expected a folder.")
     if out.is_dir() and any(path.name in WRITTEN for path in out.iterdir()):
         try:
             ours = summary.is_file() and summary.read_bytes().startswith(TITLE.encode())

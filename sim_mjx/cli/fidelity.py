@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -60,12 +61,12 @@ class Fidelity(Command):
     """Store of "rcbht import hiro" with the recorded trials, to compare wrenches with."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of the recorded trials, to compare positions of the arm with."""
-    session: tuple[Session, ...] = ("A", "B", "C", "openhrp")
-    """Sessions whose wrenches are compared."""
+    session: tuple[Session, ...] = ("hooked-A", "hooked-B", "hooked-C", "rigid-openhrp")
+    """Sessions to measure, with the parts named before them."""
     engines: tuple[Literal["mjx", "warp"], ...] = ()
     """Engines to compare with the native one; slow without a GPU."""
     trials: int = 64
-    """Randomised trials to compare solver and engines on."""
+    """Randomised trials to compare solver and engines on, shared among the sessions."""
     max_seconds: float = 13.0
     """Longest duration of these trials, s."""
     seed: int = 0
@@ -99,13 +100,11 @@ class Fidelity(Command):
             raise InputError(
                 f"{self.trials} trials of {self.max_seconds} s: expected 4 to {MOST}, and a positive time below 1000 s."
             )
-        if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"{self.out} is a file; expected a folder.")
-        if self.data is not None and not self.data.is_dir():
-            raise InputError(f"{self.data} is not a folder; expected that of the authors' data sets.")
         for engine in self.engines:
             engines.check(engine)
         if self.data is not None:
+            if not self.data.is_dir():
+                raise InputError(f"{self.data} is not a folder; expected that of the authors' data sets.")
             find_trials(self.data)
 
     def _jobs(self) -> dict[str, Callable[[], Measured]]:
@@ -113,10 +112,12 @@ class Fidelity(Command):
         from rcbht_jax.io.store import read_recordings
         from sim_mjx.validation import fidelity, sessions
 
-        options = (self.trials, self.seed, self.max_seconds)
-        jobs: dict[str, Callable[[], Measured]] = {"solver": lambda: (fidelity.convergence(*options), None)}
-        for engine in self.engines:
-            jobs[f"engine {engine}"] = partial(_parity, engine, *options)
+        options = (self._trials_of_each(), self.seed, self.max_seconds)
+        jobs: dict[str, Callable[[], Measured]] = {}
+        for name in self.session:
+            jobs[f"solver {name}"] = partial(_convergence, name, *options)
+        for engine, name in product(self.engines, self.session):
+            jobs[f"engine {engine} {name}"] = partial(_parity, engine, name, *options)
         if self.data is not None:
             data = self.data
             jobs["kinematics"] = lambda: (fidelity.kinematics(data), None)
@@ -126,6 +127,10 @@ class Fidelity(Command):
                 target = sessions.recorded(recordings, name)
                 jobs[f"session {name}"] = partial(fidelity.session, target, None, self.seed)
         return jobs
+
+    def _trials_of_each(self) -> int:
+        """Trials of a session that solver and engines are compared on, rounded up."""
+        return -(-self.trials // len(self.session))
 
     def _part(self, name: str, job: Callable[[], Measured]) -> dict[str, Any]:
         """Measure one part, unless an earlier run with the same options, data and code has."""
@@ -151,13 +156,21 @@ class Fidelity(Command):
 
         data = None if self.recorded is None else read_attrs(self.recorded)["content_sha256"]
         folder = None if self.data is None else str(self.data.resolve())
-        return [code_hash(), self.trials, self.max_seconds, self.seed, data, folder]
+        return [code_hash(), self._trials_of_each(), self.max_seconds, self.seed, data, folder]
 
 
-def _parity(engine: str, trials: int, seed: int, longest: float) -> Measured:
+def _convergence(name: str, trials: int, seed: int, longest: float) -> Measured:
+    from sim_mjx.presets import preset
     from sim_mjx.validation import fidelity
 
-    return fidelity.parity(engine, trials, seed, longest), None
+    return fidelity.convergence(preset(name), trials, seed, longest), None
+
+
+def _parity(engine: str, name: str, trials: int, seed: int, longest: float) -> Measured:
+    from sim_mjx.presets import preset
+    from sim_mjx.validation import fidelity
+
+    return fidelity.parity(engine, preset(name), trials, seed, longest), None
 
 
 def _write(path: Path, text: str) -> None:
@@ -169,8 +182,8 @@ def _write(path: Path, text: str) -> None:
 
 def table(report: dict[str, Any]) -> str:
     """The report as a table: measurement, limit, verdict."""
-    lines = [_solver(report["solver"])]
-    lines += [_engine(value) for name, value in report.items() if name.startswith("engine ")]
+    lines = [_solver(name, value) for name, value in report.items() if name.startswith("solver ")]
+    lines += [_engine(name, value) for name, value in report.items() if name.startswith("engine ")]
     for name, row in report.get("kinematics", {}).items():
         value = f"{row['rms_mm']:.4f} mm, {row['rms_degrees']:.4f} deg rms over {row['trials']} approaches"
         lines.append(_line(f"kinematics {name}", value, "{:g} mm, {:g} deg".format(*row["limits"]), row["holds"]))
@@ -198,23 +211,23 @@ def _snaps(row: dict[str, Any]) -> str:
 
 def _line(name: str, value: str, limit: str = "", holds: bool | None = None) -> str:
     verdict = "" if holds is None else ("ok" if holds else "MISSED")
-    return f"{name:20}{value:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
+    return f"{name:28}{value:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
 
 
-def _solver(row: dict[str, Any]) -> str:
+def _solver(name: str, row: dict[str, Any]) -> str:
     step, limits = row["step"], row["limits"]
     value = f"{step['force']:.2g} N, {step['moment']:.2g} Nm from converged, {row['trials']} trials"
-    return _line("solver", value, f"{limits['force']:g} N, {limits['moment']:g} Nm", row["holds"])
+    return _line(name, value, f"{limits['force']:g} N, {limits['moment']:g} Nm", row["holds"])
 
 
-def _engine(row: dict[str, Any]) -> str:
+def _engine(name: str, row: dict[str, Any]) -> str:
     value = (
         f"{row['force_until_contact']:.2g} N until contact, labels {min(row['labels'].values()):.1%}, "
         f"outcome {row['same_outcome']:.1%}"
     )
     limits = row["limits"]
     limit = f"{limits['force']:g} N, {limits['labels']:.0%}, {limits['outcome']:.0%}"
-    return _line(f"engine {row['engine']}", value, limit, row["holds"])
+    return _line(name, value, limit, row["holds"])
 
 
 def _session(name: str, row: dict[str, Any]) -> list[str]:

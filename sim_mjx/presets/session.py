@@ -65,10 +65,15 @@ class SessionPreset:
     pose_limits: Range | None = None  # rms distance, mm, and turn, degrees, of computed and recorded tool poses
     gate: GateLimits | None = None  # what the simulated wrench must have in common with the recorded one
 
-    def scene(self, finer: int = 1) -> Scene:
-        """One arm with these parts, whose contacts creep as the session says; ``finer`` times the physics steps."""
+    def scene(self, finer: int = 1, **solver: int) -> Scene:
+        """One arm with these parts, whose contacts creep as the session says.
+
+        Args:
+            finer: times the usual number of physics steps.
+            solver: ``iterations`` and ``ls_iterations`` in place of the usual ones.
+        """
         make, steps = (hooked, HOOK_SUBSTEPS) if isinstance(self.parts, HookedParams) else (one_arm, SUBSTEPS)
-        return make(steps * finer, impratio=self.impratio)
+        return make(steps * finer, impratio=self.impratio, **solver)
 
 
 def jr3_sensor(reference: Vector, bias: tuple[float, ...]) -> SensorParams:

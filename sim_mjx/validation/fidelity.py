@@ -43,16 +43,15 @@ Poses = Float64[np.ndarray, "sample 6"]  # joint angles, rad; or place and roll,
 OTHER_POSE = ("ERROR-14", "20120426")
 
 
-def mixed_trials(count: int, seed: int, longest: float | None) -> TrialParams:
-    """Randomised trials with and without faults, of all one-arm presets in turn."""
-    presets = list(ONE_ARM.values())
+def _trials(session: SessionPreset, count: int, seed: int, longest: float | None) -> TrialParams:
+    """Randomised trials with and without faults."""
     spec = DomainRandomization(longest=longest)
-    return stack([sample(presets[index % len(presets)], seed, index, spec)[0] for index in range(count)])
+    return stack([sample(session, seed, index, spec)[0] for index in range(count)])
 
 
-def convergence(trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
+def convergence(session: SessionPreset, trials: int = 16, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
     """Production settings of the solver against far more iterations; see ``solver_convergence``."""
-    certificate = certify(mixed_trials(trials, seed, longest))
+    certificate = certify(_trials(session, trials, seed, longest), session.scene)
     return {
         "settings": [ITERATIONS, LS_ITERATIONS],
         **asdict(certificate),
@@ -61,13 +60,15 @@ def convergence(trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[
     }
 
 
-def parity(engine: str, trials: int = 64, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:
+def parity(
+    engine: str, session: SessionPreset, trials: int = 16, seed: int = 0, longest: float = 13.0
+) -> dict[str, Any]:
     """The same trials in another engine and in the native one; see ``sim_mjx.validation.engine_parity``.
 
     Raises:
         InputError: unknown engine.
     """
-    params, scene = mixed_trials(trials, seed, longest), one_arm()
+    params, scene = _trials(session, trials, seed, longest), session.scene()
     expected, contact = reference(scene, params)
     differences = compared(expected, contact, engines.simulate(scene, params, engine))
     limits = {"force": FORCE, "moment": MOMENT, "labels": LABELS_LIMIT, "outcome": OUTCOME_LIMIT}

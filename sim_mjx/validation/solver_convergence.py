@@ -18,7 +18,7 @@ from jaxtyping import Float, Int64
 from mujoco import rollout as mj_rollout
 
 from sim_mjx.assembly.rollout import Rollouts, batch_size
-from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene, one_arm
+from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.engines.native import Rows, States, Steps
@@ -57,14 +57,14 @@ class Certificate:
 
 def certify(
     params: Any,
-    scene_of: Callable[..., Scene] = one_arm,
+    scene_of: Callable[..., Scene],
     settings: tuple[int, int] = (ITERATIONS, LS_ITERATIONS),
 ) -> Certificate:
     """Simulate a batch of trials with the native engine, with production and with reference settings.
 
     Args:
         params: batch of trials.
-        scene_of: makes the scene, given ``iterations`` and ``ls_iterations``.
+        scene_of: makes their scene, given ``iterations`` and ``ls_iterations``.
         settings: iterations of the solver and of its line search that are certified.
     """
     scene = scene_of(iterations=settings[0], ls_iterations=settings[1])

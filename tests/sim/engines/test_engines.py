@@ -177,12 +177,12 @@ def test_a_tab_is_past_its_lip_only_beneath_and_near_it() -> None:
 
 def test_production_settings_are_converged_and_a_few_iterations_are_not() -> None:
     params = short_trials(4)
-    good = certify(params)
+    good = certify(params, one_arm)
     assert good.converged
     assert good.path.force <= 0.05
     assert good.path.moment <= 0.005
     assert (good.trials, good.same_onsets, good.same_outcome) == (4, 1.0, 1.0)
-    bad = certify(params, settings=(2, 4))
+    bad = certify(params, one_arm, settings=(2, 4))
     assert not bad.converged
     assert bad.step.time > 0.5  # not before the contact
 

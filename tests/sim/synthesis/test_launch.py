@@ -121,7 +121,7 @@ def test_a_worker_has_the_words_of_the_job(tmp_path: Path, monkeypatch: pytest.M
 def test_many_cores_have_several_processes(
     cores: int, trials: int, engine: str, count: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each with a shard to do; a GPU and few cores have one."""
+    """Each with enough to do; a GPU and few cores have one."""
     begun: list[int] = []
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     monkeypatch.setattr(launch, "local", lambda _, environments, *__: begun.append(len(environments)))

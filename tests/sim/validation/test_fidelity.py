@@ -128,12 +128,12 @@ def test_another_engine_is_held_against_the_native_one(monkeypatch: pytest.Monke
         return replace(out, wrench=out.wrench + np.float32(0.3), seated=out.seated)
 
     monkeypatch.setattr(engines, "simulate", off)
-    said = fidelity.parity("mjx", trials=4, longest=1.0)
+    said = fidelity.parity("mjx", preset("hooked-B"), trials=4, longest=1.0)
     assert said["force_until_contact"] == pytest.approx(0.3, abs=1e-4)
     assert said["same_outcome"] == 1.0
     assert not said["holds"]
-    line = table({"solver": SOLVER, "engine mjx": json.loads(json.dumps(said)), "left_out": []}).splitlines()[1]
-    assert line.startswith("engine mjx")
+    line = table({"engine mjx hooked-B": json.loads(json.dumps(said)), "left_out": []})
+    assert line.startswith("engine mjx hooked-B")
     assert line.endswith("MISSED")
 
 
@@ -193,7 +193,7 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
 
 def test_misses_are_said() -> None:
     said = {
-        "solver": SOLVER,
+        "solver A": SOLVER,
         "session A": {
             "mated": 0, "trials": 4, "holds": False, "onsets": None, "ring": None, "recorded_ring": None, "seated": 0.0,
             "snaps": None, "recorded_snaps": None, "gate": {},
@@ -223,6 +223,7 @@ def test_misses_are_said() -> None:
         (["--trials", "9" * 20], "expected 4 to 100000"),
         (["--data", "nowhere"], "nowhere is not a folder"),
         (["--data", "."], "holds no trial"),
+        (["-o", "file"], "file is a file; expected a folder"),
         (["--recorded", "nowhere.zarr"], "nowhere.zarr"),
     ],
 )
@@ -230,6 +231,7 @@ def test_mistakes_are_one_sentence(
     words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
     assert main.main(["fidelity", "-o", "out", *words]) == 2
     assert sentence in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out").exists()
