@@ -124,8 +124,8 @@ def measures(p: Floats, y: Ints, whole: Flags) -> dict[str, float]:
 
 
 def inside_of(stream: Stream, sessions: tuple[str, ...], seed: int) -> Flags:
-    """Which intervals train: half of the trials, or those of one session."""
-    return stream.items.session == sessions[0] if sessions else halves(stream.items, seed)
+    """Which intervals train: half of the trials, or those of the sessions joined by + in the first name."""
+    return np.isin(stream.items.session, sessions[0].split("+")) if sessions else halves(stream.items, seed)
 
 
 def told(stream: Stream, relative: bool, inside: Flags, seed: int) -> dict[str, float]:

@@ -65,7 +65,7 @@ def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
         rows[name] = command(folder, 10 * TRIALS, gpus[:2])
     card = jax.devices()[0].device_kind.split()[1]
     rows = {name: row | {"card": card} for name, row in rows.items()}
-    about = {"longest_s": LONGEST, "engine": ENGINE, "preset": PRESET, "rows": rows}
+    about = {"longest_s": LONGEST, "engine": ENGINE, "rows": rows}
     write_result("simulate_gpu", "python -m experiments.simulation.simulate_gpu FOLDER", about, 0)
 
 

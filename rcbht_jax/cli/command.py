@@ -74,7 +74,11 @@ Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for exa
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.")]
 Boundaries = Annotated[
-    str, option("Variant of the track: TASK-BOUNDARIES is used where it exists, for example states-merged.")
+    str,
+    option(
+        "Variant of the track: merged for the track states-merged; recorded for states itself, which also serves where "
+        "there is no states-harmonised."
+    ),
 ]
 NewWindow = Annotated[
     int | None, option("Encode now with this many samples per linear fit.", "use the stored labels", metavar="INT")

@@ -257,7 +257,7 @@ def _suggestion(close: Sequence[str], command: str, what: str) -> str:
 
 
 def _fail(sentence: str, status: int) -> int:
-    print(f"rcbht: {printable(sentence)}", file=sys.stderr)
+    print(f"rcbht: {printable(sentence)}".replace("\n", "\\n"), file=sys.stderr)  # a name must not make lines
     return status
 
 

@@ -27,6 +27,7 @@ from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: nobody judged the trial
 BOTH = "both"  # arms, side by side
+USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where there are some; those of the track itself
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class TaskSpec:
     """
 
     task: str = "states"  # track of annotations, or column
-    boundaries: str = "harmonised"  # variant of the track: TASK-harmonised is used where there is one; else TASK
+    boundaries: str = USUAL  # variant of the track: TASK-harmonised where there is one, else TASK; or PLAIN
     arms: str = "R"  # one arm, or "both" side by side; where there is only one, that one
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
@@ -144,10 +145,15 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     """The track of annotations of a task; "" = it is about whole recordings and their column.
 
     Raises:
-        InputError: there is neither a track nor a column of that name, or it is a track of which seconds are asked for.
+        InputError: there is neither a track nor a column of that name, the track has no such variant, or it is a track
+            of which seconds are asked for.
     """
-    tracks = recordings.annotations.tracks
-    for track in (f"{spec.task}-{spec.boundaries}", spec.task):
+    tracks, variant = recordings.annotations.tracks, f"{spec.task}-{spec.boundaries}"
+    if spec.task in tracks and variant not in tracks and spec.boundaries not in (USUAL, PLAIN):
+        prefix = f"{spec.task}-"
+        known = ", ".join([PLAIN, *(track.removeprefix(prefix) for track in tracks if track.startswith(prefix))])
+        raise InputError(f"There are no boundaries {spec.boundaries!r} of {spec.task}; expected {known}.")
+    for track in (variant, spec.task):
         if track in tracks:
             if spec.seconds:
                 raise InputError(

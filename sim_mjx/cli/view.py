@@ -63,16 +63,18 @@ class View(Command):
         self._check(out)
         recordings = read_recordings(self.store)
         row = find_recording(recordings, self.trial, self.arm, self.source)
+        film = out is not None and out.suffix.lower() in animation.SUFFIXES
+        drawn = None if out is None or film else self._labelled(recordings, row)  # refused before the simulation
         replay = self._replay(recordings, row)
         result = {"trial": str(recordings.trial[row]), "how": replay.how, "picture": None if out is None else str(out)}
         times = events(replay, recordings, row)
         if out is None:
             show(replay, self.speed)
-        elif out.suffix.lower() in animation.SUFFIXES:
+        elif drawn is None:
             with progress_bar("film", "frames") as bar:
                 animation.film(out, replay, recordings, row, speed=self.speed, progress=lambda n, of: _show(bar, n, of))
         else:
-            labelled, tracks, at, rule = self._labelled(recordings, row)
+            labelled, tracks, at, rule = drawn
             save(trial_overview(replay, labelled, tracks, at, times, SAYS[rule]), out)
         return {**result, "moments": times}
 

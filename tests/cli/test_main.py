@@ -16,6 +16,7 @@ from hypothesis import given
 
 from rcbht_jax.cli import main
 from rcbht_jax.cli.command import Command
+from rcbht_jax.errors import InputError
 
 
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["import", "--help"], ["--version"]])
@@ -94,7 +95,9 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
         (OSError(errno.ENOSPC, "No space left on device"), 1, "disk is full"),
         (MemoryError(), 2, "The memory does not suffice; use fewer"),
         (MemoryError("Unable to allocate 7 TiB"), 2, "does not suffice (Unable to allocate 7 TiB); use"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), 1, "disk is full"),
         (PermissionError(errno.EACCES, "Permission denied", "x.zarr"), 2, "x.zarr cannot be used"),
+        (InputError("a\nb.zarr is damaged."), 2, "rcbht: a\\nb.zarr is damaged."),
     ],
 )
 def test_interruptions_end_in_a_sentence(

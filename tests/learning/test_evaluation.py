@@ -98,6 +98,11 @@ def test_boundaries_can_be_harmonised_or_merged(recordings):
     assert merged.y[:3].tolist() == [0, 1, 2]
 
 
+def test_boundaries_that_no_track_has_are_refused(recordings):
+    with pytest.raises(InputError, match="no boundaries 'nope' of states; expected recorded, harmonised, merged"):
+        labelled_intervals(recordings, TaskSpec(boundaries="nope"))
+
+
 def test_merging_needs_no_rotation_mark(recordings):
     onset = recordings.starts(RECORDED).copy()
     onset[:, 2] = np.nan

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from rcbht_jax.cli import main
+from rcbht_jax.types import Recordings
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -18,6 +19,14 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 def test_a_picture_of_no_format_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # no store: reading it is the work
     assert "trial.txt does not end in" in refused(capsys, str(tmp_path), "t", "-o", str(tmp_path / "trial.txt"))
+
+
+def test_tracks_that_are_not_there_are_refused_before_the_simulation(
+    hiro_store: Path, hiro_recordings: Recordings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # without --data, of which the motion asks
+    words = [str(hiro_store), str(hiro_recordings.trial[0]), "-o", str(tmp_path / "trial.png"), "--tracks", "NOPE"]
+    assert "has no label tracks" in refused(capsys, *words)
 
 
 def test_a_display_that_is_not_there_is_one_sentence(
