@@ -151,8 +151,8 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
     tracks, variant = recordings.annotations.tracks, f"{spec.task}-{spec.boundaries}"
     if spec.task in tracks and variant not in tracks and spec.boundaries not in (USUAL, PLAIN):
         prefix = f"{spec.task}-"
-        known = ", ".join([PLAIN, *(track.removeprefix(prefix) for track in tracks if track.startswith(prefix))])
-        raise InputError(f"There are no boundaries {spec.boundaries!r} of {spec.task}; expected {known}.")
+        variants = [PLAIN, *(track.removeprefix(prefix) for track in tracks if track.startswith(prefix))]
+        raise InputError(f"There are no boundaries {spec.boundaries!r} of {spec.task}; expected {', '.join(variants)}.")
     for track in (variant, spec.task):
         if track in tracks:
             if spec.seconds:
