@@ -358,7 +358,7 @@ class Recordings:
         A column that a part lacks is empty there: "" or NaN.
 
         Raises:
-            InputError: there are none, or their sampling periods or axes differ.
+            InputError: there are none, or their sampling periods, axes or kinds of columns differ.
         """
         periods = sorted({part.dt for part in parts})
         if len(periods) != 1:
@@ -371,6 +371,9 @@ class Recordings:
             name: np.concatenate([getattr(part, name) for part in parts]) for name in ("length", *_TEXTS)
         }
         names = dict.fromkeys(name for part in parts for name in part.columns)
+        for name in names:
+            if len({part.columns[name].dtype.kind == "U" for part in parts if name in part.columns}) > 1:
+                raise InputError(f"data sets to be joined have text and numbers in the column {name}.")
         columns = {name: np.concatenate([_column(part, name, parts) for part in parts]) for name in names}
         marks = Annotations.join([part.annotations for part in parts], [len(part) for part in parts])
         return replace(parts[0], wrench=np.concatenate(wide), columns=columns, annotations=marks, **texts)

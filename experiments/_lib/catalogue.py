@@ -68,6 +68,10 @@ EXPERIMENTS = (
         shorter_minutes=3,
     ),
     Experiment("zero_shot", "classification.zero_shot", 3, (SETS,), ("data",)),
+    Experiment(
+        "zero_shot_stream", "online.zero_shot_stream", 30, (SETS,), ("data",), shorter=("--only", "to A and B"),
+        shorter_minutes=10,
+    ),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("external_rest", "words.external_rest", 1, needs=("external",)),
     Experiment("fit_latency", "words.latency", 1, needs=("data",)),

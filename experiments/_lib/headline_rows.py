@@ -42,6 +42,14 @@ STREAMED = {
     "B to A": "the same, session B to session A",
     "SIM1": "states, the authors' simulated trials, streamed, beginnings not given",
 }
+# Row of zero_shot_stream.json -> what it is called.
+STREAMED_SIMULATED = {
+    "simulated to A and B": "states, real trials, tared, streamed, beginnings not given, zero shot",
+    "A to B": "the same, session A to session B",
+    "B to A": "the same, session B to session A",
+    "simulated and A to B": "the same, session A and simulated trials to session B",
+    "simulated and B to A": "the same, session B and simulated trials to session A",
+}
 # Boundaries of zero_shot.json -> what it is called.
 ZERO_SHOT = {
     "three states": "three states, real trials, zero shot: simulated trials, part and sensor fitted to none of them",
@@ -66,11 +74,17 @@ class HeadlineRow:
     source: str
 
 
-def headline_rows(headline: Record, zero_shot: Record, causal: Record, peers: Record) -> Iterator[HeadlineRow]:
+SOURCES = ("headline", "zero_shot", "causal", "zero_shot_stream", "peers")  # results that the rows come from
+
+
+def headline_rows(
+    headline: Record, zero_shot: Record, causal: Record, simulated: Record, peers: Record
+) -> Iterator[HeadlineRow]:
     """The rows in the order of the README."""
     yield from _offline(headline, peers)
     yield from _zero_shot(zero_shot)
-    yield from _streamed(causal)
+    yield from _streamed(causal, STREAMED, "causal")
+    yield from _streamed(simulated, STREAMED_SIMULATED, "zero_shot_stream")
 
 
 def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
@@ -105,12 +119,12 @@ def _zero_shot(result: Record) -> Iterator[HeadlineRow]:
         )  # fmt: skip
 
 
-def _streamed(causal: Record) -> Iterator[HeadlineRow]:
-    for name, title in STREAMED.items():
-        row, belief = causal["rows"][name], causal["belief of the method"]
+def _streamed(result: Record, titles: dict[str, str], source: str) -> Iterator[HeadlineRow]:
+    for name, title in titles.items():
+        row, belief = result["rows"][name], result["belief of the method"]
         yield HeadlineRow(
             title, "", row[f"{NOTICED}frozen, {belief}"][MEASURE],
             row[f"{NOTICED}frozen, relative, {belief}"][MEASURE],
             row[ELAPSED][MEASURE], ("last 0.1 s and elapsed time, forest", row[FOREST][MEASURE]),
-            None, row["trials tested"], row["method"], ("lengths",), "causal",
+            None, row["trials tested"], row["method"], ("lengths",), source,
         )  # fmt: skip

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from experiments._lib.headline_rows import headline_rows
+from experiments._lib.headline_rows import SOURCES, headline_rows
 from experiments._lib.results_io import COMMITTED, committed
 from rcbht_jax.report.results import SCHEMA
 
@@ -87,7 +87,7 @@ def _interval(score: Record) -> tuple[float, float]:
 
 def _frozen() -> Iterator[Record]:
     """The frozen method, on every benchmark."""
-    for row in headline_rows(*map(committed, ("headline", "zero_shot", "causal", "peers"))):
+    for row in headline_rows(*map(committed, SOURCES)):
         yield _row(
             f"One frozen method ({row.method[:12]})", row.title, row.score, row.flags, row.source, row.paper,
             _peer(*row.peer), row.duration["mean"],

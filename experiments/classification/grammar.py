@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from experiments._lib.benchmarks import BENCHMARKS, FAILURES, Benchmark, items_of, recorded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import failure_types
-from experiments.classification.sim_to_real_sets import TARE_SECONDS
+from experiments._lib.zero_shot_set import TARE_SECONDS
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset

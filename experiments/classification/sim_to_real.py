@@ -33,8 +33,9 @@ from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
+from experiments._lib.zero_shot_set import TARE_SECONDS
 from experiments.classification.sim_to_real_rows import ALL, CANDIDATES, ROWS, Row
-from experiments.classification.sim_to_real_sets import PRESETS, SETS, TARE_SECONDS, Labelling, Sets
+from experiments.classification.sim_to_real_sets import PRESETS, SETS, Labelling, Sets
 from experiments.classification.sim_to_real_sets import SEED as SEED_OF_SETS
 from rcbht_jax.calibration import contextual
 from rcbht_jax.calibration.dataset import calibration_data

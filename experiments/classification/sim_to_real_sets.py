@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments._lib.tasks import states
+from experiments._lib.zero_shot_set import TARE_SECONDS, WIDE
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
@@ -38,12 +39,6 @@ NONE = DomainRandomization(
     gain=ONE, goal=ONE, speed=ONE, noise=ONE, force_bias=(0.0, 0.0), moment_bias=(0.0, 0.0), tare=ONE,
 )  # fmt: skip
 MILD = DomainRandomization(nominal_share=1.0)
-# What another robot, part or day might bring, without looking at any: half to twice each physical unknown.
-WIDE = DomainRandomization(
-    nominal_share=1.0, shift=(-2e-3, 2e-3), turn=(-0.02, 0.02), stiffness=(0.5, 2.0), overlap=(0.8, 1.1),
-    friction=(0.5, 2.0), mount=(0.6, 1.7), gain=(0.8, 1.25), goal=(0.7, 1.4), speed=(0.6, 1.6), lag=(3, 8),
-    noise=(0.5, 2.0), force_bias=(-1.0, 1.0), moment_bias=(-0.05, 0.05), tare=(0.8, 1.0), mating=(1.0, 20.0),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,6 @@ RECORDED = {
     "C": states(sessions=("C",), outcomes=("failure",)),
     "SIM1": states(sessions=("SIM1",)),
 }
-TARE_SECONDS = 1.0  # of free space at the beginning of every trial
 SPEC = FeatureSpec(families=tuple(family for family in FAMILIES if family != "sentence"))
 
 SETS = {

@@ -1,11 +1,9 @@
 """Zero shot: the frozen method trained on simulated trials, of which nothing was fitted to a recorded session.
 
-One part, that of the OpenHRP preset, which was fitted to the authors' own simulation; a sensor such as data sheets
-describe (unit gain, a low pass of 10 Hz, noise of a twentieth of a percent of 200 N and 10 Nm, moments about a point
-5 cm from the wrist); widely randomised placement, parts, gains, set-points, speed, noise and drift. Kernel, cost and
-families are chosen inside the simulated set. Of a recorded trial the mean of its first second is subtracted; nothing
-else is used before it is classified. The settings below were fixed before the first score; that mating must vary in
-length, and that a sensor needs noise, was known from scores on the same recorded trials (docs/evaluation.md).
+The trials are those of ``experiments._lib.zero_shot_set``. Kernel, cost and families are chosen inside the simulated
+set. Of a recorded trial the mean of its first second is subtracted; nothing else is used before it is classified. The
+settings were fixed before the first score; that mating must vary in length, and that a sensor needs noise, was known
+from scores on the same recorded trials (docs/evaluation.md).
 
 Run: python -m experiments.classification.zero_shot FOLDER
 FOLDER keeps the simulated set; it is made if it is missing. Reads the recorded trials (RCBHT_DATA).
@@ -26,30 +24,25 @@ import tyro
 
 from experiments._lib import frozen
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import recorded, rounded, segments
+from experiments._lib.benchmarks import rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial
 from experiments._lib.tasks import states
-from experiments.classification.sim_to_real_sets import TARE_SECONDS, WIDE
-from rcbht_jax.io.store import read_recordings
-from rcbht_jax.io.tare import tare
+from experiments._lib.zero_shot_set import (
+    PRESET,
+    SEED,
+    SESSIONS,
+    SIMULATED,
+    SPEC,
+    TARE_SECONDS,
+    TRIALS,
+    simulated_and_recorded,
+)
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
-from sim_mjx.synthesis import pipeline
-from sim_mjx.synthesis.plan import SynthesisConfig
 
-SEED, TRIALS, PRESET = 40, 256, "openhrp"
 BOUNDARIES = {"merged": "three states", "harmonised": "four states"}
-SESSIONS = ("A", "B")
-WORN = "A"  # a session's sensor has to be named for noise and drift to vary; every number of it is replaced below
-SENSOR = (
-    ("sensor.a", 0.73), ("sensor.b", 0.27), ("sensor.c", 1.0), ("sensor.d", 0.0),  # 10 Hz at 200 Hz, unit gain
-    ("sensor.delay", 5.0), ("sensor.tared", 1.0),
-    ("sensor.noise[0:3]", 0.1), ("sensor.noise[3:6]", 0.005), ("sensor.step[0:3]", 0.02), ("sensor.step[3:6]", 0.001),
-    ("sensor.bias", 0.0), ("sensor.reference[0]", -0.05), ("sensor.reference[1:3]", 0.0),
-)  # fmt: skip
-SPEC = replace(WIDE, mating=(0.5, 30.0), sensor=WORN, physical=SENSOR)
 FEATURES = {"frozen": False, "frozen, relative": True}
 
 
@@ -61,14 +54,7 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def recordings(self) -> Recordings:
-        target = self.folder / f"zero-shot-{TRIALS}.zarr"
-        if not target.exists():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            pipeline.synthesise(target, SynthesisConfig(PRESET, TRIALS, SEED, shard=64, spec=SPEC))
-        known, made = recorded(), read_recordings(target)
-        real = known.take(np.isin(known.session, SESSIONS))
-        made = replace(made, session=np.full(len(made), "simulated"))
-        return tare(Recordings.join([made, real]), round(TARE_SECONDS / real.dt))
+        return simulated_and_recorded(self.folder)
 
     @cache  # noqa: B019
     def grammars(self) -> frozen.Grammars:
@@ -88,7 +74,7 @@ class Experiment:
     def row(self, boundaries: str, name: str) -> Callable[[], Any]:
         def make() -> Any:
             items = self.items(boundaries)
-            train, test = (np.flatnonzero((items.session == "simulated") == side) for side in (True, False))
+            train, test = (np.flatnonzero((items.session == SIMULATED) == side) for side in (True, False))
             predicted, choice = self.learner(name, items)(train, test, SEED)
             right = predicted == items.y[test]
             out: dict[str, Any] = {"training trials": len(np.unique(items.trial[train]))}

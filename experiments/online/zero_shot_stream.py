@@ -1,9 +1,10 @@
 """Sub-tasks of recorded streams by the frozen method, learned from simulated trials that no recording shaped.
 
-The trials of ``experiments.classification.zero_shot``, tared by their first second as a robot tares before it starts,
-train alone, or beside those of one recorded session; the recorded trials that do not train are streamed, with
-beginnings given and detected, beside the baselines of ``experiments.online.causal`` on the same trials. Nothing is
-chosen here: the method is the frozen one, the simulated trials are the first of the set.
+The trials of ``experiments._lib.zero_shot_set``, tared by their first second as a robot tares before it starts, train
+alone, or beside those of one recorded session; the recorded trials that do not train are streamed, with beginnings
+given and detected, beside the baselines of ``experiments.online.causal`` on the same trials. The last rows show what
+the tare alone changes. Nothing is chosen here: the method is the frozen one, the simulated trials are the first of the
+set.
 
 Run: python -m experiments.online.zero_shot_stream FOLDER
 FOLDER keeps the simulated set; it is made if it is missing. Finished rows are stored; the same command resumes an
@@ -12,43 +13,48 @@ interrupted run. Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import tyro
 
+from experiments._lib import frozen
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from experiments.classification.zero_shot import PRESET, Experiment
+from experiments._lib.zero_shot_set import PRESET, SIMULATED, simulated_and_recorded
 from experiments.online import causal
 
-SIMULATED = "simulated"  # as the set of zero_shot names their session
 TRIALS, SEED = 64, 0  # simulated trials, whose snapshots a machine with a radial kernel learns in minutes
-SPLITS = {
+SPLITS = {  # what trains, what is streamed
     "simulated to A and B": (SIMULATED, "A+B"),
     "simulated and A to B": (f"{SIMULATED}+A", "B"),
     "simulated and B to A": (f"{SIMULATED}+B", "A"),
+    "A to B": ("A", "B"),
+    "B to A": ("B", "A"),
 }
 
 
-def stream_of(experiment: Experiment) -> causal.Stream:
-    """Simulated and recorded trials as one set of streams."""
-    data = experiment.recordings()
-    simulated = np.cumsum(data.session == SIMULATED) <= TRIALS
-    return causal.Stream(experiment.method, data.take(simulated | (data.session != SIMULATED)), outcomes=())
+def stream_of(method: frozen.FrozenMethod, folder: Path, split: tuple[str, str]) -> causal.Stream:
+    """The trials of a split as one set of streams."""
+    data = simulated_and_recorded(folder)
+    wanted, simulated = np.isin(data.session, "+".join(split).split("+")), data.session == SIMULATED
+    return causal.Stream(method, data.take(wanted & (~simulated | (np.cumsum(simulated) <= TRIALS))), outcomes=())
 
 
 def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
-    experiment = Experiment(folder)
-    stream = cache(partial(stream_of, experiment))
+    method = frozen.load()
     about = {
         "what": "states of recorded streams by the frozen method, trained on simulated trials fitted to none of them",
         "preset": PRESET,
         "simulated trials": TRIALS,
-        "sha256 of the method": experiment.method.sha256,
-        "belief of the method": experiment.method.streamed["belief"],
+        "sha256 of the method": method.sha256,
+        "belief of the method": method.streamed["belief"],
     }
-    wanted = {name: partial(causal.row, stream, sessions, range(SEED, SEED + 1)) for name, sessions in SPLITS.items()}
+    seeds = range(SEED, SEED + 1)
+    wanted = {
+        name: partial(causal.row, partial(stream_of, method, folder, split), split, seeds)
+        for name, split in SPLITS.items()
+    }
     Rows("zero_shot_stream", "python -m experiments.online.zero_shot_stream FOLDER", about, SEED).fill(wanted, only)
 
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments._lib.headline_rows import MEASURE, headline_rows
+from experiments._lib.headline_rows import MEASURE, SOURCES, headline_rows
 from experiments.tables.cells import NONE, markdown, score, table
 
 Result = dict[str, Any]
 SHORT = 12  # digits of a digest that are shown
 
 
-@table("results", "headline", "zero_shot", "causal", "peers", links=True)
-def results(headline: Result, zero_shot: Result, causal: Result, peers: Result, way: str) -> str:
+@table("results", *SOURCES, links=True)
+def results(*sources: Result, way: str) -> str:
     """The frozen method on every benchmark; each row carries the digest of the method that made it."""
     lines = []
-    for row in headline_rows(headline, zero_shot, causal, peers):
+    for row in headline_rows(*sources):
         seen = "" if row.allowed is None else f"; none wrong of {row.tested}, at most {row.allowed:.1%}"
         name, peer = row.peer
         lines.append(
@@ -42,6 +42,7 @@ def choice(result: Result) -> str:
 
 
 @table("causal", "causal")
+@table("causal-simulated", "zero_shot_stream")
 def causal(result: Result) -> str:
     """Step accuracy with beginnings given and detected, beside simple baselines."""
     sets = {name: row for name, row in result["rows"].items() if "trials tested" in row}

@@ -7,6 +7,7 @@ and shell completion are quick. A table of commands (see :mod:`rcbht_jax.cli.com
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import typing
@@ -58,6 +59,12 @@ _PLACE = tyro.constructors.PrimitiveConstructorSpec[Path](  # a folder or a URL,
     str_from_instance=lambda path: [str(path)],
 )
 Store = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), _PLACE, STORE]
+Stores = Annotated[
+    tuple[Annotated[Path, _PLACE], ...],
+    tyro.conf.Positional,
+    option("Stores to read, two or more.", "", metavar="STORE.zarr STORE.zarr"),
+    STORE,
+]
 LabelledStore = Annotated[
     Path,
     tyro.conf.Positional,
@@ -158,10 +165,10 @@ class Command(ABC):
                 if written in OUTPUTS and name != written and _harms(output, path):
                     raise InputError(f"{output} is to be written and is used as {name}; choose another name.")
         for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
-            path, marks = getattr(self, name), getattr(hint, "__metadata__", ())
-            if name in OUTPUTS and isinstance(path, Path):
-                check_place(path, next((mark for mark in marks if isinstance(mark, Folder)), None))
-            for mark in marks:
+            value, marks = getattr(self, name), getattr(hint, "__metadata__", ())
+            if name in OUTPUTS and isinstance(value, Path):
+                check_place(value, next((mark for mark in marks if isinstance(mark, Folder)), None))
+            for mark, path in itertools.product(marks, value if isinstance(value, tuple) else (value,)):
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
@@ -171,7 +178,8 @@ class Command(ABC):
 
     def _paths(self) -> list[tuple[str, Path]]:
         """Options that name a file, the source of a stream among them; "-" is the file behind standard input."""
-        paths = [(name, value) for name, value in vars(self).items() if isinstance(value, Path)]
+        every = ((name, value if isinstance(value, tuple) else (value,)) for name, value in vars(self).items())
+        paths = [(name, value) for name, values in every for value in values if isinstance(value, Path)]
         source = vars(self).get("source")
         if source and isinstance(source, str):
             paths.append(("source", Path("/dev/stdin" if source == "-" else source)))

@@ -13,6 +13,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import bag": ("rcbht_jax.cli.importing:ImportBag", "read bags of ROS 1 and ROS 2 into a store"),
     "import lerobot": ("rcbht_jax.cli.importing:ImportLerobot", "read LeRobot data sets into a store"),
     "info": ("rcbht_jax.cli.store:Info", "summarise and verify a store"),
+    "join": ("rcbht_jax.cli.store:Join", "join several stores into one"),
     "encode": ("rcbht_jax.cli.encode:Encode", "encode every recording of a store as labels"),
     "calibrate": ("rcbht_jax.cli.calibrate:Calibrate", "find gradient thresholds from recorded trials"),
     "evaluate": ("rcbht_jax.cli.learning:Evaluate", "cross-validate a classifier of the labels, with baselines"),

@@ -12,7 +12,7 @@ import tyro
 
 from rcbht_jax._util.printable import plural
 from rcbht_jax._util.untrusted import checked_number
-from rcbht_jax.cli.command import Command, Flag, OutStore, Store, progress_bar
+from rcbht_jax.cli.command import Command, Flag, Folder, OutStore, Store, Stores, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,6 +59,40 @@ class ImportHiro(Command):
 def sentence(path: str, reason: str) -> str:
     """Messages of the parser begin with the path already."""
     return reason if reason.startswith(path) else f"{path}: {reason}"
+
+
+@dataclass(frozen=True)
+class Join(Command):
+    """Join several stores into one, for example recorded and simulated trials that are to train together.
+
+    The stores need the same axes, units and sampling rate. Annotations and columns are kept; label tracks and the
+    parameters of simulations are not: encode the new store. Exact copies are taken once. A sensor that was not tared
+    reads something else in free space than a simulated one: --tare 1.
+
+    Example: rcbht join hiro.zarr trials.zarr -o both.zarr --tare 1
+    """
+
+    stores: Stores
+    out: Annotated[Path, option("Store to create.", aliases=["-o"], metavar="OUT.zarr"), Folder()]
+    tare: float = 0.0
+    """Subtract the mean of this many seconds at the beginning of each recording; 0 = nothing."""
+    overwrite: Flag = False
+    """Replace an existing store, once the new one is complete."""
+
+    def run(self) -> dict[str, Any]:
+        from rcbht_jax.io.joining import join_stores
+
+        joined = join_stores(self.stores, self.out, tare_seconds=self.tare, overwrite=self.overwrite)
+        return {"store": str(self.out), "taken": joined.taken, "copies": joined.copies}
+
+    def text(self, result: dict[str, Any]) -> str:
+        lines = [f"{plural(sum(result['taken'].values()), 'recording')} in {result['store']}"]
+        for name, count in result["taken"].items():
+            left = result["copies"][name]
+            lines.append(
+                f"  {count:5d}  {name}" + (f" ({plural(left, 'exact copy', 'exact copies')} left out)" if left else "")
+            )
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)

@@ -43,13 +43,14 @@ def test_every_headline_carries_the_frozen_digest() -> None:
     assert not without_digest(text, digest)
     assert len(without_digest(text.replace(f"[{digest[:SHORT]}](", "[0123456789ab](", 1), digest)) == 1
     made = [row["method"] for name, row in committed("headline")["rows"].items() if " | frozen" in name]
-    made += [row["method"] for row in committed("causal")["rows"].values() if "method" in row]
+    for name in ("causal", "zero_shot_stream"):
+        made += [row["method"] for row in committed(name)["rows"].values() if "method" in row]
     made += [row["method"] for row in committed("zero_shot")["rows"].values()]
     assert set(made) == {digest}
 
 
 def test_results_of_the_headline_are_strict_json_and_whole() -> None:
-    for name in ("headline", "causal", "zero_shot", "frozen_choice", "frozen_stream_choice"):
+    for name in ("headline", "causal", "zero_shot", "zero_shot_stream", "frozen_choice", "frozen_stream_choice"):
         text = (COMMITTED / f"{name}.json").read_text(encoding="utf-8")
         assert json.loads(text, parse_constant=pytest.fail)["result"]["complete"]
 

@@ -61,6 +61,8 @@ CELLS = [
      ".3f frozen_choice > rows > fine | relative > scores > failure types"),
     ("causal", "detected | elapsed time", "B to A",
      ".3f causal > rows > B to A > noticed | elapsed time > macro step accuracy > mean"),
+    ("causal-simulated", "detected | frozen, phase", "simulated and A to B",
+     ".3f zero_shot_stream > rows > simulated and A to B > noticed | frozen, phase > macro step accuracy > mean"),
     ("zero-shot", "four states | frozen", "A", ".3f zero_shot > rows > four states | frozen > A > mean"),
     ("failure-calibration", "richer words | by progress", "quarter 4",
      ".3f failure_calibration > rows > richer words > by progress > quarter 4 > likeliest"),

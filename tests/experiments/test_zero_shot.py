@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from experiments.classification.zero_shot import PRESET, SEED, SPEC
+from experiments._lib.zero_shot_set import PRESET, SEED, SPEC
+from experiments.online import causal, zero_shot_stream
 from sim_mjx.presets import preset
 from sim_mjx.randomization.trials import sample
 
@@ -20,3 +23,15 @@ def test_the_sensor_does_not_depend_on_the_session_that_it_is_named_after() -> N
     kept = sample(preset(PRESET), SEED, 0, replace(SPEC, physical=SPEC.physical[1:]))[0].sensor
     assert not np.array_equal(kept.a, one.a)  # what is not replaced is a session's
     assert not preset(PRESET).real
+
+
+def test_a_recorded_session_that_is_streamed_does_not_train() -> None:
+    stream: Any = SimpleNamespace(items=SimpleNamespace(session=np.array(["simulated", "A", "B"])))
+    masks = {name: causal.inside_of(stream, split, 0).tolist() for name, split in zero_shot_stream.SPLITS.items()}
+    assert masks == {
+        "simulated to A and B": [True, False, False],
+        "simulated and A to B": [True, True, False],
+        "simulated and B to A": [True, False, True],
+        "A to B": [False, True, False],
+        "B to A": [False, False, True],
+    }

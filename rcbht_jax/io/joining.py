@@ -1,0 +1,112 @@
+"""Several stores as one: recorded and simulated trials that train together, or the days of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from rcbht_jax._util.digest import wrench_digests
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.tare import tare
+from rcbht_jax.types import Recordings
+
+_KEPT = ("importer", "frames")  # attributes that the joined store has where all stores agree
+SIMULATED = "hiro"  # what a store without an importer is: a simulation of HIRO's trials, with its axes and units
+
+
+@dataclass(frozen=True)
+class Joined:
+    """What became of each store."""
+
+    taken: dict[str, int]  # recordings, by store
+    copies: dict[str, int]  # recordings left out, since an earlier store has them
+
+
+def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, overwrite: bool = False) -> Joined:
+    """Write the recordings of several stores, with annotations and columns, as one store.
+
+    Label tracks and the parameters of simulations stay behind. Exact copies (source, trial, arm and samples) are taken
+    once. All recordings are in memory at the same time.
+
+    >>> from rcbht_jax.io.store import write_recordings
+    >>> for name in ("first.zarr", "second.zarr"):
+    ...     wrench = np.random.default_rng(len(name)).normal(size=(300, 6))
+    ...     write_recordings(Path(name), Recordings.from_arrays([wrench], 200.0, trial=[name]), {})
+    >>> join_stores([Path("first.zarr"), Path("second.zarr")], Path("both.zarr")).taken
+    {'first.zarr': 1, 'second.zarr': 1}
+
+    Args:
+        paths: of two stores or more, with the same axes, units and sampling period.
+        out: store to create.
+        tare_seconds: subtract from each recording the mean of so many seconds at its beginning; 0 = nothing.
+        overwrite: replace an existing store once the new one is complete.
+
+    Raises:
+        InputError: fewer than two stores, a store that cannot be read, other axes, units or periods, or two different
+            recordings of one name; ``out`` exists and ``overwrite`` is false.
+    """
+    if len(paths) < 2:
+        raise InputError("There is one store to join; expected at least two.")
+    if not 0 <= tare_seconds < float("inf"):
+        raise InputError(f"The tare is {tare_seconds} s; expected zero or more.")
+    store.check_target(out, overwrite)
+    parts = [store.read_recordings(path) for path in paths]
+    _check(paths, parts)
+    taken, copies, chosen, seen = dict[str, int](), dict[str, int](), list[Recordings](), dict[tuple[str, ...], bytes]()
+    for path, part in zip(paths, parts, strict=True):
+        new = _new(path, part, seen)
+        taken[str(path)], copies[str(path)] = int(new.sum()), int((~new).sum())
+        if new.any():
+            chosen.append(part.take(np.flatnonzero(new)))
+    whole = Recordings.join(chosen)
+    if tare_seconds:
+        whole = tare(whole, max(1, round(tare_seconds / whole.dt)))
+    store.write_recordings(out, whole, _attrs(paths, taken, tare_seconds), overwrite)
+    return Joined(taken, copies)
+
+
+def _check(paths: Sequence[Path], parts: Sequence[Recordings]) -> None:
+    """Refuse what cannot be in one store, by the names of the stores."""
+    for path, part in zip(paths[1:], parts[1:], strict=True):
+        if part.dt != parts[0].dt:
+            raise InputError(
+                f"{path} has {1 / part.dt:g} samples a second, {paths[0]} has {1 / parts[0].dt:g}; import one again, "
+                "with --rate."
+            )
+        if (part.axes, part.units) != (parts[0].axes, parts[0].units):
+            raise InputError(f"{path} has {_axes(part)}; {paths[0]} has {_axes(parts[0])}.")
+
+
+def _axes(part: Recordings) -> str:
+    return ", ".join(f"{axis} in {unit or '?'}" for axis, unit in zip(part.axes, part.units, strict=True))
+
+
+def _new(path: Path, part: Recordings, seen: dict[tuple[str, ...], bytes]) -> Bool[np.ndarray, " recording"]:
+    """Which recordings no earlier store has; ``seen`` holds the samples' digests of those, by name."""
+    names = list(zip(part.source.tolist(), part.trial.tolist(), part.arm.tolist(), strict=True))
+    digests = [row.tobytes() for row in wrench_digests(part.wrench, part.length)]
+    for name, digest in zip(names, digests, strict=True):
+        if seen.get(name, digest) != digest:
+            raise InputError(f"{path} has another recording {name[1]!r} of {name[0]!r} than a store before it.")
+    new = np.array([name not in seen for name in names], bool)
+    seen.update(zip(names, digests, strict=True))
+    return new
+
+
+def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) -> dict[str, Any]:
+    """Where the recordings come from."""
+    every = [store.read_attrs(path) for path in paths]
+    joined = [
+        {"store": path.name, "content_sha256": attrs.get("content_sha256"), "recordings": taken[str(path)]}
+        for path, attrs in zip(paths, every, strict=True)
+    ]
+    said = {name: {str(attrs.get(name, SIMULATED if name == "importer" else "")) for attrs in every} for name in _KEPT}
+    same = {name: values.pop() for name, values in said.items() if len(values) == 1}
+    kept = {"importer": "joined", **{name: value for name, value in same.items() if value}}
+    return {**kept, "joined": joined, "tare_s": tare_seconds}

@@ -1,0 +1,122 @@
+"""Several stores as one: what is kept, what is left out, what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.io import store
+from rcbht_jax.io.joining import join_stores
+from rcbht_jax.types import Recordings
+from tests.support.store_cases import same
+
+RATE = 200.0
+
+
+def recordings(seed: int, count: int = 3, samples: int = 40, **columns: Any) -> Recordings:
+    rng = np.random.default_rng(seed)
+    wrenches = [5.0 + rng.normal(size=(samples + row, 6)) for row in range(count)]
+    marks = [(0, "states", f"state-{seed}", 0.05, 0.1)]
+    names = {"trial": [f"{seed}-{row}" for row in range(count)], "source": f"set-{seed}"}
+    return Recordings.from_arrays(wrenches, RATE, annotations=marks, **{**names, **columns})
+
+
+def written(path: Path, of: Recordings, **attrs: Any) -> Path:
+    store.write_recordings(path, of, attrs)
+    return path
+
+
+def test_a_joined_store_has_the_recordings_of_each(tmp_path: Path) -> None:
+    parts = [recordings(1, mass=2.5), recordings(2, count=2, samples=60, operator="Ann")]
+    paths = [
+        written(tmp_path / f"{number}.zarr", part, importer="csv", frames="sensor") for number, part in enumerate(parts)
+    ]
+    said = join_stores(paths, tmp_path / "both.zarr")
+    assert (said.taken, said.copies) == (
+        {str(paths[0]): 3, str(paths[1]): 2}, {str(paths[0]): 0, str(paths[1]): 0},
+    )  # fmt: skip
+    both = store.read_recordings(tmp_path / "both.zarr")
+    same(both, Recordings.join(parts))
+    assert both.annotations.labels["states"] == ("state-1", "state-2")
+    assert both.columns["operator"].tolist() == ["", "", "", "Ann", "Ann"]
+    attrs = store.read_attrs(tmp_path / "both.zarr")
+    assert (attrs["importer"], attrs["frames"]) == ("csv", "sensor")
+    assert [one["content_sha256"] for one in attrs["joined"]] == [
+        store.read_attrs(path)["content_sha256"] for path in paths
+    ]
+
+
+def test_each_recording_is_tared_by_its_own_beginning(tmp_path: Path) -> None:
+    paths = [written(tmp_path / f"{seed}.zarr", recordings(seed)) for seed in (1, 2)]
+    join_stores(paths, tmp_path / "both.zarr", tare_seconds=0.1)
+    wrench = store.read_recordings(tmp_path / "both.zarr").wrench
+    np.testing.assert_allclose(wrench[:, : round(0.1 * RATE)].mean(1), 0.0, atol=1e-6)
+
+
+def test_exact_copies_are_taken_once_and_other_recordings_of_the_name_refused(tmp_path: Path) -> None:
+    one = recordings(1)
+    first, copy = written(tmp_path / "a.zarr", one), written(tmp_path / "b.zarr", one.take([2, 0]))
+    said = join_stores([first, copy, written(tmp_path / "c.zarr", recordings(2))], tmp_path / "out.zarr")
+    assert list(said.copies.values()) == [0, 2, 0]
+    assert len(store.read_recordings(tmp_path / "out.zarr")) == 6
+    altered = one.wrench.copy()
+    altered[1, 3] += 1.0
+    other = written(tmp_path / "d.zarr", Recordings.from_arrays([altered[1, :41]], RATE, trial=["1-1"], source="set-1"))
+    with pytest.raises(InputError, match="another recording '1-1' of 'set-1'"):
+        join_stores([first, other], tmp_path / "never.zarr")
+    assert not (tmp_path / "never.zarr").exists()
+
+
+def test_presets_of_a_robot_apply_only_where_all_stores_are_of_it(tmp_path: Path) -> None:
+    simulated, hiro = (
+        written(tmp_path / "s.zarr", recordings(1)),
+        written(tmp_path / "h.zarr", recordings(2), importer="hiro"),
+    )
+    join_stores([simulated, hiro], tmp_path / "one.zarr")
+    assert store.read_attrs(tmp_path / "one.zarr")["importer"] == "hiro"
+    other = written(tmp_path / "o.zarr", recordings(3), importer="csv")
+    join_stores([hiro, other], tmp_path / "two.zarr")
+    assert store.read_attrs(tmp_path / "two.zarr")["importer"] == "joined"
+
+
+def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.zarr", recordings(1, mass=2.5))
+    slow = written(tmp_path / "b.zarr", Recordings.from_arrays([np.zeros((30, 6))], 100.0))
+    few = written(tmp_path / "c.zarr", Recordings.from_arrays([np.zeros((30, 2))], RATE, axes=("Fz", "Mz")))
+    text = written(tmp_path / "d.zarr", recordings(2, mass="heavy"))
+    for stores, sentence in (
+        ([first], "one store"),
+        ([first, slow], "100 samples a second, .* has 200"),
+        ([first, few], "Fz in N, Mz in Nm; .* Fx in N"),
+        ([first, text], "text and numbers in the column mass"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            join_stores(stores, tmp_path / "never.zarr")
+    with pytest.raises(InputError, match="tare is -1"):
+        join_stores([first, first], tmp_path / "never.zarr", tare_seconds=-1.0)
+    assert not (tmp_path / "never.zarr").exists()
+
+
+def test_the_command_joins_and_never_replaces_what_it_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = (str(written(tmp_path / f"{seed}.zarr", recordings(seed))) for seed in (1, 2))
+    out = str(tmp_path / "both.zarr")
+    assert main.main(["join", first, second, "-o", out, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["taken"] == {first: 3, second: 3}
+    assert main.main(["join", first, second, first, "-o", out, "--overwrite"]) == 0
+    assert "3 exact copies left out" in capsys.readouterr().out
+    for words, sentence in (
+        ([first, second, "-o", out], "--overwrite"),
+        ([first, second, "-o", second, "--overwrite"], "is to be written and is used as stores"),
+        ([first, str(tmp_path / "none.zarr"), "-o", out], "none.zarr does not exist"),
+        ([first, "-o", str(tmp_path / "x.zarr")], "expected at least two"),
+        (["-o", out], "join"),
+    ):
+        assert main.main(["join", *words]) == 2
+        assert sentence in capsys.readouterr().err
+    assert len(store.read_recordings(Path(second))) == 3
