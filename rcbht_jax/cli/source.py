@@ -62,6 +62,9 @@ class Source(RuleCommand):
     snap: SnapSize = ()
     max_gap: float | None = None
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
+    tare: float = 0.0
+    """Subtract the mean of this many seconds at the beginning of each trial, whose beliefs come at their end; what
+    "rcbht join --tare" did to the training trials."""
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
     compile_cache: CompileCache = None
@@ -104,7 +107,7 @@ class Source(RuleCommand):
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, snaps=snaps)
-        return Session(introspector, self.max_gap), messages if live else paced(messages, self.speed)
+        return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.speed)
 
     def waits(self) -> bool:
         """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it.

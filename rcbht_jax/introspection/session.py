@@ -8,7 +8,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rcbht_jax.encoding.stream import MOST_SAMPLES
+from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, Notice
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
@@ -16,7 +20,49 @@ from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
 
+Floats = NDArray[np.floating[Any]]
+LONGEST_TARE = 600.0  # s, which are held in memory
 LONGEST_PAUSE = 10.0  # s of waiting: beyond it the source's clock has jumped
+
+
+class Tare:
+    """The tare of one trial: holds its first samples until their mean is known, and subtracts that from all.
+
+    Args:
+        samples: to average; 0 = nothing is held or subtracted.
+
+    Example:
+        >>> tare = Tare(2)
+        >>> tare.tared(np.array([[1.0]])), tare.tared(np.array([[3.0], [5.0]]))[0].tolist()
+        ([], [[-1.0], [1.0], [3.0]])
+    """
+
+    def __init__(self, samples: int) -> None:
+        self.samples = samples
+        self._held: list[Floats] = []  # [part][time, axis]; a sub-task begins with each part but the first
+        self._mean: Floats | None = None if samples else np.zeros(1, np.float32)
+
+    def begins(self) -> bool:
+        """Note that a sub-task begins with the next sample, if there are samples held before it."""
+        if self._mean is None and self._held:
+            self._held.append(self._held[0][:0])
+            return True
+        return False
+
+    def tared(self, samples: Floats) -> list[Floats]:
+        """The samples ``[time, axis]``, after those that were held, in parts; nothing as long as they are held."""
+        if self._mean is not None:
+            return [samples - self._mean] if self.samples else [samples]
+        self._held = [*self._held[:-1], np.concatenate([*self._held[-1:], samples.astype(np.float32)])]
+        return self.release() if sum(map(len, self._held)) >= self.samples else []
+
+    def release(self) -> list[Floats]:
+        """All samples that are held, in parts, by the mean of as many as there are."""
+        if self._mean is not None or not self._held:
+            return []
+        self._mean = np.concatenate(self._held)[: self.samples].mean(0)
+        parts, self._held = [part - self._mean for part in self._held], []
+        return parts
 
 
 class Session:
@@ -26,6 +72,11 @@ class Session:
         introspector: with a model, or a :class:`rcbht_jax.introspection.words.WordIntrospector` for words alone, or
             several as a :class:`rcbht_jax.introspection.together.Together`.
         bridge: see :class:`rcbht_jax.introspection.resampling.Resampler`.
+        tare: s at the beginning of each trial, whose mean is subtracted from all its samples; what is received
+            meanwhile is answered at their end. 0 = nothing is subtracted.
+
+    Raises:
+        InputError: a tare out of range.
 
     Example:
         >>> from rcbht_jax.encoding.encoder import EncoderConfig
@@ -36,8 +87,16 @@ class Session:
         ['CT', 'FX']
     """
 
-    def __init__(self, introspector: Introspector | WordIntrospector | Together, bridge: float | None = None) -> None:
+    def __init__(
+        self,
+        introspector: Introspector | WordIntrospector | Together,
+        bridge: float | None = None,
+        tare: float = 0.0,
+    ) -> None:
+        if not 0 <= tare <= LONGEST_TARE:
+            raise InputError(f"The tare is {tare} s; expected 0 to {LONGEST_TARE:g}.")
         self.introspector = introspector
+        self._tare = Tare(max(1, round(tare / introspector.config.dt)) if tare else 0)
         self._axes = len(introspector.axes)
         self._grid = introspector.config.dt, bridge, self._axes
         self._resampler = Resampler(*self._grid)
@@ -55,10 +114,10 @@ class Session:
         if isinstance(message, Sample):
             return self._sample(message)
         if isinstance(message, Begin):
-            return self.introspector.begin()
+            return [] if self._tare.begins() else self.introspector.begin()
         if isinstance(message, Reset):
             events = self.finish()
-            self.introspector.reset()
+            self._reset()
             self._resampler = Resampler(*self._grid)
             return events
         if isinstance(message, Malformed):
@@ -77,11 +136,30 @@ class Session:
         if count > MOST_SAMPLES:
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
-            events += self.introspector.finish()
-            self.introspector.reset()
+            events += self._release() + self.introspector.finish()
+            self._reset()
         if len(resampled.samples):
-            events += self.introspector.push(resampled.samples, resampled.time)
+            events += self._push(self._tare.tared(resampled.samples), resampled.time)
         return events
+
+    def _push(self, parts: list[Floats], time: float) -> list[Event]:
+        """Push samples whose last one has this stamp; a sub-task begins between two parts."""
+        events: list[Event] = []
+        later = sum(map(len, parts))
+        for number, part in enumerate(parts):
+            events += self.introspector.begin() if number else []
+            later -= len(part)
+            if len(part):
+                events += self.introspector.push(part, time - later * self.introspector.config.dt)
+        return events
+
+    def _release(self) -> list[Event]:
+        """What a trial that ends before its tare has received."""
+        return self._push(self._tare.release(), self.time)
+
+    def _reset(self) -> None:
+        self.introspector.reset()
+        self._tare = Tare(self._tare.samples)
 
     def _silence(self, silence: Silence) -> list[Event]:
         if self._silent:
@@ -96,7 +174,7 @@ class Session:
     def finish(self) -> list[Event]:
         """Events of the end of the stream: what is left to report, and the words still held, if words are reported."""
         reports = [self._notice(report.kind, report.text, report.count) for report in self._resampler.finish()]
-        return reports + self.introspector.finish()
+        return reports + self._release() + self.introspector.finish()
 
     def run(self, messages: Iterable[Message]) -> Iterator[Event]:
         """Events of all messages."""

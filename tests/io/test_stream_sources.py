@@ -212,6 +212,32 @@ def test_a_session_says_what_the_introspector_says():
     assert SubtaskStarted(203, 202 * DT, 203, False) in events
 
 
+def beliefs(events: list[object]) -> list[tuple[object, ...]]:
+    """Events in order, without the stamps, whose last digit depends on how the samples were cut."""
+    return [(type(e), e.sample, e.probabilities if isinstance(e, Belief) else ()) for e in events]
+
+
+@pytest.mark.parametrize("begins", [(203,), (0, 60, 60, 150, 203)])
+def test_a_tared_session_says_what_one_of_tared_trials_does(begins):
+    """Also where a sub-task begins before the tare is complete, and in a trial that is shorter than the tare."""
+    trials = [offset + trial(kind, 50 + kind, count) for kind, count, offset in ((0, 503, 2.0), (1, 110, -3.0))]
+    by_hand = [wrench - wrench[:160].mean(0) for wrench in trials]
+    found = []
+    for wrenches, seconds in ((trials, 160 * DT), (by_hand, 0.0), (trials, 0.0)):
+        messages = [message for wrench in wrenches for message in (Reset(), *samples_of(wrench, begins))]
+        session = Session(Introspector(model(), words=True), tare=seconds)
+        found.append([*session.run(messages), *session.finish()])
+    assert beliefs(found[0]) == beliefs(found[1])
+    np.testing.assert_allclose([e.time for e in found[0]], [e.time for e in found[1]], atol=1e-9)
+    assert beliefs(found[2]) != beliefs(found[0])
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 601.0, math.nan])
+def test_a_tare_out_of_range_is_refused(seconds):
+    with pytest.raises(InputError, match="expected 0 to 600"):
+        Session(Introspector(model()), tare=seconds)
+
+
 def test_nothing_is_dropped_in_silence():
     """Whatever happens to a stream shows in its events, and the beliefs that follow are sound."""
     messages = samples_of(trial(0, 52, 400))
