@@ -39,30 +39,33 @@ class Tare:
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
-        self._held: list[Floats] = []  # [part][time, axis]; a sub-task begins with each part but the first
+        self._held: list[list[Floats]] = [[]]  # [part][piece][time, axis]; a sub-task begins with each later part
+        self._count = 0  # samples that are held
         self._mean: Floats | None = None if samples else np.zeros(1, np.float32)
 
     def begins(self) -> bool:
         """Note that a sub-task begins with the next sample, if there are samples held before it."""
-        if self._mean is None and self._held:
-            self._held.append(self._held[0][:0])
-            return True
-        return False
+        if self._mean is not None or not self._count:
+            return False
+        self._held.append([])
+        return True
 
     def tared(self, samples: Floats) -> list[Floats]:
         """The samples ``[time, axis]``, after those that were held, in parts; nothing as long as they are held."""
         if self._mean is not None:
             return [samples - self._mean] if self.samples else [samples]
-        self._held = [*self._held[:-1], np.concatenate([*self._held[-1:], samples.astype(np.float32)])]
-        return self.release() if sum(map(len, self._held)) >= self.samples else []
+        self._held[-1].append(samples)
+        self._count += len(samples)
+        return self.release() if self._count >= self.samples else []
 
     def release(self) -> list[Floats]:
         """All samples that are held, in parts, by the mean of as many as there are."""
-        if self._mean is not None or not self._held:
+        if self._mean is not None or not self._count:
             return []
-        self._mean = np.concatenate(self._held)[: self.samples].mean(0)
-        parts, self._held = [part - self._mean for part in self._held], []
-        return parts
+        none = self._held[0][0][:0]
+        parts = [np.concatenate([none, *pieces]) for pieces in self._held]
+        self._mean, self._held = np.concatenate(parts)[: self.samples].mean(0), [[]]
+        return [part - self._mean for part in parts]
 
 
 class Session:
@@ -117,8 +120,8 @@ class Session:
             return [] if self._tare.begins() else self.introspector.begin()
         if isinstance(message, Reset):
             events = self.finish()
-            self._reset()
-            self._resampler = Resampler(*self._grid)
+            self.introspector.reset()
+            self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
@@ -137,7 +140,7 @@ class Session:
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
             events += self._release() + self.introspector.finish()
-            self._reset()
+            self.introspector.reset()  # of the encoder alone: after a gap the arm may be in contact
         if len(resampled.samples):
             events += self._push(self._tare.tared(resampled.samples), resampled.time)
         return events
@@ -156,10 +159,6 @@ class Session:
     def _release(self) -> list[Event]:
         """What a trial that ends before its tare has received."""
         return self._push(self._tare.release(), self.time)
-
-    def _reset(self) -> None:
-        self.introspector.reset()
-        self._tare = Tare(self._tare.samples)
 
     def _silence(self, silence: Silence) -> list[Event]:
         if self._silent:

@@ -232,6 +232,15 @@ def test_a_tared_session_says_what_one_of_tared_trials_does(begins):
     assert beliefs(found[2]) != beliefs(found[0])
 
 
+def test_a_gap_does_not_tare_anew():
+    wrench = trial(1, 51, 400)
+    readings = [*samples_of(wrench)[:200], *samples_of(wrench)[300:]]
+    raw, tared = (Session(Introspector(model(), words=True), tare=seconds) for seconds in (0.0, 100 * DT))
+    by_hand = [Sample(tuple((np.float32(one.wrench) - wrench[:100].mean(0)).tolist()), one.time) for one in readings]
+    assert beliefs(list(tared.run(readings))) == beliefs(list(raw.run(by_hand)))
+    assert tared.introspector.received == 100  # after the gap
+
+
 @pytest.mark.parametrize("seconds", [-1.0, 601.0, math.nan])
 def test_a_tare_out_of_range_is_refused(seconds):
     with pytest.raises(InputError, match="expected 0 to 600"):
