@@ -250,10 +250,14 @@ def _followed(path: Path) -> Path:
     Raises:
         InputError: the link leads to itself.
     """
+    sentence = f"{path} is a link that leads to itself; choose another name."
     try:
-        return path.resolve() if path.is_symlink() else path.absolute()
+        followed = path.resolve() if path.is_symlink() else path.absolute()
     except (OSError, RuntimeError) as error:
-        raise InputError(f"{path} is a link that leads to itself; choose another name.") from error
+        raise InputError(sentence) from error
+    if followed.is_symlink():  # from Python 3.13 on a loop is no error
+        raise InputError(sentence)
+    return followed
 
 
 def _identity(path: Path) -> Identity:

@@ -16,6 +16,7 @@ from rcbht_jax.io.hiro import dat
 from rcbht_jax.robots import hiro, kinematics
 from sim_mjx.assembly import robot
 from sim_mjx.assembly.controllers import approach, half_cosine
+from sim_mjx.engines.common import compiler_options
 from sim_mjx.presets import preset
 
 SESSIONS = {
@@ -115,7 +116,7 @@ def test_inverse_in_single_precision_under_jit_and_vmap() -> None:
     q = workspace()
     _, rotation, tcp = kinematics.fk(q)
     near = np.broadcast_to(home("A"), q.shape)
-    solve = jax.jit(jax.vmap(kinematics.ik), compiler_options={"xla_cpu_use_fusion_emitters": False})
+    solve = jax.jit(jax.vmap(kinematics.ik), compiler_options=compiler_options("cpu"))
     found = np.asarray(solve(*(jnp.asarray(x, jnp.float32) for x in (tcp, rotation, near))))
     assert found.dtype == np.float32
     _, turned, reached = kinematics.fk(found.astype(float))

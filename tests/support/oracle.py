@@ -6,6 +6,8 @@ One axis, one window after another, lists instead of arrays; nothing is shared w
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import add
 
 P, N, K, PI, NI = {1, 2, 3}, {4, 5, 6}, {7}, {8}, {9}
 GROUPS = (P, N, K, PI, NI)
@@ -77,13 +79,18 @@ def gradient_label(g: float, limits, level: float, watch: Watch) -> int:
     return rank if g > 0 else rank + 3
 
 
+def added(values) -> float:
+    """One after the other, each sum rounded: from Python 3.12 on ``sum`` corrects what rounding loses."""
+    return reduce(add, values, 0.0)
+
+
 def fit(y, t0: int, dt: float, limits, watch: Watch) -> It:
     n = len(y)
     k = [j - (n - 1) / 2 for j in range(n)]
-    g = sum(a * b for a, b in zip(k, y, strict=True)) / (dt * sum(a * a for a in k))
-    avg = sum(b for b in y) / n
+    g = added(a * b for a, b in zip(k, y, strict=True)) / (dt * added(a * a for a in k))
+    avg = added(y) / n
     half = abs(g) * (n - 1) * dt / 2
-    level = max(abs(b) for b in y) * sum(abs(a) for a in k) / (dt * sum(a * a for a in k))
+    level = max(abs(b) for b in y) * added(abs(a) for a in k) / (dt * added(a * a for a in k))
     return It(gradient_label(g, limits, level, watch), t0, t0 + n, avg + half, avg - half, avg, g)
 
 
