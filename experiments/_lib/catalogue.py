@@ -69,8 +69,8 @@ EXPERIMENTS = (
     ),
     Experiment("zero_shot", "classification.zero_shot", 3, (SETS,), ("data",)),
     Experiment(
-        "zero_shot_stream", "online.zero_shot_stream", 30, (SETS,), ("data",), shorter=("--only", "to A and B"),
-        shorter_minutes=10,
+        "zero_shot_stream", "online.zero_shot_stream", 30, (SETS,), ("data",), shorter=("--only", "alone"),
+        shorter_minutes=4,
     ),
     Experiment("fit_quality", "words.fit_quality", 2, needs=("data",)),
     Experiment("external_rest", "words.external_rest", 1, needs=("external",)),
@@ -135,7 +135,10 @@ EXPERIMENTS = (
         "learn_setpoints", "simulation.learn_setpoints", 40, shorter_minutes=2.5,
         shorter=("--generations", "1", "--trials", "6", "--tests", "4"),
     ),
-    Experiment("engines", "simulation.engines", 8, alone=True),
+    Experiment(
+        "engines", "simulation.engines", 15, alone=True, shorter_minutes=4,
+        shorter=("--parity", "8", "--speed", "64", "--longest", "9"),
+    ),
     Experiment("parity_floor", "simulation.parity_floor", 1),
     Experiment("hook_bench", "simulation.hook_bench", 1),
     Experiment("snap_needs", "simulation.snap_needs", 1, shorter=("--trials", "2"), shorter_minutes=0.3),

@@ -45,8 +45,8 @@ STREAMED = {
 # Row of zero_shot_stream.json -> what it is called.
 STREAMED_SIMULATED = {
     "simulated to A and B": "states, real trials, tared, streamed, beginnings not given, zero shot",
-    "A to B": "the same, session A to session B",
-    "B to A": "the same, session B to session A",
+    "A alone to B": "the same, session A to session B",
+    "B alone to A": "the same, session B to session A",
     "simulated and A to B": "the same, session A and simulated trials to session B",
     "simulated and B to A": "the same, session B and simulated trials to session A",
 }

@@ -29,8 +29,8 @@ SPLITS = {  # what trains, what is streamed
     "simulated to A and B": (SIMULATED, "A+B"),
     "simulated and A to B": (f"{SIMULATED}+A", "B"),
     "simulated and B to A": (f"{SIMULATED}+B", "A"),
-    "A to B": ("A", "B"),
-    "B to A": ("B", "A"),
+    "A alone to B": ("A", "B"),
+    "B alone to A": ("B", "A"),
 }
 
 

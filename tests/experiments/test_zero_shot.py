@@ -32,6 +32,6 @@ def test_a_recorded_session_that_is_streamed_does_not_train() -> None:
         "simulated to A and B": [True, False, False],
         "simulated and A to B": [True, True, False],
         "simulated and B to A": [True, False, True],
-        "A to B": [False, True, False],
-        "B to A": [False, False, True],
+        "A alone to B": [False, True, False],
+        "B alone to A": [False, False, True],
     }
