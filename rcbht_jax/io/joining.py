@@ -48,11 +48,13 @@ def join_stores(paths: Sequence[Path], out: Path, *, tare_seconds: float = 0.0, 
         overwrite: replace an existing store once the new one is complete.
 
     Raises:
-        InputError: fewer than two stores, a store that cannot be read, other axes, units or periods, or two different
-            recordings of one name; ``out`` exists and ``overwrite`` is false.
+        InputError: fewer than two stores, one of them twice, a store that cannot be read, other axes, units or periods,
+            or two different recordings of one name; ``out`` exists and ``overwrite`` is false.
     """
     if len(paths) < 2:
-        raise InputError("There is one store to join; expected at least two.")
+        raise InputError(f"Expected at least two stores to join, not {len(paths)}.")
+    if twice := next((path for place, path in enumerate(paths) if path in paths[:place]), None):
+        raise InputError(f"{twice} is named twice; name each store once.")
     if not 0 <= tare_seconds < float("inf"):
         raise InputError(f"The tare is {tare_seconds} s; expected zero or more.")
     store.check_target(out, overwrite)

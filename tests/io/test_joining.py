@@ -91,7 +91,8 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
     few = written(tmp_path / "c.zarr", Recordings.from_arrays([np.zeros((30, 2))], RATE, axes=("Fz", "Mz")))
     text = written(tmp_path / "d.zarr", recordings(2, mass="heavy"))
     for stores, sentence in (
-        ([first], "one store"),
+        ([first], "at least two stores to join, not 1"),
+        ([first, slow, first], "a.zarr is named twice"),
         ([first, slow], "100 samples a second, .* has 200"),
         ([first, few], "Fz in N, Mz in Nm; .* Fx in N"),
         ([first, text], "text and numbers in the column mass"),
@@ -99,7 +100,7 @@ def test_what_does_not_belong_together_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=sentence):
             join_stores(stores, tmp_path / "never.zarr")
     with pytest.raises(InputError, match="tare is -1"):
-        join_stores([first, first], tmp_path / "never.zarr", tare_seconds=-1.0)
+        join_stores([first, slow], tmp_path / "never.zarr", tare_seconds=-1.0)
     assert not (tmp_path / "never.zarr").exists()
 
 
@@ -108,13 +109,16 @@ def test_the_command_joins_and_never_replaces_what_it_reads(tmp_path: Path, caps
     out = str(tmp_path / "both.zarr")
     assert main.main(["join", first, second, "-o", out, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["taken"] == {first: 3, second: 3}
-    assert main.main(["join", first, second, first, "-o", out, "--overwrite"]) == 0
-    assert "3 exact copies left out" in capsys.readouterr().out
+    third = str(written(tmp_path / "third.zarr", recordings(1)))
+    assert main.main(["join", first, second, third, "-o", out, "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("6 recordings in ")
+    assert "third.zarr (3 exact copies left out)" in said
     for words, sentence in (
         ([first, second, "-o", out], "--overwrite"),
         ([first, second, "-o", second, "--overwrite"], "is to be written and is used as stores"),
         ([first, str(tmp_path / "none.zarr"), "-o", out], "none.zarr does not exist"),
-        ([first, "-o", str(tmp_path / "x.zarr")], "expected at least two"),
+        ([first, "-o", str(tmp_path / "x.zarr")], "at least two stores to join, not 1"),
         (["-o", out], "join"),
     ):
         assert main.main(["join", *words]) == 2
