@@ -13,7 +13,8 @@ interrupted run. Reads the recorded trials (RCBHT_DATA).
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from experiments._lib import frozen
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.zero_shot_set import PRESET, SIMULATED, simulated_and_recorded
 from experiments.online import causal
+from rcbht_jax.types import Recordings
 
 TRIALS, SEED = 64, 0  # simulated trials, whose snapshots a machine with a radial kernel learns in minutes
 SPLITS = {  # what trains, what is streamed
@@ -34,9 +36,9 @@ SPLITS = {  # what trains, what is streamed
 }
 
 
-def stream_of(method: frozen.FrozenMethod, folder: Path, split: tuple[str, str]) -> causal.Stream:
+def stream_of(method: frozen.FrozenMethod, read: Callable[[], Recordings], split: tuple[str, str]) -> causal.Stream:
     """The trials of a split as one set of streams."""
-    data = simulated_and_recorded(folder)
+    data = read()
     wanted, simulated = np.isin(data.session, "+".join(split).split("+")), data.session == SIMULATED
     return causal.Stream(method, data.take(wanted & (~simulated | (np.cumsum(simulated) <= TRIALS))), outcomes=())
 
@@ -50,9 +52,9 @@ def main(folder: tyro.conf.Positional[Path], only: Only = ALL_ROWS) -> None:
         "sha256 of the method": method.sha256,
         "belief of the method": method.streamed["belief"],
     }
-    seeds = range(SEED, SEED + 1)
+    seeds, read = range(SEED, SEED + 1), cache(partial(simulated_and_recorded, folder))
     wanted = {
-        name: partial(causal.row, partial(stream_of, method, folder, split), split, seeds)
+        name: partial(causal.row, partial(stream_of, method, read, split), split, seeds)
         for name, split in SPLITS.items()
     }
     Rows("zero_shot_stream", "python -m experiments.online.zero_shot_stream FOLDER", about, SEED).fill(wanted, only)

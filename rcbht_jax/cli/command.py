@@ -168,7 +168,7 @@ class Command(ABC):
             value, marks = getattr(self, name), getattr(hint, "__metadata__", ())
             if name in OUTPUTS and isinstance(value, Path):
                 check_place(value, next((mark for mark in marks if isinstance(mark, Folder)), None))
-            for mark, path in itertools.product(marks, value if isinstance(value, tuple) else (value,)):
+            for mark, path in itertools.product(marks, _each(value)):
                 if isinstance(mark, MadeBy) and path is not None and not (path.exists() or url_of(path)):
                     raise InputError(f"{path} does not exist; make it with {mark.command.format(path=path)}.")
 
@@ -178,12 +178,16 @@ class Command(ABC):
 
     def _paths(self) -> list[tuple[str, Path]]:
         """Options that name a file, the source of a stream among them; "-" is the file behind standard input."""
-        every = ((name, value if isinstance(value, tuple) else (value,)) for name, value in vars(self).items())
-        paths = [(name, value) for name, values in every for value in values if isinstance(value, Path)]
+        paths = [(name, each) for name, value in vars(self).items() for each in _each(value) if isinstance(each, Path)]
         source = vars(self).get("source")
         if source and isinstance(source, str):
             paths.append(("source", Path("/dev/stdin" if source == "-" else source)))
         return paths
+
+
+def _each(value: Any) -> tuple[Any, ...]:
+    """The values of an option that takes several, or the only one."""
+    return value if isinstance(value, tuple) else (value,)
 
 
 def _harms(output: Path, other: Path) -> bool:
