@@ -182,7 +182,8 @@ def _accelerated(start: Array, once: Array, twice: Array) -> Array:
     xp = start.__array_namespace__()
     first, second = _wrapped(once - start), _wrapped(twice - once)
     bend = second - first
-    curved = bend != 0.0  # it is zero at the fixed point
+    # near the fixed point both steps are rounding: their difference may be any part of them, or zero
+    curved = abs(bend) > abs(first) / 8
     return xp.where(curved, start - first**2 / xp.where(curved, bend, 1.0), twice)
 
 
