@@ -201,7 +201,6 @@ PICTURES = {
     "assembly-clip": "rcbht view clip.zarr sim-clip-ur5e-000000",
     "assembly-plug": "rcbht view plug.zarr sim-plug-panda-000000",
     "view-hooked": "rcbht view hooked.zarr sim-hooked-B-000004",
-    "view": "rcbht view a.zarr sim-A-000004 --tracks online-W5-fit",
     "labels-primitive": "python -m tools.docs_pictures",
     "labels-mc": "python -m tools.docs_pictures",
     "labels-llb": "python -m tools.docs_pictures",

@@ -25,7 +25,7 @@ def results(*sources: Result, way: str) -> str:
                 f"[{row.method[:SHORT]}]({way}{row.source}.json)",
             )
         )  # fmt: skip
-    head = ("accuracy", "paper", "frozen method, 95 % interval", "without offset and duration", "duration alone")
+    head = ("accuracy", "paper", "frozen method, 95 % interval", "words without absolute level", "duration alone")
     return markdown((*head, "best other method", "made by"), lines)
 
 
