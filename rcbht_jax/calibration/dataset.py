@@ -52,7 +52,8 @@ class CalibrationData:
     def fingerprint(self) -> str:
         """SHA-256 of everything that the result of a calibration depends on."""
         windows = self.windows
-        return content_hash([windows.slope, windows.vmax, windows.vmin, windows.length, self.edges, self.y])
+        lines = [windows.slope, windows.vmax, windows.vmin, windows.length]
+        return content_hash([self.wrench, *lines, self.edges, self.y])
 
 
 def calibration_data(recordings: Recordings, items: LabelledIntervals, config: AnyConfig) -> CalibrationData:
@@ -64,7 +65,8 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
         config: window and sampling period.
 
     Raises:
-        InputError: the sentences cover both arms, or the sampling periods differ.
+        InputError: the sentences cover both arms, the sampling periods differ, or the recordings have different numbers
+            of sentences, or time between them.
     """
     if len(items.intervals) != 1:
         raise InputError("Thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
@@ -74,7 +76,11 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
     rows, first = np.unique(spans.recording, return_index=True)
     rows = rows[np.argsort(first)]
     shape = (len(rows), len(spans) // len(rows))
+    if not np.array_equal(spans.recording, np.repeat(rows, shape[1])):
+        raise InputError("Thresholds are calibrated on recordings that all have the same number of intervals.")
     start, end = spans.start.reshape(shape), spans.end.reshape(shape)
+    if (start[:, 1:] != end[:, :-1]).any():
+        raise InputError("Thresholds are calibrated on intervals that follow each other; some of these do not.")
     edges = np.concatenate([start, end[:, -1:]], axis=1).astype(np.int32)
     length = recordings.length[rows]
     wrench = recordings.wrench[rows, : length.max()]

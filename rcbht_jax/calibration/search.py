@@ -23,6 +23,7 @@ from scipy.stats import qmc
 from rcbht_jax._util import checkpoint as files
 from rcbht_jax._util import cma
 from rcbht_jax._util.devices import in_turn
+from rcbht_jax._util.digest import content_hash
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.calibration.label_durations import AXES, LABELS, label_durations
 from rcbht_jax.calibration.objective import SCORES, Objective, scores
@@ -303,7 +304,7 @@ def search(
     """
     if len(np.unique(jax.device_get(data.y))) < 2:
         raise InputError("Thresholds can only be searched on sentences of at least two classes.")
-    made_by = None if checkpoint is None else _made_by(data, config, options)
+    made_by = None if checkpoint is None else _made_by(data, config, options, rest)
     run = _Run(data, config, options, ScoreCheckpoint(checkpoint, made_by), chunk, devices, rest)
     points = options.points()
     for rung in options.rungs:
@@ -335,12 +336,15 @@ def search(
     )
 
 
-def _made_by(data: CalibrationData, config: AnyConfig, options: SearchOptions) -> dict[str, Any]:
-    """Everything that the scores depend on."""
+def _made_by(
+    data: CalibrationData, config: AnyConfig, options: SearchOptions, rest: RestSlopes | RestRuns | None
+) -> dict[str, Any]:
+    """Everything that the scores depend on, and which candidates are scored."""
     plain: dict[str, Any] = asdict(options)
     base = options.space.base
     plain["space"]["base"] = checked_limits(config, base).tolist()
-    return {"data": data.fingerprint(), "encoder": asdict(config), "options": plain}
+    made = {"data": data.fingerprint(), "encoder": asdict(config), "options": plain}
+    return made if rest is None else made | {"rest": content_hash([np.asarray(x) for x in vars(rest).values()])}
 
 
 class ScoreCheckpoint:

@@ -164,7 +164,8 @@ class Calibrate(RuleCommand):
             from rcbht_jax.plots import save
             from rcbht_jax.plots.thresholds import threshold_figure
 
-            save(threshold_figure(data, *(GradientThresholds(gradients_of(x)) for x in (thresholds, base))), self.plot)
+            new, old = (GradientThresholds(gradients_of(x)) for x in (thresholds, base))
+            save(threshold_figure(data, config.window, new, old, recordings.axes, recordings.units), self.plot)
         return self._said(thresholds, recordings, seconds) | result
 
     def _said(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:

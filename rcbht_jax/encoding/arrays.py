@@ -137,6 +137,8 @@ def _padded(
     if len(signals) == 1 and signals[0].ndim == 3:
         stacked = signals[0]
         counts = np.full(len(stacked), stacked.shape[1]) if lengths is None else np.asarray(lengths)
+        if counts.dtype.kind not in "iu" or (counts.size and not 0 <= counts.min() <= counts.max() <= stacked.shape[1]):
+            raise InputError(f"Lengths are whole numbers of samples, from 0 to {stacked.shape[1]} here.")
         return stacked, counts.astype(np.int32)
     if lengths is not None or any(values.ndim != 2 for values in signals):
         raise InputError("Lengths belong to an array [recording, time, axis]; a list has recordings [time, axis].")

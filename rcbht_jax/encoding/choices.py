@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 
 from rcbht_jax.errors import InputError
 
@@ -26,6 +27,8 @@ def check_choices(window: int, dt: float, **seconds: float | None) -> None:
         Traceback (most recent call last):
         rcbht_jax.errors.InputError: The latency cap is -1.0 s; expected a positive number or none.
     """
+    if not isinstance(window, numbers.Integral):
+        raise InputError(f"The window is {window!r}; expected a whole number of samples.")
     if not 2 <= window <= MAX_WINDOW:
         raise InputError(f"The window is {window} samples; a line needs at least 2, and at most {MAX_WINDOW}.")
     if not 0 < dt < math.inf:

@@ -32,7 +32,8 @@ def trailing_statistics(signal: Signal, dt: float, windows: Sequence[float] = WI
         >>> trailing_statistics(np.arange(4.0)[:, None], 1.0, (2.0,)).round(2).tolist()[2]
         [2.0, 1.5, 0.5, 1.0, -0.5, 0.5]
     """
-    columns = [signal]
+    columns, level = [signal], signal[:1]
+    signal = signal - level  # sums of squares of a large level would lose what varies
     for seconds in windows:
         count = max(2, round(seconds / dt))
         first = np.maximum(np.arange(len(signal)) - count + 1, 0)
@@ -42,7 +43,7 @@ def trailing_statistics(signal: Signal, dt: float, windows: Sequence[float] = WI
         width = (n**2 - 1) / 12  # variance of n consecutive sample numbers
         slope = np.where(n > 1, moment / np.maximum(width, 1e-12), 0) / dt
         low, high = _extremes(signal, count)
-        columns += [mean, spread, slope, low - mean, high - mean]
+        columns += [mean + level, spread, slope, low - mean, high - mean]
     return np.concatenate(columns, 1)
 
 

@@ -319,7 +319,7 @@ class Introspector:
         return self.begin(detected=True) if began else []
 
     def _alarm(self, head: Head, probability: float, sample: int, time: float) -> list[Event]:
-        change = self._alarms[head.name].update(probability, time)
+        change = self._alarms[head.name].update(probability, sample * self._config.dt)  # stamps may be dates
         if change is None:
             return []
         return [(AnomalyRaised if change else AnomalyCleared)(sample, time, head.name, probability)]

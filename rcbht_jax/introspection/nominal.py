@@ -354,7 +354,7 @@ def _blocks(series: Float[np.ndarray, "time axis"], step: int) -> Float[np.ndarr
 
 
 def _moving_mean(values: Float[np.ndarray, " time"], count: int) -> Float[np.ndarray, " time"]:
-    """Mean of the last ``count`` values, of fewer at the beginning; summed in the same order wherever a value is."""
+    """Mean of the last ``count`` values, zeros before the first; summed in the same order wherever a value is."""
     padded = np.concatenate([np.zeros(count - 1), values])
     total = np.zeros(len(values))
     for shift in range(count):

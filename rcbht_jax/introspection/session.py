@@ -64,7 +64,9 @@ class Tare:
             return []
         none = self._held[0][0][:0]
         parts = [np.concatenate([none, *pieces]) for pieces in self._held]
-        self._mean, self._held = np.concatenate(parts)[: self.samples].mean(0), [[]]
+        whole = np.concatenate(parts)
+        # in single precision the sum of a minute's samples would be wrong by a part in ten thousand
+        self._mean, self._held = whole[: self.samples].mean(0, dtype=np.float64).astype(whole.dtype), [[]]
         return [part - self._mean for part in parts]
 
 
@@ -128,7 +130,7 @@ class Session:
         return self._silence(message)
 
     def _sample(self, sample: Sample) -> list[Event]:
-        resampled = self._resampler.feed(sample)
+        resampled, before = self._resampler.feed(sample), self.time
         self.time = resampled.time
         events: list[Event] = []
         if self._silent and len(resampled.samples):
@@ -139,7 +141,7 @@ class Session:
         if count > MOST_SAMPLES:
             events.append(self._notice("gap", f"{MOST_SAMPLES} samples were counted; everything starts anew"))
         if resampled.anew or count > MOST_SAMPLES:
-            events += self._release() + self.introspector.finish()
+            events += self._release(before) + self.introspector.finish()
             self.introspector.reset()  # of the encoder alone: after a gap the arm may be in contact
         if len(resampled.samples):
             events += self._push(self._tare.tared(resampled.samples), resampled.time)
@@ -156,9 +158,9 @@ class Session:
                 events += self.introspector.push(part, time - later * self.introspector.config.dt)
         return events
 
-    def _release(self) -> list[Event]:
-        """What a trial that ends before its tare has received."""
-        return self._push(self._tare.release(), self.time)
+    def _release(self, time: float) -> list[Event]:
+        """What a trial that ends before its tare has received, the last sample at this time."""
+        return self._push(self._tare.release(), time)
 
     def _silence(self, silence: Silence) -> list[Event]:
         if self._silent:
@@ -173,7 +175,7 @@ class Session:
     def finish(self) -> list[Event]:
         """Events of the end of the stream: what is left to report, and the words still held, if words are reported."""
         reports = [self._notice(report.kind, report.text, report.count) for report in self._resampler.finish()]
-        return reports + self._release() + self.introspector.finish()
+        return reports + self._release(self.time) + self.introspector.finish()
 
     def run(self, messages: Iterable[Message]) -> Iterator[Event]:
         """Events of all messages."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
 
@@ -22,5 +24,5 @@ def tare(recordings: Recordings, samples: int) -> Recordings:
         raise InputError(f"a tare over {samples} samples is impossible; expected at least one.")
     wrench = recordings.wrench.copy()
     for row, length in enumerate(recordings.length):
-        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0)
+        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0, dtype=np.float64)
     return replace(recordings, wrench=wrench)

@@ -67,7 +67,7 @@ def task_of(
     try:
         known = checked_fields(TaskSpec, {k: v for k, v in model.task.items() if k in TaskSpec.__dataclass_fields__})
         trained = known["outcomes"]
-        spec = TaskSpec(known["task"], known["boundaries"], known["arms"])
+        spec = TaskSpec(known["task"], known["boundaries"], known["arms"], seconds=known.get("seconds", 0.0))
     except (KeyError, TypeError) as error:
         raise InputError(f"the model does not say what it was trained for: {error} is missing.") from error
     kept = outcomes or trained

@@ -309,13 +309,18 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
 
 
 def _rows(recordings: Recordings, chosen: NDArray[np.bool_], arms: str, dropped: Counter[str]) -> NDArray[np.int64]:
-    """Rows of the data set ``[trial, arm]``; trials that lack an arm are dropped."""
+    """Rows of the data set ``[trial, arm]``; trials that lack an arm are dropped.
+
+    Raises:
+        InputError: two recordings have the same source, trial and arm.
+    """
     there = sorted(set(recordings.arm[chosen].tolist()), reverse=True)  # R before L
     wanted = tuple(there) if arms == BOTH or len(there) == 1 else (arms,)
     by_trial: dict[tuple[str, str], dict[str, int]] = {}
     for row in np.flatnonzero(chosen).tolist():
-        key = (str(recordings.source[row]), str(recordings.trial[row]))
-        by_trial.setdefault(key, {})[str(recordings.arm[row])] = row
+        key, arm = (str(recordings.source[row]), str(recordings.trial[row])), str(recordings.arm[row])
+        if by_trial.setdefault(key, {}).setdefault(arm, row) != row:
+            raise InputError(f"Two recordings of {key[0]!r} are named {key[1]!r}, arm {arm}; a name must be unique.")
     complete = [[arm[a] for a in wanted] for arm in by_trial.values() if set(wanted) <= set(arm)]
     _count(dropped, f"no arm {' and '.join(wanted)}", len(by_trial) - len(complete))
     return np.array(complete, np.int64).reshape(-1, len(wanted))

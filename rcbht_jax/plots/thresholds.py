@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.encoding.thresholds import GradientThresholds
-from rcbht_jax.labels import AXES
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.plots.canvas import new_figure, plain
 
 _NAMES = ("impulse", "big", "medium", "small")
@@ -16,22 +18,29 @@ _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
 
 
 def threshold_figure(
-    data: CalibrationData, thresholds: GradientThresholds, base: GradientThresholds | None = None
+    data: CalibrationData,
+    window: int,
+    thresholds: GradientThresholds,
+    base: GradientThresholds | None = None,
+    axes: Sequence[str] = AXES,
+    units: Sequence[str] = UNITS,
 ) -> Figure:
     """Histograms of the windows' absolute slopes on a logarithmic scale, with the limits as lines.
 
     Args:
         data: trials with their windows.
-        thresholds: limits ``[6, 4]``, N/s and Nm/s, solid lines.
+        window: samples of a window.
+        thresholds: limits ``[axis, 4]`` per second, solid lines.
         base: limits to compare with, dotted lines.
+        axes: names. units: of the axes.
 
     Returns:
         a figure with a row per axis and a column per class; each panel states the share of windows that the limits
         make constant, small, medium, big and impulse.
     """
-    figure = new_figure((3.2 * len(data.classes), 9.5), 110)
-    panels = figure.subplots(len(AXES), len(data.classes), squeeze=False, sharex="row")
-    for row, axis in enumerate(AXES):
+    figure = new_figure((3.2 * len(data.classes), 0.5 + 1.5 * len(axes)), 110)
+    panels = figure.subplots(len(axes), len(data.classes), squeeze=False, sharex="row")
+    for row, (axis, unit) in enumerate(zip(axes, units, strict=True)):
         limits = np.asarray(thresholds.limits)[row]
         slopes = np.abs(data.windows.slope[..., row])
         positive = slopes[slopes > 0]
@@ -40,7 +49,7 @@ def threshold_figure(
         bins = np.geomspace(low, high, 50)
         for column, name in enumerate(data.classes):
             panel = panels[row, column]
-            inside = _inside(data, column, slopes)
+            inside = _inside(data, window, column, slopes)
             panel.hist(np.maximum(inside, low), bins=bins, color="0.8")
             panel.text(
                 0.02, 0.96, _zones(inside, limits), transform=panel.transAxes, fontsize=6, va="top", color="0.25"
@@ -57,8 +66,7 @@ def threshold_figure(
                 panel.set_title(plain(name), fontsize=10)
             if column == 0:
                 panel.set_ylabel(f"{plain(axis)}\nwindows", fontsize=9)
-        unit = "N/s" if row < 3 else "Nm/s"
-        panels[row, -1].annotate(unit, (1.01, 0), xycoords="axes fraction", fontsize=8)
+        panels[row, -1].annotate(f"{unit}/s", (1.01, 0), xycoords="axes fraction", fontsize=8)
     figure.legend(loc="upper left", ncols=4, fontsize=8, frameon=False)
     figure.supxlabel(
         "absolute slope of a window (solid lines: thresholds, dotted lines: thresholds to compare with)", fontsize=9
@@ -68,11 +76,10 @@ def threshold_figure(
 
 
 def _inside(
-    data: CalibrationData, label: int, slopes: Float[np.ndarray, "recording window"]
+    data: CalibrationData, window: int, label: int, slopes: Float[np.ndarray, "recording window"]
 ) -> Float[np.ndarray, " slope"]:
     """Slopes of all windows that start in an interval of the class."""
     parts = []
-    window = _window(data)
     for recording, y in enumerate(data.y):
         for interval in np.flatnonzero(y == label):
             first, last = data.edges[recording, interval : interval + 2]
@@ -85,7 +92,3 @@ def _zones(slopes: Float[np.ndarray, " slope"], limits: Float[np.ndarray, 4]) ->
     zone = (slopes[:, None] >= limits[::-1]).sum(1)
     share = 100 * np.bincount(zone, minlength=5) / max(len(zone), 1)
     return "\n".join(f"{value:.0f} % {name}" for value, name in zip(share, ("constant", *_NAMES[::-1]), strict=True))
-
-
-def _window(data: CalibrationData) -> int:
-    return -(-data.wrench.shape[1] // data.windows.slope.shape[1])

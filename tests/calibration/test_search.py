@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from rcbht_jax._util import cma
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.calibration import contextual, gradient
-from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
+from rcbht_jax.calibration.dataset import CalibrationData, calibration_data, device_calibration_data
 from rcbht_jax.calibration.gradient import GradientOptions
 from rcbht_jax.calibration.label_durations import fit_windows, label_durations
 from rcbht_jax.calibration.objective import RIDGE, SCORES, Objective, scores, shares
@@ -23,6 +24,8 @@ from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.features.spans import Intervals, clip, weighted_counts
 from rcbht_jax.labels import LAYER_SIZES, LAYERS
+from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals
+from rcbht_jax.types import Recordings
 
 CONFIG = EncoderConfig(window=5, dt=0.005)
 LENGTHS = np.array([403, 250, 361, 402], np.int32)  # partial windows of 3, 0, 1 and 2 samples
@@ -214,3 +217,32 @@ def test_every_method_raises_the_constant_limit_to_that_of_rest(made):
     assert (gradient.calibrate(made, CONFIG, base, quick, rest=rest).thresholds.limits[:, 3] > 1).all()
     missing = np.full((1, 6), np.nan)
     assert (contextual.combine(missing, missing, base, least=3.0).thresholds.limits[:, 3] == 3).all()
+
+
+def test_intervals_that_do_not_fit_together_are_refused():
+    """One recording's would become another's, and time between two the first one's."""
+    marks = [("a", 0, 100), ("b", 100, 200), ("a", 0, 100), ("b", 100, 200), ("b", 200, 300)]
+    owner = [0, 0, 1, 1, 1]
+
+    def data(which: list[int]) -> CalibrationData:
+        recordings = Recordings.from_arrays(np.ones((2, 300, 6)), rate=200)
+        rows = [(owner[k], "t", marks[k][0], marks[k][1] / 200, marks[k][2] / 200) for k in which]
+        annotations = Annotations.from_rows(rows)
+        recordings = replace(recordings, annotations=annotations)
+        return calibration_data(recordings, labelled_intervals(recordings, TaskSpec("t")), CONFIG)
+
+    assert data([0, 1, 2, 3]).edges.tolist() == [[0, 100, 200]] * 2
+    with pytest.raises(InputError, match="same number"):
+        data([0, 2, 3, 4])
+    with pytest.raises(InputError, match="follow each other"):
+        data([0, 1, 2, 4])
+
+
+def test_a_checkpoint_belongs_to_one_penalty_of_rest(made, tmp_path):
+    """It decides which candidates go on."""
+    checkpoint, steep = tmp_path / "scores.json", np.full((6, 4), 0.1)
+    search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=RestSlopes(steep, 1.0))
+    search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=RestSlopes(steep, 1.0))
+    for other in (None, RestSlopes(steep, 5.0), RestSlopes(2 * steep, 1.0)):
+        with pytest.raises(InputError, match="other data or options"):
+            search(made, CONFIG, SMALL, checkpoint=checkpoint, rest=other)

@@ -120,6 +120,8 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
         (lambda: rj.encode(WRENCH[0], thresholds=rj.GradientThresholds(np.tile([1.0, 2, 3, 4], (6, 1)))), "ordered"),
         (lambda: rj.encode([WRENCH[0], WRENCH[0, :, :3]]), "different axes"),
         (lambda: rj.encode([WRENCH[0]], lengths=[3]), "Lengths"),
+        (lambda: rj.encode(WRENCH[:1], lengths=[2.9]), "whole numbers"),
+        (lambda: rj.encode(WRENCH[:1], lengths=[2**32 + 100]), "whole numbers"),
         (lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time=np.arange(300) * 0.01)), "100 samples per second"),
         (lambda: rj.encode(WRENCH[0]).words("Fw"), "Fw"),
         (lambda: rj.encode(WRENCH[0]).words(0, "word"), "word"),

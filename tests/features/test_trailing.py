@@ -63,3 +63,11 @@ def test_a_word_counts_from_its_publication():
             assert row[0] == label[axis, last]
             assert row[2] == t1[axis, last] - t0[axis, last]
             assert row[3] == now - t1[axis, last]
+
+
+def test_a_large_level_hides_nothing():
+    level = trailing_statistics(np.full((60_000, 1), 5050.1), 1e-3, (1.0,))
+    assert level[:, 2:] == pytest.approx(np.zeros((60_000, 4)), abs=1e-9)
+    small = np.random.default_rng(4).normal(size=(500, 1))
+    near, far = (trailing_statistics(small + offset, 0.1, (1.0,)) for offset in (0.0, 1e5))
+    assert far[:, 2:] == pytest.approx(near[:, 2:], abs=1e-6)

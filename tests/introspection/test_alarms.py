@@ -11,17 +11,19 @@ from hypothesis import strategies as st
 
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import AnomalyRaised
+from rcbht_jax.events import AnomalyRaised, Belief
 from rcbht_jax.introspection.alarms import Alarm, conformal_threshold, held_out, peaks, sustained_peak
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
+from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.training import HeadSpec, train_head
+from rcbht_jax.io.messages import Sample
 from rcbht_jax.learning.probability import ProbabilisticSvm
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.learning.tasks import TaskSpec
 from rcbht_jax.robots.snap_assembly import snap_recordings
 from rcbht_jax.types import Recordings
-from tests.support.introspection_models import CONFIG, trial
+from tests.support.introspection_models import CONFIG, model, trial
 
 
 @given(st.lists(st.floats(0, 1), max_size=30), st.integers(1, 5))
@@ -104,3 +106,18 @@ def test_a_head_learns_its_level():
     assert sum(raised[12:]) >= 10
     with pytest.raises(InputError, match="it takes 99"):
         train_head(data, HeadSpec(TaskSpec("outcome"), ("histogram",), false_alarms=0.01), CONFIG, preset())
+
+
+def test_dates_as_time_stamps_delay_no_alarm():
+    """A double resolves a quarter of a microsecond of such a clock, more than the tolerance of a comparison."""
+    for begin in (0.0, 1.7e9 + 0.123):
+        session = Session(Introspector(model(), rate=10.0, hold=0.1))
+        shaken = trial(1, 900)
+        events = [session.feed(Sample(tuple(row.tolist()), begin + k * CONFIG.dt)) for k, row in enumerate(shaken)]
+        found = [event for event in itertools.chain(*events) if isinstance(event, AnomalyRaised)]
+        above = [
+            event.sample
+            for event in itertools.chain(*events)
+            if isinstance(event, Belief) and event.head == "outcome" and event.probabilities[1] > 0.7
+        ]
+        assert found[0].sample == above[1] == above[0] + 20  # held for one belief

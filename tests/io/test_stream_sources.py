@@ -6,6 +6,7 @@ import io
 import json
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, Notice, SubtaskStarted
+from rcbht_jax.events import Belief, Notice, SubtaskStarted, Word
 from rcbht_jax.introspection import session as session_module
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
-from rcbht_jax.introspection.session import Session, paced
+from rcbht_jax.introspection.session import Session, Tare, paced
 from rcbht_jax.io.messages import (
     LONGEST_SILENCE,
     Begin,
@@ -30,7 +31,9 @@ from rcbht_jax.io.messages import (
     read_live,
 )
 from rcbht_jax.io.playback import read_folder, read_store
+from rcbht_jax.io.tare import tare as tare_of
 from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.types import Recordings
 from tests.support.introspection_models import model, trial
 
 DT = 0.005
@@ -221,7 +224,7 @@ def beliefs(events: list[object]) -> list[tuple[object, ...]]:
 def test_a_tared_session_says_what_one_of_tared_trials_does(begins):
     """Also where a sub-task begins before the tare is complete, and in a trial that is shorter than the tare."""
     trials = [offset + trial(kind, 50 + kind, count) for kind, count, offset in ((0, 503, 2.0), (1, 110, -3.0))]
-    by_hand = [wrench - wrench[:160].mean(0) for wrench in trials]
+    by_hand = [wrench - wrench[:160].mean(0, dtype=np.float64).astype(np.float32) for wrench in trials]
     found = []
     for wrenches, seconds in ((trials, 160 * DT), (by_hand, 0.0), (trials, 0.0)):
         messages = [message for wrench in wrenches for message in (Reset(), *samples_of(wrench, begins))]
@@ -236,9 +239,36 @@ def test_a_gap_does_not_tare_anew():
     wrench = trial(1, 51, 400)
     readings = [*samples_of(wrench)[:200], *samples_of(wrench)[300:]]
     raw, tared = (Session(Introspector(model(), words=True), tare=seconds) for seconds in (0.0, 100 * DT))
-    by_hand = [Sample(tuple((np.float32(one.wrench) - wrench[:100].mean(0)).tolist()), one.time) for one in readings]
+    mean = wrench[:100].mean(0, dtype=np.float64).astype(np.float32)
+    by_hand = [
+        Sample(
+            tuple((np.float32(one.wrench) - mean).tolist()),
+            one.time,
+        )
+        for one in readings
+    ]
     assert beliefs(list(tared.run(readings))) == beliefs(list(raw.run(by_hand)))
     assert tared.introspector.received == 100  # after the gap
+
+
+def test_a_gap_during_the_tare_leaves_the_stamps_before_it():
+    readings = samples_of(trial(1, 51, 100))
+    late = [replace(one, time=one.time + 100.0) for one in readings[60:]]
+    plain, tared = (Session(Introspector(model(), words=True), tare=seconds) for seconds in (0.0, 1.0))
+    found = []
+    for session in (plain, tared):
+        words = [event for event in session.run([*readings[:60], *late]) if isinstance(event, Word)]
+        found.append([(word.sample, word.time) for word in words if word.time < 50])
+    assert found[0]
+    assert np.array(found[1]) == pytest.approx(np.array(found[0]))
+
+
+def test_the_tare_of_a_minute_is_exact():
+    tare, level = Tare(60_000), np.float32(100.03)
+    (rest,) = tare.tared(np.full((60_000, 2), level, np.float32))
+    assert np.abs(rest).max() < 1e-5
+    whole = Recordings.from_arrays(np.full((1, 60_000, 2), level, np.float32), rate=200)
+    assert np.abs(tare_of(whole, 60_000).wrench).max() < 1e-5
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 601.0, math.nan])

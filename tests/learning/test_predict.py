@@ -19,6 +19,7 @@ from rcbht_jax.learning.evaluation import candidates
 from rcbht_jax.learning.model_io import load, save
 from rcbht_jax.learning.predict import classify, task_of
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, unlabelled_intervals
+from rcbht_jax.types import Recordings
 from tests.cli.test_commands import synthetic
 from tests.support.snaps import marked, with_columns
 
@@ -153,3 +154,16 @@ def test_what_does_not_fit_is_one_sentence(
     assert why in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "classes.csv").exists()
+
+
+def test_two_recordings_of_one_name_are_refused() -> None:
+    """The second one would take the place of the first."""
+    days = [Recordings.from_arrays(np.zeros((2, 300, 6)), outcome=["success", "failure"], session=s) for s in "AB"]
+    with pytest.raises(InputError, match="a name must be unique"):
+        labelled_intervals(Recordings.join(days), TaskSpec("outcome"))
+
+
+def test_a_model_of_first_seconds_sees_no_more_of_others(place: Path) -> None:
+    model = load(place / "one.model")
+    assert task_of(model).seconds == 0.0
+    assert task_of(replace(model, task=model.task | {"seconds": 0.5})).seconds == 0.5

@@ -240,3 +240,9 @@ def test_bad_input_is_refused():
 def test_a_grid_without_a_choice_is_refused(empty):
     with pytest.raises(InputError, match=f"no {empty} to choose from"):
         Grid(**{empty: ()})
+
+
+def test_costs_that_do_not_increase_are_refused() -> None:
+    """A path of costs stops at the first that is too hard; smaller ones behind it would get its answers."""
+    with pytest.raises(InputError, match="do not increase"):
+        Grid(costs=(1e4, 1.0, 1e-5))
