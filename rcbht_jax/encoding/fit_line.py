@@ -2,8 +2,9 @@
 
 Results do not depend on how a compiler fuses this code: no rounded product meets a sum or another constant unfenced,
 and nothing is divided by what could be a constant, lest it become a product with the reciprocal. Times are counted in
-samples from the middle of a run and values from its mean, so that single precision loses nothing over long runs; the
-growth of a squared residual is a sum of squares over the last few samples, never a difference of large numbers.
+samples from the middle of a run and values from its mean; the growth of a squared residual is a sum of squares over the
+last few samples, never a difference of large numbers. What single precision loses over long runs is the mean's last
+digit at every window (docs/fit_rule.md).
 """
 
 from __future__ import annotations

@@ -78,7 +78,10 @@ def relabel(x: Segment, label: Array) -> Segment:
 
 
 def merge(x: Segment, y: Segment, label: Array) -> Segment:
-    """The span of two neighbours, x first; associative."""
+    """The span of two neighbours, x first; associative but for rounding.
+
+    In single precision the mean of a word of a million samples is right to a few thousandths.
+    """
     vmax, vmin = jnp.maximum(x.vmax, y.vmax), jnp.minimum(x.vmin, y.vmin)
     return Segment(label, x.t0, y.t1, vmax, vmin, x.area + y.area, x.rise + y.rise)
 
