@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,8 @@ def committed(name: str) -> Any:
 
 def machine() -> str:
     """The machine in words."""
-    devices = ", ".join(sorted({device.device_kind for device in jax.devices()}))
+    kinds = Counter(device.device_kind for device in jax.devices())
+    devices = ", ".join(f"{count} x {kind}" if count > 1 else kind for kind, count in sorted(kinds.items()))
     return f"{os.cpu_count()} CPU cores ({platform.machine()}), JAX {jax.__version__} on {devices}"
 
 

@@ -57,6 +57,8 @@ def watched(command: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
                 held.setdefault(pid, [now, now])[1] = now
             shard_times += [now] * (len(shards.finished(folder)) - len(shard_times))
         time.sleep(LOOK)
+    if command.returncode:
+        raise SystemExit(f"the command ended with status {command.returncode}")
     return {
         "workers held shards from, to": sorted(held.values()),
         "a tenth, half, nine tenths, all shards there": np.quantile(shard_times, QUANTILES, method="higher").tolist(),
@@ -72,8 +74,6 @@ def simulated(folder: Path, trials: int, gpus: list[str]) -> dict[str, Any]:
     env = {**os.environ, launch.DEVICES: ",".join(gpus)}
     with subprocess.Popen(made, env=env, stdout=subprocess.DEVNULL) as command:
         times = watched(command, shards.folder_of(target))
-    if command.returncode:
-        raise SystemExit(f"the command with {trials} trials on {len(gpus)} GPUs failed")
     table = store.read_table(target)
     shutil.rmtree(target)
     first = times["workers held shards from, to"][0][0]

@@ -199,21 +199,29 @@ def native_cores(result: Result) -> str:
 @table("scaling", "scaling")
 def scaling(result: Result) -> str:
     """All devices of a machine against one."""
-    simulated, found = result["simulation"], result["search"]
+    places = {"": result} | {f"{place}: ": other for place, other in result["other machines"].items()}
+    lines = [line for place, part in places.items() for line in _shared(place, part)]
+    return markdown(("", "one GPU, s", "all, s", "of linear", "same bits"), lines)
+
+
+def _shared(place: str, part: Result) -> list[tuple[str, ...]]:
+    """What the devices of one machine shared."""
+    simulated = part["simulation"]
     counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
     seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
-    lines = [(f"trials with labels, stored: {counts[0]}, {counts[1]}", *seconds, f"{simulated['of linear']:.2f}", "–")]
-    about = f"search: {found['candidates']:,} thresholds on {found['trials']} trials"
-    shared = [(about, found)]
-    for row in result["labels"]:
+    title = f"{place}trials of {simulated['preset']} with labels, stored: {counts[0]}, {counts[1]}"
+    lines, shared = [(title, *seconds, f"{simulated['of linear']:.2f}", "–")], []
+    if found := part.get("search"):
+        shared.append((f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found))
+    for row in part.get("labels", []):
         kind = "compact labels" if "compact" in row else "dense labels"
-        counts = dict.fromkeys(f"{row[which]:,}" for which in ("recordings", "together"))
-        shared.append((f"{kind}: {', '.join(counts)} recordings, window {row['window']}", row))
+        both = dict.fromkeys(f"{row[which]:,}" for which in ("recordings", "together"))
+        shared.append((f"{kind}: {', '.join(both)} recordings, window {row['window']}", row))
     for title, row in shared:
         bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
         times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]
-        lines.append((title, *times, f"{row['of linear']:.2f}", bits))
-    return markdown(("", "one GPU, s", "both, s", "of linear", "same bits"), lines)
+        lines.append((place + title, *times, f"{row['of linear']:.2f}", bits))
+    return lines
 
 
 @table("repeatability", "repeatability")
