@@ -187,15 +187,20 @@ def sample(preset: SessionPreset, seed: int, index: int, spec: DomainRandomizati
 
 
 def sample_batch(
-    preset: SessionPreset, seed: int, indices: Sequence[int], spec: DomainRandomization
+    preset: SessionPreset,
+    seed: int,
+    indices: Sequence[int],
+    spec: DomainRandomization,
+    mating_time: Float64[np.ndarray, " trial"] | None = None,
 ) -> tuple[TrialParams, list[Fault]]:
     """Trials of a preset, of the right arm.
 
     Args:
-        preset: nominal faulty.
+        preset: nominal values.
         seed: of the whole set, 0 to 2^64 - 1.
         indices: of the trials within the set, >= 0.
         spec: the distributions.
+        mating_time: s, recorded after mating begins; None = as ``spec`` says.
 
     Returns:
         their parameters ``[trial, ...]`` and their faults; a trial's do not depend on the others.
@@ -221,9 +226,11 @@ def sample_batch(
     drawn = _scaled(uniform, spec)
     hand = np.where(np.isnan(faulty.hand), np.concatenate([drawn["shift"], drawn["turn"]], axis=1), faulty.hand)
     task, sensor, part = repeated(_nominal(preset, spec), len(indices))
+    if mating_time is None and spec.mating is not None:
+        mating_time = mating
+    if mating_time is not None:  # before the time limits, which count it: a fault must not be told by a duration
+        task = replace(task, mating_time=mating_time)
     task, part = _task(preset, task, drawn, hand, faulty, spec), _parts(part, drawn, faulty)
-    if spec.mating is not None:
-        task = replace(task, mating_time=mating)
     if preset.real or spec.sensor is not None:
         sensor = _measured(sensor, drawn)
     parts.check(part)
