@@ -71,9 +71,13 @@ def job_of(values: dict[str, Any]) -> SynthesisConfig:
         InputError: its preset or assembly is not known here.
         KeyError, TypeError: it is of another version.
     """
+    return SynthesisConfig(**{**values, "spec": scenario_of(values)[1]})
+
+
+def scenario_of(values: dict[str, Any]) -> tuple[Scenario, Any]:
+    """Scenario and distributions of a job that :func:`provenance` wrote down; errors as of :func:`job_of`."""
     scenario = get_scenario(values["preset"])
-    spec = scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
-    return SynthesisConfig(**{**values, "spec": spec})
+    return scenario, scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
 
 
 def _as_tuples(value: Any) -> Any:
