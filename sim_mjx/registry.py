@@ -6,6 +6,7 @@ may be somebody's own: FILE.py:NAME is the object NAME of a Python file, see doc
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -87,14 +88,19 @@ def get_scenario(name: str) -> Scenario:
     >>> get_scenario("two").arms, get_scenario("peg-in-hole@panda").states
     (('R', 'L'), ('approach', 'search', 'insertion', 'rest'))
     """
-    if "@" in name:
-        assembly, _, robot = name.partition("@")
-        return _paired(assembly, robot)
+    if halves := _halves(name):
+        return _paired(*halves)
     constants = preset(name)
     if isinstance(constants, TwoArmPreset):
         return Scenario(constants, ARMS, two_arm, randomization_two_arm.sample_batch, TWO_ARM_PARAMETERS)
     names = HOOKED_PARAMETERS if isinstance(constants.parts, HookedParams) else PARAMETERS
     return Scenario(constants, ("R",), constants.scene, trials.sample_batch, names)
+
+
+def _halves(name: str) -> tuple[str, ...]:
+    """Assembly and robot of ASSEMBLY@ROBOT, none of another name; a path before the "@" may have one itself."""
+    found = re.fullmatch(r"(.*?\.py:[^@]+|[^@]*)@(.*)", name)
+    return found.groups() if found else ()
 
 
 @cache
@@ -158,11 +164,15 @@ def _module(path: str) -> Any:
     assert spec.loader is not None
     module = module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except InputError:  # says itself what is wrong
+        raise
+    except Exception as error:
+        raise InputError(f"{path} cannot be imported: {error}.") from error
     return module
 
 
 def own_files(name: str) -> list[Path]:
     """Python files that a name refers to: their content decides what is simulated."""
-    halves = name.split("@") if "@" in name else []
-    return [Path(half.rpartition(":")[0]) for half in halves if ":" in half]
+    return [Path(half.rpartition(":")[0]) for half in _halves(name) if ":" in half]

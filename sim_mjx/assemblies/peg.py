@@ -55,7 +55,7 @@ class PegVariation(Variation):
     clearance: Range = (0.10e-3, 0.20e-3)  # m, on each side; chosen: a loose fit of 16 mm
     stop_at: Range = (0.5, 2.5)  # s, fault early-stop; chosen: before any peg is in
     tight: Range = (-0.4e-3, -0.2e-3)  # m, fault tight: the clearance of a peg that is too thick; chosen
-    jam: Range = (1.0, 1.5)  # fault rough: friction that holds the peg in its hole; chosen
+    jam: Range = (1.0, 1.5)  # fault rough: friction that slows search and insertion; chosen
     askew: Range = (0.06, 0.12)  # rad, fault askew: lean of the peg in the hand, any direction; chosen
     blocked: Range = (5e-3, 10e-3)  # m, fault blocked: how much what lies in the hole raises its floor; chosen
 
@@ -138,7 +138,7 @@ def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
 
 
 def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Peg and hole are so rough that the peg sticks."""
+    """Peg and hole are rough: search and insertion take longer, and end in the hole all the same."""
     return with_mount(trial, friction=uniform(rng, spec.jam))
 
 

@@ -15,7 +15,7 @@ from sim_mjx.assembly import sensor
 from sim_mjx.assembly.controllers import Wrench
 from sim_mjx.assembly.rollout import LogRow, Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY, SensorState
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, periods
 from sim_mjx.controllers import Sense, resolved_rates
 from sim_mjx.robots.chain import Angles, Rotation, SerialChain, Vector, pose, rotation_vector, times
 
@@ -66,7 +66,7 @@ class Controller:
         ended, phases = len(self.assembly.phases), self.assembly.phases
         leaves = jnp.stack([phase.leave(before, params.task) for phase in phases])
         phase = jnp.where((loop.phase < ended) & leaves[jnp.minimum(loop.phase, ended - 1)], loop.phase + 1, loop.phase)
-        late = loop.tick >= jnp.round(params.timeout / CONTROL_PERIOD).astype(jnp.int32)
+        late = loop.tick >= periods(params.timeout)
         phase = jnp.where(late, jnp.int32(ended), phase)
         new = phase != loop.phase
         since = jnp.where(new, loop.tick, loop.since)

@@ -97,18 +97,18 @@ def advance(params: TaskParams, state: TaskState, joints: Joints, wrench: Wrench
     phase = jnp.where(_leaves(params, state, joints, rotation, wrench), state.phase + 1, state.phase)
     # pre-mating exists in the OpenHRP task only: elsewhere it would last no time
     phase = jnp.where((phase == PRE_MATING) & (params.leave_wrist[2] == jnp.inf), jnp.int32(MATING), phase)
-    stopped = state.tick >= _periods(params.stop)
+    stopped = state.tick >= periods(params.stop)
     phase = jnp.where(stopped, state.phase, phase)
-    phase = jnp.where(state.tick >= _periods(params.timeout), jnp.int32(ENDED), phase)
+    phase = jnp.where(state.tick >= periods(params.timeout), jnp.int32(ENDED), phase)
     begun = (jnp.arange(6) == phase) & (state.entered < 0)
     entered = jnp.where(begun, state.tick, state.entered)
-    resting = (state.phase == MATING) & (state.tick - state.entered[MATING] >= _periods(params.mating_time))
+    resting = (state.phase == MATING) & (state.tick - state.entered[MATING] >= periods(params.mating_time))
     still = stopped | resting | (phase == ENDED)
     command = jnp.where(still, state.command, _command(params, state, phase, wrench, rotation))
     return TaskState(state.tick + 1, phase, entered, command)
 
 
-def _periods(seconds: Array) -> Array:
+def periods(seconds: Array) -> Array:
     """Whole control periods: times are compared as integers, because floats of them differ in the last digit."""
     return jnp.round(seconds / CONTROL_PERIOD).astype(jnp.int32)
 
@@ -116,13 +116,13 @@ def _periods(seconds: Array) -> Array:
 def _leaves(params: TaskParams, state: TaskState, joints: Array, rotation: Array, wrench: Array) -> Array:
     """Whether the current phase ends with this measurement."""
     pushed = (rotation.T @ wrench[:3])[0] > params.contact_force
-    contact = pushed & (state.tick > _periods(params.contact_after))
+    contact = pushed & (state.tick > periods(params.contact_after))
     row = jnp.clip(state.phase - ROTATION, 0, 3)
     since = state.tick - state.entered[state.phase]
     pitch = jnp.arcsin(jnp.clip(-rotation[2, 0], -1.0, 1.0))
     reached = (joints[4] < params.leave_wrist[row]) | (pitch < params.leave_pitch[row])
-    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= _periods(params.leave_after[row]))
-    over = since >= _periods(params.mating_time) + _periods(params.rest)
+    reached = reached & (wrench[4] > params.leave_moment[row]) & (since >= periods(params.leave_after[row]))
+    over = since >= periods(params.mating_time) + periods(params.rest)
     by_phase = jnp.where(state.phase == MATING, over, reached)
     return jnp.where(state.phase == APPROACH, contact, by_phase & (state.phase < ENDED))
 

@@ -28,7 +28,8 @@ class Doctor(Command):
     store: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE] = None
     """Store to check, in place of the machine."""
     repair: Flag = False
-    """Simulate a damaged store again from its seed, if the installed versions are those that made it."""
+    """Simulate a damaged store again from its seed, if the installed versions are those that made it; label tracks of
+    "rcbht encode" are lost, and named."""
 
     def run(self) -> dict[str, Any]:
         from sim_mjx.validation import health
@@ -45,13 +46,15 @@ class Doctor(Command):
         from sim_mjx.validation import health
 
         found = health.check_store(path)
-        repaired = False
+        repaired, lost = False, list[str]()
         if self.repair and found.damage:
             from sim_mjx.synthesis.pipeline import synthesise
 
-            synthesise(path, health.repair_job(path), overwrite=True)
+            job = health.repair_job(path)
+            lost = health.other_tracks(path, job)
+            synthesise(path, job, overwrite=True)
             found, repaired = health.check_store(path), True
-        return {"store": str(path), **asdict(found), "repaired": repaired}
+        return {"store": str(path), **asdict(found), "repaired": repaired, "lost_tracks": lost}
 
     def exit_status(self, result: dict[str, Any]) -> int:
         return 2 if result.get("damage") else 0
@@ -82,6 +85,11 @@ def _store_text(result: dict[str, Any]) -> str:
     ]
     if result["repaired"]:
         lines.append("it was damaged and has been simulated again")
+        if result["lost_tracks"]:
+            tracks = ", ".join(result["lost_tracks"])
+            lines.append(
+                f'label tracks that its simulation did not make are gone: {tracks}; make them with "rcbht encode"'
+            )
     elif result["damage"] and result["repairable"]:
         lines.append(f'"rcbht doctor {result["store"]} --repair" makes it again from its seed')
     return "\n".join([*lines, *result["notes"]])

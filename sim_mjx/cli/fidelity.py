@@ -30,17 +30,17 @@ MOST = 100_000  # trials, which are all in memory at once
 
 # Parameters that are fitted by default: lowest, highest value (SI units), scale of the search.
 BOUNDS = {
-    "parts.tab_stiffness": (3e3, 3e4, "log"),
+    "parts.tab_stiffness": (2e3, 3e4, "log"),
     "parts.hook_overlap": (2e-4, 1.2e-3, "log"),
-    "parts.seat_depth": (1.5e-3, 3.5e-3, "linear"),
+    "parts.seat_depth": (1.5e-3, 4.5e-3, "linear"),
     "parts.friction": (0.05, 0.6, "linear"),
     "parts.slot_play": (5e-4, 2.5e-3, "linear"),
     "parts.mount_stiffness[0]": (1.5e3, 1.5e4, "log"),
-    "parts.mount_stiffness[1]": (1.5e3, 1.5e4, "log"),
+    "parts.mount_stiffness[1]": (1.5e3, 1e5, "log"),
     "parts.mount_stiffness[2]": (3e3, 2e4, "log"),
-    "parts.mount_damping[2]": (20.0, 200.0, "log"),
-    "parts.roll": (-0.02, 0.02, "linear"),
-    "sensor.delay": (3.6, 9.4, "linear"),
+    "parts.mount_damping[2]": (5.0, 400.0, "log"),
+    "parts.roll": (-0.05, 0.05, "linear"),
+    "sensor.delay": (0.6, 11.4, "linear"),
 }
 
 
@@ -90,7 +90,9 @@ class Fidelity(Command):
         return {**report, "folder": str(self.out), "seconds": time.perf_counter() - start}
 
     def text(self, result: dict[str, Any]) -> str:
-        return f"{table(result)}\n\n{result['folder']}: report.json, report.txt, pictures ({result['seconds']:.0f} s)"
+        drawn = any(name.startswith("session ") and row["mated"] for name, row in result.items())
+        files = f"report.json, report.txt{', pictures' if drawn else ''}"
+        return f"{table(result)}\n\n{result['folder']}: {files} ({result['seconds']:.0f} s)"
 
     def _check(self) -> None:
         from rcbht_jax.io.hiro.importer import find_trials
@@ -214,16 +216,20 @@ def _line(name: str, value: str, limit: str = "", holds: bool | None = None) -> 
     return f"{name:28}{value:64}{f'limit {limit}' if limit else '':34}{verdict}".rstrip()
 
 
+def _contacts(row: dict[str, Any]) -> str:
+    return f"{row['touched']} of {row['trials']} trials touched"
+
+
 def _solver(name: str, row: dict[str, Any]) -> str:
     step, limits = row["step"], row["limits"]
-    value = f"{step['force']:.2g} N, {step['moment']:.2g} Nm from converged, {row['trials']} trials"
+    value = f"{step['force']:.2g} N, {step['moment']:.2g} Nm from converged, {_contacts(row)}"
     return _line(name, value, f"{limits['force']:g} N, {limits['moment']:g} Nm", row["holds"])
 
 
 def _engine(name: str, row: dict[str, Any]) -> str:
     value = (
         f"{row['force_until_contact']:.2g} N until contact, labels {min(row['labels'].values()):.1%}, "
-        f"outcome {row['same_outcome']:.1%}"
+        f"outcome {row['same_outcome']:.1%}, {_contacts(row)}"
     )
     limits = row["limits"]
     limit = f"{limits['force']:g} N, {limits['labels']:.0%}, {limits['outcome']:.0%}"

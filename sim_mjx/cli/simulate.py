@@ -45,7 +45,7 @@ class Simulate(Command):
     assembly: Annotated[str, tyro.conf.arg(metavar="NAME")] = "camera-snap"
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
     robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """panda, ur5e, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
+    """panda, ur5e, hiro, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
     preset: Annotated[
         Preset | None,
         option(

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY
-from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.assembly.task import CONTROL_PERIOD, periods
 from sim_mjx.engines.common import LARGEST
 from sim_mjx.env.actions import action_size, joint_increments, with_set_points
 from sim_mjx.env.config import EnvConfig
@@ -175,7 +175,7 @@ class Environment:
         data, joints, wrench, phase = self._periods(state.data, action)
         sane = (jnp.abs(wrench) < LARGEST).all() & jnp.isfinite(joints).all()  # false for NaN
         success = sane & (data.held >= round(self.config.hold / CONTROL_PERIOD))
-        late = data.tick >= _whole_periods(self.program.timeout(data.params))
+        late = data.tick >= periods(self.program.timeout(data.params))
         if self.config.controller == "recorded":
             late = late | (phase[-1] == self.program.ended)
         rise = _share(data.glance) - state.metrics["seated"]
@@ -247,7 +247,3 @@ class Environment:
 def _share(glance: Glance) -> Array:
     """Share of the tabs that are seated."""
     return glance.seated.astype(jnp.float32).mean()
-
-
-def _whole_periods(seconds: Array) -> Array:
-    return jnp.round(seconds / CONTROL_PERIOD).astype(jnp.int32)

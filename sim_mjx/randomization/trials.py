@@ -187,15 +187,20 @@ def sample(preset: SessionPreset, seed: int, index: int, spec: DomainRandomizati
 
 
 def sample_batch(
-    preset: SessionPreset, seed: int, indices: Sequence[int], spec: DomainRandomization
+    preset: SessionPreset,
+    seed: int,
+    indices: Sequence[int],
+    spec: DomainRandomization,
+    mating_time: Float64[np.ndarray, " trial"] | None = None,
 ) -> tuple[TrialParams, list[Fault]]:
     """Trials of a preset, of the right arm.
 
     Args:
-        preset: nominal faulty.
+        preset: nominal values.
         seed: of the whole set, 0 to 2^64 - 1.
         indices: of the trials within the set, >= 0.
         spec: the distributions.
+        mating_time: s, recorded after mating begins; None = as ``spec`` says.
 
     Returns:
         their parameters ``[trial, ...]`` and their faults; a trial's do not depend on the others.
@@ -217,13 +222,15 @@ def sample_batch(
         if not nominal:
             FAULTS[kinds[-1]](faulty, row, spec, rng)
         if spec.mating is not None:  # the last draw, so that the others do not depend on it
-            mating[row] = _draw(rng, spec.mating)
+            mating[row] = rng.uniform(*spec.mating)
     drawn = _scaled(uniform, spec)
     hand = np.where(np.isnan(faulty.hand), np.concatenate([drawn["shift"], drawn["turn"]], axis=1), faulty.hand)
     task, sensor, part = repeated(_nominal(preset, spec), len(indices))
+    if mating_time is None and spec.mating is not None:
+        mating_time = mating
+    if mating_time is not None:  # before the time limits, which count it: a fault must not be told by a duration
+        task = replace(task, mating_time=mating_time)
     task, part = _task(preset, task, drawn, hand, faulty, spec), _parts(part, drawn, faulty)
-    if spec.mating is not None:
-        task = replace(task, mating_time=mating)
     if preset.real or spec.sensor is not None:
         sensor = _measured(sensor, drawn)
     parts.check(part)
@@ -253,10 +260,6 @@ def _streams(seed: int, indices: Sequence[int], branch: int = 0) -> Iterator[np.
         state["state"]["counter"] = np.array([0, 0, branch, index], np.uint64)
         bits.state = state
         yield rng
-
-
-def _draw(rng: np.random.Generator, span: Range, size: int | None = None) -> Any:
-    return rng.uniform(span[0], span[1], size)
 
 
 def _scaled(uniform: Float64[np.ndarray, "trial number"], spec: DomainRandomization) -> _Numbers:
@@ -341,7 +344,7 @@ def _pose(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.G
     weights = np.array(list(PATTERNS.values()), float)
     axes = list(PATTERNS)[int(rng.choice(len(weights), p=weights / weights.sum()))]
     for way, (axis, span) in enumerate(zip("xyr", (spec.fault_x, spec.fault_y, spec.fault_roll), strict=True)):
-        value = _draw(rng, span)
+        value = rng.uniform(*span)
         if axis in axes:
             faulty.hand[row, way] = value
             faulty.failure_type[row] += ("+" if value >= 0 else "-") + axis
@@ -349,34 +352,34 @@ def _pose(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.G
 
 def _jamming(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """Rough hooks that reach so far under their lips that the tabs do not slide over them."""
-    faulty.friction[row] *= _draw(rng, spec.jam_friction)
-    faulty.hooks[row] = _draw(rng, spec.jam_overlap, 4)
+    faulty.friction[row] *= rng.uniform(*spec.jam_friction)
+    faulty.hooks[row] = rng.uniform(*spec.jam_overlap, 4)
 
 
 def _wedging(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The part is turned and tilted in the hand, a little more than the slots allow."""
-    faulty.hand[row, 2] = _draw(rng, spec.wedge_roll) * rng.choice((-1.0, 1.0))
-    faulty.tilt[row] = _draw(rng, spec.wedge_tilt) * rng.choice((-1.0, 1.0))
+    faulty.hand[row, 2] = rng.uniform(*spec.wedge_roll) * rng.choice((-1.0, 1.0))
+    faulty.tilt[row] = rng.uniform(*spec.wedge_tilt) * rng.choice((-1.0, 1.0))
 
 
 def _missing_tab(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """One tab has broken off or is worn; by convention of PartParams the overlap of a missing one is negative."""
     tab, (low, high) = int(rng.integers(len(TABS))), spec.missing_overlap
     # nothing is drawn where there is nothing to choose, so that later draws do not depend on this range
-    faulty.overlap[row, tab] *= low if low == high else _draw(rng, (low, high))
+    faulty.overlap[row, tab] *= low if low == high else rng.uniform(low, high)
 
 
 def _moved_part(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The female part stands farther off than any pose fault, along x or along y."""
     axis = int(rng.integers(2))
-    faulty.part[row, axis] = _draw(rng, spec.moved_by) * rng.choice((-1.0, 1.0))
+    faulty.part[row, axis] = rng.uniform(*spec.moved_by) * rng.choice((-1.0, 1.0))
     # the hand deviates the other way
     faulty.failure_type[row] = ("-" if faulty.part[row, axis] > 0 else "+") + "xy"[axis]
 
 
 def _early_stop(faulty: _Faulty, row: int, spec: DomainRandomization, rng: np.random.Generator) -> None:
     """The robot stops before mating begins."""
-    faulty.stop[row] = _draw(rng, spec.stop_at)
+    faulty.stop[row] = rng.uniform(*spec.stop_at)
 
 
 FAULTS: dict[str, Callable[[_Faulty, int, DomainRandomization, np.random.Generator], None]] = {

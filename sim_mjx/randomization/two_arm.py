@@ -44,14 +44,15 @@ def sample_batch(
     Raises:
         InputError: negative seed or index, or impossible distributions.
     """
-    right, faults = trials.sample_batch(preset, seed, indices, spec)
+    trials.check(spec)
     spans = [spec.goal, spec.goal, spec.gain, spec.gain]
     spans += [span for _ in ARMS for span in (FORCE_DRIFT, MOMENT_DRIFT) for _ in range(3)]
-    low, high = np.array([*spans, MATING_TIME, CHATTER]).T
+    low, high = np.array([*spans, spec.mating or MATING_TIME, CHATTER]).T
     drawn = np.stack([trials.stream(seed, index, branch=1).uniform(low, high) for index in indices])
+    right, faults = trials.sample_batch(preset, seed, indices, spec, drawn[:, -2])
     hold, left_sensor = repeated((preset.hold, preset.left_sensor), len(indices))
     return TwoArmParams(
-        task=replace(right.task, mating_time=drawn[:, -2]),
+        task=right.task,
         hold=replace(
             hold,
             force=hold.force * drawn[:, :1, None],

@@ -21,6 +21,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 SERVO_SPEED, SERVO_DAMPING = 300.0, 0.8  # rad/s and share of critical damping of every joint at home
 HAND, FORCE, TORQUE = "HAND", "HAND_FORCE", "HAND_TORQUE"  # body that carries the part; sensors
+ARM = "arm/"  # begins the names of what comes from a file
 TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
 
 
@@ -50,7 +51,7 @@ class Robot:
 def from_mjcf(
     path: str | Path, *, site: str, home: Sequence[float], place: Vector, name: str = "", tool_mass: float = 0.4
 ) -> Robot:
-    """A robot from an MJCF file; its actuators, sensors and contacts are not used.
+    """A robot from an MJCF file; its actuators, sensors, contacts and options are not used.
 
     Args:
         path: of the file.
@@ -69,11 +70,20 @@ def from_mjcf(
 
     def build() -> mujoco.MjSpec:
         try:
-            return mujoco.MjSpec.from_file(str(source))
+            own = mujoco.MjSpec.from_file(str(source))
         except ValueError as error:
             raise InputError(f"{source} cannot be read as MJCF: {str(error).splitlines()[0]}") from error
+        if own.site(site) is None:
+            raise InputError(f"{source} has no site {site!r}; it marks the wrist and its frame.")
+        # on a new model the file's defaults, options, names and unit of angles are the arm's alone
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        for setting in ("option", "memory", "njmax", "nconmax", "nstack"):  # else each would be reported as a conflict
+            setattr(own, setting, getattr(spec, setting))
+        spec.attach(own, prefix=ARM, frame=spec.worldbody.add_frame())
+        return spec
 
-    robot = Robot(name or source.stem, build, site, tuple(home), place, tool_mass)
+    robot = Robot(name or source.stem, build, f"{ARM}{site}", tuple(home), place, tool_mass)
     if len(robot.joints) != len(robot.home):
         raise InputError(f"The arm has {len(robot.joints)} joints, and home {len(robot.home)} angles.")
     return robot
@@ -106,7 +116,6 @@ def equipped(robot: Robot) -> mujoco.MjSpec:
         InputError: the robot has no such site, or a joint that moves it is no hinge.
     """
     spec = robot.build()
-    spec.compiler.degree = False
     # Euler's method needs shorter steps than the servos' damping allows
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for group in (spec.actuators, spec.sensors, spec.keys, spec.pairs, spec.excludes):
@@ -144,7 +153,8 @@ def _inertias(robot: Robot) -> Float64[np.ndarray, " joint"]:
 def _add_hand(spec: mujoco.MjSpec, robot: Robot) -> None:
     site = spec.site(robot.wrist)
     inertia = 0.4 * robot.tool_mass * TOOL_RADIUS**2
-    hand = site.parent.add_body(name=HAND, pos=site.pos, quat=site.quat)
+    # of the model's own defaults, not of the class that an arm gives its links
+    hand = site.parent.add_body(spec.default, name=HAND, pos=site.pos, quat=site.quat)
     hand.mass, hand.inertia, hand.explicitinertial = robot.tool_mass, (inertia, inertia, inertia), True
     hand.ipos = (0.0, 0.0, 0.03)
     hand.add_site(name=HAND)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
-from rcbht_jax._util.digest import files_hash
+from rcbht_jax._util.digest import content_hash, files_hash
 from rcbht_jax.encoding import thresholds
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.errors import InputError
@@ -71,9 +71,13 @@ def job_of(values: dict[str, Any]) -> SynthesisConfig:
         InputError: its preset or assembly is not known here.
         KeyError, TypeError: it is of another version.
     """
+    return SynthesisConfig(**{**values, "spec": scenario_of(values)[1]})
+
+
+def scenario_of(values: dict[str, Any]) -> tuple[Scenario, Any]:
+    """Scenario and distributions of a job that :func:`provenance` wrote down; errors as of :func:`job_of`."""
     scenario = get_scenario(values["preset"])
-    spec = scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
-    return SynthesisConfig(**{**values, "spec": spec})
+    return scenario, scenario.spec(**{name: _as_tuples(value) for name, value in values["spec"].items()})
 
 
 def _as_tuples(value: Any) -> Any:
@@ -116,10 +120,19 @@ def manifest_of(job: SynthesisConfig) -> dict[str, Any]:
     made = {"job": asdict(job), "versions": versions}
     if own := own_files(job.preset):
         made["versions"]["own_sha256"] = [files_hash(path.absolute().parent, [path.absolute()]) for path in own]
+        made["versions"]["scene_sha256"] = _scene_hash(job.preset)  # they may read other files, such as an MJCF
     if job.window is not None:  # what else the labels depend on
         made["versions"]["encoding_sha256"] = encoding_hash()
         made["thresholds"] = label_limits().tolist()
     return made
+
+
+def _scene_hash(preset: str) -> str:
+    """Digest of the compiled scene of a preset."""
+    model = get_scenario(preset).scene().model
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content_hash([content])
 
 
 @cache

@@ -47,7 +47,7 @@ class SynthesisStatus:
     done: int  # trials in finished shards
     shards: int
     shards_done: int
-    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to say
+    per_minute: float | None  # trials of the last ten minutes' shards; None = too few to say, or nobody at work
     workers: list[Worker]
     failures: list[Failure]
     killed: list[int]  # shards whose last worker died and that nobody has taken over
@@ -71,19 +71,20 @@ def status_of(target: Path) -> SynthesisStatus:
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder / shards.MANIFEST} is damaged; delete {folder} to begin anew.") from error
     trials, size = int(job["trials"]), int(job["shard"])
+    workers = [
+        Worker(one.host, one.pid, int(task) if task.isdecimal() else None, one.seconds)
+        for task, tries in sorted(board.items())
+        for one in tries
+        if one.state == "held"
+    ]
     return SynthesisStatus(
         complete=False,
         trials=trials,
         done=sum(min(size, trials - shard * size) for shard in present),
         shards=-(-trials // size),
         shards_done=len(present),
-        per_minute=_rate(folder, size),
-        workers=[
-            Worker(one.host, one.pid, int(task) if task.isdecimal() else None, one.seconds)
-            for task, tries in sorted(board.items())
-            for one in tries
-            if one.state == "held"
-        ],
+        per_minute=_rate(folder, size) if any(one.shard is not None for one in workers) else None,
+        workers=workers,
         failures=[
             _failure(int(task), tries)
             for task, tries in sorted(board.items())

@@ -50,9 +50,14 @@ class Parity:
 
     @property
     def holds(self) -> bool:
-        """Whether the engine may take the native one's place."""
+        """Whether the engine may take the native one's place; of trials without contact nobody knows."""
         wrench = self.force_until_contact <= FORCE_LIMIT and self.moment_until_contact <= MOMENT_LIMIT
-        return wrench and min(self.labels.values()) >= LABELS_LIMIT and self.same_outcome >= OUTCOME_LIMIT
+        return (
+            self.touched > 0
+            and wrench
+            and min(self.labels.values()) >= LABELS_LIMIT
+            and self.same_outcome >= OUTCOME_LIMIT
+        )
 
 
 class _FirstContact:

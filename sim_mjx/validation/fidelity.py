@@ -21,12 +21,12 @@ from rcbht_jax.io.hiro.names import parse_trial
 from rcbht_jax.io.hiro.trial import data_file
 from rcbht_jax.robots.kinematics import rotation_from_rpy
 from sim_mjx import engines
-from sim_mjx.assembly.rollout import Rollouts, TrialParams, stack
+from sim_mjx.assembly.rollout import Rollouts, TrialParams
 from sim_mjx.assembly.scene import ITERATIONS, LS_ITERATIONS, one_arm
 from sim_mjx.engines import native
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.presets.session import SessionPreset
-from sim_mjx.randomization.trials import DomainRandomization, sample
+from sim_mjx.randomization.trials import DomainRandomization, sample_batch
 from sim_mjx.validation import gate, sessions, signature, snaps
 from sim_mjx.validation.dynamics import Dynamics, dynamics
 from sim_mjx.validation.engine_parity import FORCE_LIMIT as FORCE
@@ -46,7 +46,7 @@ OTHER_POSE = ("ERROR-14", "20120426")
 def _trials(session: SessionPreset, count: int, seed: int, longest: float | None) -> TrialParams:
     """Randomised trials with and without faults."""
     spec = DomainRandomization(longest=longest)
-    return stack([sample(session, seed, index, spec)[0] for index in range(count)])
+    return sample_batch(session, seed, range(count), spec)[0]
 
 
 def convergence(session: SessionPreset, trials: int = 16, seed: int = 0, longest: float = 13.0) -> dict[str, Any]:

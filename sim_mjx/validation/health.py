@@ -7,7 +7,7 @@ import platform
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -131,18 +131,25 @@ def check_store(path: Path) -> StoreHealth:
 
 
 def repair_job(path: Path) -> SynthesisConfig:
-    """What to simulate to make a store again.
+    """What to simulate to make a store again, in shards of its parts' size.
 
     Raises:
         InputError: it was not simulated, or not by what is installed.
     """
-    simulated = store.read_attrs(path).get("simulated")
+    attrs = store.read_attrs(path)
+    simulated = attrs.get("simulated")
     if simulated is None:
         raise InputError(f"{path} was not simulated: it cannot be made again from a seed. Import or copy it again.")
     job, difference = _made_by(simulated)
     if job is None or difference:
         raise InputError(f"{path} cannot be made again: {difference}")
-    return job
+    rows = attrs.get("part_rows")  # recordings; stores of earlier versions have no parts
+    return replace(job, shard=max(1, rows // len(get_scenario(job.preset).arms))) if isinstance(rows, int) else job
+
+
+def other_tracks(path: Path, job: SynthesisConfig) -> list[str]:
+    """Label tracks of a store that its simulation did not make, and would not make again."""
+    return [name for name in _read(partial(list_tracks, path), []) or [] if name != f"online-W{job.window}"]
 
 
 def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
@@ -150,7 +157,9 @@ def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
     try:
         job = job_of(simulated["job"])
         now = shards.as_json(provenance(manifest_of(job)))
-    except (InputError, KeyError, TypeError, ValueError):
+    except InputError as error:
+        return None, str(error)
+    except (KeyError, TypeError, ValueError):
         return None, "Its options are not those of the installed version."
     differing = [
         f"{name} {_short(simulated['versions'].get(name))}, now {_short(value)}"

@@ -30,6 +30,7 @@ from sim_mjx.engines import native
 from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.presets import ONE_ARM
 from sim_mjx.registry import Scenario, get_scenario
+from sim_mjx.synthesis.plan import scenario_of
 from sim_mjx.validation import snaps
 
 Floats = NDArray[np.float64]
@@ -135,16 +136,10 @@ def stored_trial(path: Path, row: int) -> tuple[Scenario, Any]:
         raise InputError(f'{path} was not made by "rcbht simulate"; its trials cannot be simulated again.')
     job, index = provenance["job"], int(store.read_simulation(path)["index"][row])
     try:
-        scenario = get_scenario(job["preset"])
-        spec = scenario.spec(**{name: _tuples(value) for name, value in job["spec"].items()})
+        scenario, spec = scenario_of(job)
         return scenario, scenario.draw(job["seed"], index, spec)[0]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path} was simulated by another version of rcbht; simulate its trials anew.") from error
-
-
-def _tuples(value: Any) -> Any:
-    """JSON lists as tuples."""
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 def _as_long_as(rows: Floats, samples: int) -> Floats:

@@ -44,6 +44,7 @@ class Certificate:
     """How far the production settings are from the reference."""
 
     trials: int
+    touched: int  # trials whose controller noticed a contact
     step: Difference  # sensor after one control period from the same state
     path: Difference  # logged wrench until the trials enter their states at different times
     same_onsets: float  # share of trials that enter all states in the same control periods
@@ -51,8 +52,8 @@ class Certificate:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver's own error is within the limits."""
-        return self.step.force <= FORCE_LIMIT and self.step.moment <= MOMENT_LIMIT
+        """Whether the solver's own error is within the limits, with contacts: without any it has nothing to solve."""
+        return self.touched > 0 and self.step.force <= FORCE_LIMIT and self.step.moment <= MOMENT_LIMIT
 
 
 def certify(
@@ -76,6 +77,7 @@ def certify(
     same = (np.nan_to_num(production.onset, nan=-1.0) == np.nan_to_num(expected.onset, nan=-1.0)).all(1)
     return Certificate(
         batch_size(params),
+        int(np.isfinite(production.onset[:, 1]).sum()),
         probe.largest(),
         _largest(_path_errors(production, expected, agreeing)),
         float(same.mean()),

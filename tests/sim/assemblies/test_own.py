@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -45,14 +46,56 @@ def test_own_files_are_simulated_from_the_command_line(tmp_path: Path, monkeypat
     assert recordings.annotations.labels == {"phase": ("approach", "insertion", "rest")}
     # a finished part of another version of the file is not mixed in
     job = SynthesisConfig("key.py:KEY@arm.py:ARM", 2, spec=get_scenario("key.py:KEY@panda").spec(longest=0.1), shard=1)
+    begin(tmp_path / "more.zarr", job)
+    (tmp_path / "key.py").write_text(blocks()["key.py"] + "\n")
+    with pytest.raises(InputError, match="own_sha256"):
+        synthesise(tmp_path / "more.zarr", job)
+    # nor of another version of a file that it reads
+    arm = get_scenario("clip@arm.py:ARM").preset.robot.build()
+    arm.compile()
+    (tmp_path / "arm.xml").write_text(arm.to_xml())
+    made = 'from_mjcf("arm.xml", site="WRIST", home=(0.0, 0.6, 0.0, 1.5, 0.0, 1.04, 0.0), place=(0.5, 0.0, 0.15))'
+    (tmp_path / "read.py").write_text(f"from sim_mjx.robots import from_mjcf\n\nARM = {made}\n")
+    job = replace(job, preset="clip@read.py:ARM", spec=get_scenario("clip@read.py:ARM").spec())
+    begin(tmp_path / "clips.zarr", job)
+    (tmp_path / "arm.xml").write_text(arm.to_xml().replace('mass="5"', 'mass="9"'))
+    with pytest.raises(InputError, match="scene_sha256"):
+        synthesise(tmp_path / "clips.zarr", job)
+
+
+def begin(target: Path, job: SynthesisConfig) -> None:
+    """Begin a store and stop at its first trial."""
 
     def stop(_: object) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        synthesise(tmp_path / "more.zarr", job, simulate=stop)  # type: ignore[arg-type]
-    (tmp_path / "key.py").write_text(blocks()["key.py"] + "\n")
-    with pytest.raises(InputError, match="own_sha256"):
-        synthesise(tmp_path / "more.zarr", job)
+        synthesise(target, job, simulate=stop)  # type: ignore[arg-type]
+
+
+def test_a_path_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "us@er").mkdir()
+    for name, block in blocks().items():
+        (tmp_path / "us@er" / name).write_text(block)
+    scenario = get_scenario("us@er/key.py:KEY@us@er/arm.py:ARM")
+    assert (scenario.assembly, scenario.robot) == ("key", "mine")
+    assert get_scenario("clip@us@er/arm.py:ARM").robot == "mine"
+
+
+def test_mistakes_in_own_files_are_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "key.py").write_text(blocks()["key.py"])
+    (tmp_path / "lacks.py").write_text("import nothere\n")
+    (tmp_path / "wrong.py").write_text("def x(:\n")
+    (tmp_path / "nofile.py").write_text(
+        'from sim_mjx.robots import from_mjcf\nfrom_mjcf("no.xml", site="", home=(), place=(0, 0, 0))\n'
+    )
+    with pytest.raises(InputError, match=r"^lacks.py cannot be imported: No module named 'nothere'.$"):
+        get_scenario("lacks.py:KEY@panda")
+    with pytest.raises(InputError, match=r"^wrong.py cannot be imported: invalid syntax \(wrong.py, line 1\).$"):
+        get_scenario("wrong.py:KEY@panda")
+    with pytest.raises(InputError, match=r"^There is no file no.xml.$"):
+        get_scenario("clip@nofile.py:ARM")
     with pytest.raises(InputError, match=r"key.py has no assembly named LOCK"):
         get_scenario("key.py:LOCK@panda")

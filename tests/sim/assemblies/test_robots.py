@@ -78,7 +78,7 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     path = tmp_path / "mine.xml"
     path.write_text(ARM)
     robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
-    assert (robot.name, robot.joints) == ("mine", ("a", "b", "c", "d"))
+    assert (robot.name, robot.joints) == ("mine", ("arm/a", "arm/b", "arm/c", "arm/d"))
     model = equipped(robot).compile()
     check_chain(model, HAND, robot.joints)
     assert (model.nu, model.nsensor) == (4, 2)
@@ -96,3 +96,30 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     sliding = mujoco.MjModel.from_xml_string(ARM.replace('name="d"', 'name="d" type="slide"'))
     with pytest.raises(InputError, match="'d' is no hinge"):
         serial_chain(sliding, "wrist")
+
+
+def test_what_a_file_says_of_its_arm_holds_for_the_arm_and_for_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "mine.xml"
+    limited = ARM.replace("<body pos", '<body childclass="own" pos', 1).replace('ref="20"', 'ref="20" range="-166 166"')
+    settings = '<option gravity="0 0 1"><flag contact="disable"/></option><default><joint armature="0.5" damping="2"/>'
+    settings += '<pair margin="1"/><default class="own"><joint frictionloss="3"/></default></default>'
+    path.write_text(limited.replace("<worldbody>", f"{settings}<worldbody>"))
+    alone, spec = (
+        mujoco.MjModel.from_xml_path(str(path)),
+        equipped(from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))),
+    )
+    hand, mount = spec.body(HAND), spec.worldbody.add_body(name="MOUNT", mass=1.0, inertia=(1.0, 1.0, 1.0))
+    hand.add_joint(name="own hinge", range=(-1.0, 1.0))
+    mount.add_joint(name="own slide", type=mujoco.mjtJoint.mjJNT_SLIDE)
+    model = spec.compile()
+    assert (model.opt.gravity[2], model.opt.disableflags, spec.default.pair.margin) == (-9.81, 0, 0.0)
+    for name in ("a", "b", "c", "d", "finger"):  # an angle is in degrees unless a file says otherwise
+        first, second = alone.joint(name), model.joint(f"arm/{name}")
+        for key in ("range", "qpos0", "armature", "damping", "frictionloss"):
+            np.testing.assert_array_equal(getattr(first, key), getattr(second, key), err_msg=key)
+    np.testing.assert_allclose(model.site("arm/wrist").quat, alone.site("wrist").quat)
+    np.testing.assert_allclose(model.body_quat[1], alone.body_quat[1])
+    np.testing.assert_array_equal(model.joint("own hinge").range, [-1.0, 1.0])
+    for name in ("own hinge", "own slide"):
+        row = model.joint(name)
+        assert (row.armature, row.damping, row.frictionloss) == ([0.0], [0.0], [0.0])

@@ -229,3 +229,15 @@ def test_how_long_mating_is_recorded_can_vary_and_changes_nothing_else() -> None
     own, varied = (sample(ONE_ARM["C"], 0, 4, replace(NOMINAL, mating=span))[0] for span in (None, (1.0, 20.0)))
     assert 1.0 <= varied.task.mating_time <= 20.0 != own.task.mating_time
     assert same(replace(varied, task=replace(varied.task, mating_time=own.task.mating_time)), own)
+
+
+@pytest.mark.parametrize("name", ["C", "two"])
+def test_a_fault_is_not_told_by_the_duration_where_mating_varies_too(name: str) -> None:
+    scenario = get_scenario(name)
+    spec = DomainRandomization(faults=("early-stop",), mating=(1.0, 2.0), logs_on=0.5)
+    params, faults = scenario.draw_batch(3, range(60), spec)
+    task, own = params.task, scenario.preset.task
+    begins = task.way_time[:, -1] + scenario.preset.mating_begins - own.way_time[-1]
+    stopped = np.array([fault.kind == "early-stop" for fault in faults])
+    assert ((task.mating_time >= 1.0) & (task.mating_time <= 2.0)).all()
+    np.testing.assert_allclose(task.timeout[stopped], (begins + task.mating_time + 0.5)[stopped])

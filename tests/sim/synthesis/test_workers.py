@@ -261,6 +261,9 @@ def test_the_rate_is_that_of_the_last_ten_minutes(tmp_path: Path) -> None:
         digest.parent.mkdir(parents=True)
         digest.touch()
         os.utime(digest, (1e9 + seconds, 1e9 + seconds))
+    assert status_of(target).per_minute is None  # nobody is at work
+    claim = claims.take(folder, shards.task(4))
+    assert claim is not None
     assert status_of(target).per_minute == pytest.approx(5.0)
-    claims.take(folder, shards.task(4)).failed("E.")  # type: ignore[union-attr]
+    claim.failed("E.")
     assert [(one.shard, one.left_out) for one in status_of(target).failures] == [(4, False)]

@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,14 +18,16 @@ from rcbht_jax.types import Recordings
 from sim_mjx import engines
 from sim_mjx.assembly.rollout import Rollouts
 from sim_mjx.assembly.task import CONTROL_PERIOD
-from sim_mjx.cli.fidelity import table
+from sim_mjx.cli.fidelity import BOUNDS, Fidelity, Session, table
 from sim_mjx.engines import native
 from sim_mjx.presets import preset
+from sim_mjx.randomization import overrides
 from sim_mjx.validation import dynamics, fidelity, gate, sessions, signature, snaps
 
 SAMPLES = 400
 SOLVER = {
-    "step": {"force": 3.0, "moment": 0.1}, "limits": {"force": 0.05, "moment": 0.005}, "trials": 4, "holds": False,
+    "step": {"force": 3.0, "moment": 0.1}, "limits": {"force": 0.05, "moment": 0.005}, "trials": 4, "touched": 4,
+    "holds": False,
 }  # fmt: skip
 
 
@@ -180,6 +182,8 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     text = capsys.readouterr().out
     assert "skipped without recordings: kinematics" in text
     assert "session C" in text
+    assert "0 of 4 trials touched" in text
+    assert "report.json, report.txt, pictures" in text
     report = json.loads((out / "report.json").read_text())
     assert (
         report["session C"]["recorded_trials"]
@@ -189,6 +193,23 @@ def test_the_command_reports_resumes_and_leaves_nothing_out_silently(
     assert (out / "report.txt").read_text().rstrip() in text
     assert main.main([*words, "--seed", "1"]) == 0
     assert calls[3:] == ["solver", "C"]  # other options: measured again
+
+
+def test_without_a_contact_nothing_is_certified() -> None:
+    said = fidelity.convergence(preset("C"), trials=2, longest=0.3)
+    assert (said["step"]["force"], said["touched"], said["holds"]) == (0.0, 0, False)
+    line = table({"solver C": said, "left_out": []})
+    assert "0 of 2 trials touched" in line
+    assert line.endswith("MISSED")
+    text = Fidelity().text({"solver C": said, "left_out": [], "folder": "out", "seconds": 1.0})
+    assert text.endswith("out: report.json, report.txt (1 s)")
+
+
+@pytest.mark.parametrize("name", get_args(Session))
+def test_every_preset_lies_within_the_ranges_of_a_fit(name: str) -> None:
+    for parameter, (low, high, _) in BOUNDS.items():
+        assert low <= overrides.value(preset(name).parts, preset(name).sensor, parameter) <= high, parameter
+        overrides.check(((parameter, low), (parameter, high)))
 
 
 def test_misses_are_said() -> None:

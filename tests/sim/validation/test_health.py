@@ -12,6 +12,8 @@ import pytest
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.io.store import write_recordings
+from sim_mjx import registry
+from sim_mjx.assemblies.latch import LatchVariation
 from sim_mjx.synthesis import plan, shards
 from sim_mjx.synthesis.pipeline import synthesise
 from sim_mjx.synthesis.plan import SynthesisConfig
@@ -19,7 +21,7 @@ from sim_mjx.validation import health
 from tests.support.fake_simulation import short, tree
 from tests.support.store_cases import simple
 
-JOB = SynthesisConfig("C", 4, seed=3, spec=short(), window=5)
+JOB = SynthesisConfig("C", 4, seed=3, shard=3, spec=short(), window=5)
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +94,27 @@ def test_damage_is_found_told_and_made_good(
     if what in ("wrench", "no labels"):
         assert doctor(capsys, 0, str(copy), "--repair")["repaired"]
         assert tree(copy) == tree(made)
+
+
+def test_what_a_repair_does_not_make_again_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["encode", str(copy), "--window", "10", "--robot", "hiro", "--name", "mine"]) == 0
+    flip(copy / "wrench")
+    assert main(["doctor", str(copy), "--repair"]) == 0
+    said = 'label tracks that its simulation did not make are gone: mine; make them with "rcbht encode"'
+    assert said in capsys.readouterr().out
+    assert doctor(capsys, 0, str(copy), "--repair")["lost_tracks"] == []
+
+
+def test_what_cannot_be_made_again_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text("from sim_mjx.assemblies.clip import CLIP\n")
+    job = SynthesisConfig("own.py:CLIP@panda", 1, spec=LatchVariation(longest=0.1))
+    synthesise(tmp_path / "own.zarr", job)
+    assert health.check_store(tmp_path / "own.zarr").repairable
+    (tmp_path / "own.py").unlink()
+    registry._module.cache_clear()
+    registry._paired.cache_clear()
+    assert health.check_store(tmp_path / "own.zarr").notes == ["There is no Python file own.py."]
 
 
 def test_what_other_code_made_is_not_made_again(
