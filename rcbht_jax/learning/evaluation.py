@@ -17,7 +17,14 @@ from rcbht_jax.learning import validation
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, TrackBatches, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import (
+    LabelledIntervals,
+    TaskSpec,
+    TrackBatches,
+    extract_features,
+    labelled_intervals,
+    track_of,
+)
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -275,8 +282,10 @@ def train(
         svm=svm,
         feature_spec=features,
         feature_names=best.names,
-        task=asdict(task),
+        task={**asdict(task), "whole": not track_of(recordings, task)},  # new data need not have the column
         encoder=how,
         data_hash=(facts or WrenchFacts.of(recordings)).data_hash,
-        extra={"items": len(items.y), "trials": len(np.unique(items.trial)), "seed": seed},
-    )
+        extra={
+            "items": len(items.y), "trials": len(np.unique(items.trial)), "dropped": items.dropped, "seed": seed,
+        },
+    )  # fmt: skip
