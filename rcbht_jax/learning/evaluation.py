@@ -61,8 +61,9 @@ class EvaluationResult:
     task: dict[str, Any]
     protocol: dict[str, Any]
     classes: tuple[str, ...]
-    items: dict[str, int]  # class -> items
+    items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
+    untaught: tuple[str, ...]  # classes that are tested and not taught
     tested: int  # of the trials
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
@@ -169,9 +170,13 @@ def score(
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
+    used, untaught = np.arange(len(items.y)), tuple[str, ...]()
     if protocol.train_on:
         split = _split(items, protocol)
         tested = len(np.unique(items.trial[split[1]]))
+        used = np.concatenate(split)
+        taught, asked = (set(items.y[rows].tolist()) for rows in split)
+        untaught = tuple(items.classes[k] for k in sorted(asked - taught))
         scores = {
             k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
         }
@@ -192,8 +197,9 @@ def score(
         task=task,
         protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
-        items=dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
-        trials=len(np.unique(items.trial)),
+        items=dict(zip(items.classes, np.bincount(items.y[used], minlength=len(items.classes)).tolist(), strict=True)),
+        trials=len(np.unique(items.trial[used])),
+        untaught=untaught,
         tested=tested,
         dropped=items.dropped,
         score=tables["svm"][0],
