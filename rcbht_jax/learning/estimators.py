@@ -108,7 +108,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         limits = FitLimits(self.thresholds_, self.thresholds.tolerance) if fitted else self.thresholds_
         self._encoding = limits_for(self._encoder_config(), limits, self.tolerance, wrench, length)
         self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
-        described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features)
+        described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features, names or ())
         self.n_features_in_ = axes
         _keep_names(self, names)
         self._names = np.array(described.names, object)
@@ -184,9 +184,11 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     return limits
 
 
-def _describe(tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None) -> Features:
+def _describe(
+    tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None, names: tuple[str, ...] = ()
+) -> Features:
     rows = np.arange(len(length))
-    return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec())
+    return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec(), names)
 
 
 def _no_labels(axes: int) -> LabelTracks:

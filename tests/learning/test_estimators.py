@@ -87,6 +87,8 @@ def test_names_of_axes_are_kept_and_compared():
     with pytest.raises(InputError, match="100 samples per second"):
         chain.fit([frame.assign(time=np.arange(300) / 100) for frame in frames], STATE)
     assert not hasattr(chain.fit(plain, STATE), "feature_names_in_")
+    other = WrenchFeatures(features=SPEC).fit([frame.rename(columns={"Fx": "grip"}) for frame in frames])
+    assert other.get_feature_names_out()[0] == "histogram.primitive.grip.time.bpos"
 
 
 def test_options_of_the_encoder_are_used():
