@@ -142,6 +142,15 @@ def test_trials_of_another_outcome_are_counted() -> None:
     assert unlabelled_intervals(recordings, TaskSpec(outcomes=())).dropped == {}
 
 
+def test_outcomes_to_learn_from_can_be_named(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train", str(place / "set.zarr"), "--tracks", "online-W5", *RICH, "-o", str(tmp_path / "m.model")]
+    assert main(words) == 0
+    assert "left out: 6 trials, outcome not success" in capsys.readouterr().out
+    assert main([*words, "--outcome", "success", "unknown", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["trials"], said["dropped"]) == (12, {})
+
+
 def test_without_any_sentence(place: Path) -> None:
     missing = np.full((12, 4), np.nan)
     unmarked = marked(synthetic(), missing, missing)
