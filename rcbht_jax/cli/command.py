@@ -78,6 +78,9 @@ Tracks = Annotated[str, option("Label tracks to use, if the store has several.",
 Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
 SourcePrefix = Annotated[str, option("Data set, or the start of its name, if several have a trial of this name.", "")]
 Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for example A B.", "all")]
+Outcomes = Annotated[
+    tuple[str, ...], option("Outcomes to use.", "of a track the successes, if there are some; of a column all")
+]
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.")]
 Boundaries = Annotated[
@@ -341,3 +344,8 @@ def progress_bar(name: str, unit: str, total: int | None = None, **options: Any)
 def announce(step: int, steps: int, what: str) -> None:
     """Say on standard error which step of a long command begins."""
     print(f"[{step}/{steps}] {what}", file=sys.stderr, flush=True)
+
+
+def left_out(dropped: dict[str, int]) -> list[str]:
+    """A line for each reason why trials were left out."""
+    return [f"left out: {count} trials, {reason}" for reason, count in dropped.items()]

@@ -21,11 +21,13 @@ from rcbht_jax.cli.command import (
     Flag,
     LabelledStore,
     MadeBy,
+    Outcomes,
     OutModel,
     Sessions,
     Sources,
     Task,
     Weighing,
+    left_out,
     progress_bar,
 )
 from rcbht_jax.errors import InputError
@@ -57,6 +59,7 @@ class _Learning(Command):
     """Arm whose labels to use, if the store has several; both = side by side."""
     source: Sources = ()
     session: Sessions = ()
+    outcome: Outcomes = ()
     features: tuple[Family, ...] = ("histogram", "parts", "spread", "together", "order")
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
     weighing: Weighing = ()
@@ -77,7 +80,7 @@ class _Learning(Command):
     def spec(self) -> TaskSpec:
         from rcbht_jax.learning.tasks import TaskSpec
 
-        return TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
+        return TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session, self.outcome or None)
 
     @property
     def grid(self) -> Grid:
@@ -147,7 +150,10 @@ class Evaluate(_Learning):
 
         items = ", ".join(f"{name} {count}" for name, count in result["items"].items())
         lines = [f"{result['task']['task']} from {result['tracks']}: {result['trials']} trials; {items}"]
-        lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
+        lines += left_out(result["dropped"])
+        if result["untaught"]:
+            verb = "is" if len(result["untaught"]) == 1 else "are"
+            lines.append(f"{', '.join(result['untaught'])} {verb} in no training session, so none of it can be right")
         lines.append(f"{'':24}accuracy (95% interval)    balanced accuracy")
         rows = (
             ("labels + SVM", "score"),
@@ -201,10 +207,11 @@ class Train(_Learning):
         }
 
     def text(self, result: dict[str, Any]) -> str:
-        return (
+        learnt = (
             f"{result['model']}: {', '.join(result['classes'])} from {result['items']} sentences of "
             f"{result['trials']} trials; {result['kernel']} kernel, C = {result['cost']:g}"
         )
+        return "\n".join([learnt, *left_out(result["dropped"])])
 
 
 @dataclass(frozen=True)
@@ -284,7 +291,7 @@ class Classify(Command):
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{name} {count}" for name, count in result["classes"].items())
         lines = [f"{result['out']}: {result['sentences']} sentences; {counts}"]
-        lines += [f"left out: {count} trials, {reason}" for reason, count in result["dropped"].items()]
+        lines += left_out(result["dropped"])
         if result["accuracy"] is None and result["accuracy_of_those"] is None:
             lines.append("The store has no true classes to compare with.")
         if result["accuracy"] is not None:

@@ -58,11 +58,13 @@ class MonitorFit(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax.introspection.nominal_file import MonitorFile, save
 
-        recordings, series = _read(self.store, (*self.where, f"outcome={self.nominal}"))
+        chosen = _read(self.store, self.where)
+        recordings = chosen.take(np.flatnonzero(_nominal(chosen, self.nominal)))
+        series = _series(recordings)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         monitor.set_params(calibration="split" if self.exact else "cross", random_state=self.seed)
         monitor.fit(series, groups=recordings.column(self.group))
-        save(self.out, MonitorFile(monitor, recordings.axes, self.where))
+        save(self.out, MonitorFile(monitor, recordings.axes, self.where, recordings.units))
         held = len(monitor.peaks_)
         return {
             "monitor": str(self.out),
@@ -99,13 +101,17 @@ class MonitorWatch(Command):
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
-        recordings, series = _read(self.store, self.where)
+        recordings = _read(self.store, self.where)
+        series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
         if recordings.axes != file.axes or not np.isclose(1 / recordings.dt, monitor.rate):
             raise InputError(
                 f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
                 f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
             )
+        for axis, taught, here in zip(file.axes, file.units, recordings.units, strict=False):
+            if taught and here and taught != here:
+                raise InputError(f"{self.monitor} learned {axis} in {taught}; {self.store} has it in {here}.")
         alarms, snaps = 0, detector_of(self.snap, monitor.rate)
         columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)
         for row, part in enumerate(series):
@@ -145,21 +151,32 @@ class MonitorEvaluate(Command):
     levels: Levels = ()
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax.introspection.alarms import trials_needed
         from rcbht_jax.introspection.nominal_evaluation import hold_out, judge, thresholds
 
-        recordings, series = _read(self.store, self.where)
-        groups, nominal = recordings.column(self.group), recordings.outcome == self.nominal
+        recordings = _read(self.store, self.where)
+        series = _series(recordings)
+        groups, nominal = recordings.column(self.group), _nominal(recordings, self.nominal)
         monitor = _monitor(recordings, self.score_rate, self.levels)
         with progress_bar("evaluate", "groups", len(np.unique(groups))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update)
         onset = _numbers(recordings.column(self.onset)) if self.onset else None
-        return judge(watched, thresholds(watched, self.false_alarms), onset)
+        limits = thresholds(watched, self.false_alarms)
+        result = judge(watched, limits, onset)
+        without = sorted(result["groups"].keys() - limits)
+        return {**result, "without_threshold": without, "needed": trials_needed(self.false_alarms)}
 
     def text(self, result: dict[str, Any]) -> str:
         rows = {"all": result, **result["groups"]}
         width = max(map(len, rows))
         head = f"{'':{width}}  nominal  anomalous  AUROC  false alarms  detected  delay"
-        return "\n".join([head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())])
+        lines = [head, *(f"{name:{width}}  {_row(row)}" for name, row in rows.items())]
+        if result["without_threshold"]:
+            lines.append(
+                f"No alarms of {', '.join(result['without_threshold'])}: --false-alarms {self.false_alarms:g} takes "
+                f"{result['needed']} nominal recordings of the other groups."
+            )
+        return "\n".join(lines)
 
 
 def _snaps(detector: SnapDetector, columns: list[int], part: NDArray[np.float64]) -> list[Snap]:
@@ -176,8 +193,8 @@ def _row(row: dict[str, Any]) -> str:
     return "  ".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in cells)
 
 
-def _read(store: Path, where: tuple[str, ...]) -> tuple[Recordings, list[NDArray[np.float64]]]:
-    """The chosen recordings, and their values ``[time, axis]``."""
+def _read(store: Path, where: tuple[str, ...]) -> Recordings:
+    """The chosen recordings."""
     from rcbht_jax.io.store import read_recordings
 
     recordings = read_recordings(store)
@@ -186,12 +203,26 @@ def _read(store: Path, where: tuple[str, ...]) -> tuple[Recordings, list[NDArray
         name, equals, value = condition.partition("=")
         if not equals:
             raise InputError(f"--where {condition}: expected COLUMN=VALUE.")
-        chosen &= recordings.column(name).astype(str) == value
+        column = recordings.column(name)
+        chosen &= column == _number(value) if column.dtype.kind in "fiu" else column.astype(str) == value
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
-    recordings = recordings.take(np.flatnonzero(chosen))
+    return recordings.take(np.flatnonzero(chosen))
+
+
+def _series(recordings: Recordings) -> list[NDArray[np.float64]]:
+    """Values ``[time, axis]`` of each recording."""
     pairs = zip(recordings.wrench, recordings.length, strict=True)
-    return recordings, [wrench[:length].astype(np.float64) for wrench, length in pairs]
+    return [wrench[:length].astype(np.float64) for wrench, length in pairs]
+
+
+def _nominal(recordings: Recordings, outcome: str) -> NDArray[np.bool_]:
+    """Recordings ``[recording]`` of an outcome, of which there must be some."""
+    nominal = recordings.outcome == outcome
+    if not nominal.any():
+        there = ", ".join(sorted(set(recordings.outcome.tolist())))
+        raise InputError(f"No recording has the outcome {outcome}; there are {there}. Choose one with --nominal.")
+    return np.asarray(nominal)
 
 
 def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...]) -> NominalMonitor:
@@ -207,10 +238,14 @@ def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...])
 
 def _numbers(column: NDArray[Any]) -> NDArray[np.float64]:
     """Numbers of a column, NaN where it holds none."""
-    texts = [str(value) for value in column]
-    return np.array(
-        [float(text) if text.replace(".", "", 1).replace("-", "", 1).isdigit() else np.nan for text in texts]
-    )
+    return np.array([_number(value) for value in column.tolist()], np.float64)
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        return np.nan
 
 
 def _line(event: str, about: dict[str, str], **more: Any) -> None:

@@ -8,7 +8,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -19,6 +19,7 @@ from rcbht_jax.cli.command import (
     ONLINE_MODEL,
     Command,
     Flag,
+    Outcomes,
     OutModel,
     RuleCommand,
     Sessions,
@@ -26,6 +27,7 @@ from rcbht_jax.cli.command import (
     Store,
     Task,
     Weighing,
+    left_out,
     option,
     progress_bar,
 )
@@ -63,6 +65,7 @@ class TrainOnline(RuleCommand):
     """Learn from so many seconds of each recording, the same of all, so that length reveals nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
+    outcome: Outcomes = ()
     families: tuple[Family, ...] = ()
     """Feature families; none = those that serve a sub-task, or a whole trial, best."""
     ranks: Flag = False
@@ -88,8 +91,8 @@ class TrainOnline(RuleCommand):
         from rcbht_jax.learning.wrench_facts import WrenchFacts
 
         recordings = read_recordings(self.store)
-        seconds = self.first_seconds
-        tasks = [TaskSpec(task, sources=self.source, sessions=self.session, seconds=seconds) for task in self.task]
+        filters = TaskSpec("", sources=self.source, sessions=self.session, outcomes=self.outcome or None)
+        tasks = [replace(filters, task=task, seconds=self.first_seconds) for task in self.task]
         phases = [task for task in tasks if track_of(recordings, task)][:1] if self.detect else []
         if self.detect and not phases:
             raise InputError(f"--detect needs a task that is a track of annotations, not {', '.join(self.task)}.")
@@ -119,15 +122,17 @@ class TrainOnline(RuleCommand):
             model = train_model(recordings, specs, config, limits, self.seed, progress)
         save(self.out, model)
         facts = WrenchFacts.of(recordings)
+        items = [labelled_intervals(recordings, spec.task) for spec in specs]
         heads = {
             head.name: {
                 "classes": list(head.classes),
                 "kernel": head.machine.svm.spec.kernel,
                 "cost": head.machine.svm.spec.cost,
                 "features": int(head.machine.svm.center.size),
-                "confounds": " ".join(confounds(labelled_intervals(recordings, spec.task), facts)),
+                "dropped": learnt.dropped,
+                "confounds": " ".join(confounds(learnt, facts)),
             }
-            for spec, head in zip(specs, model.heads, strict=True)
+            for learnt, head in zip(items, model.heads, strict=True)
         }
         encoder = made_by(config, limits)["config"]
         return {"model": str(self.out), "encoder": encoder, "heads": heads, "data_hash": model.data_hash}
@@ -139,6 +144,7 @@ class TrainOnline(RuleCommand):
             classes = ", ".join(head["classes"])
             svm = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"
             lines.append(f"{name}: {classes}; {svm}")
+            lines += [f"  {line}" for line in left_out(head["dropped"])]
             lines += [f"  confounds: {head['confounds']}"] * bool(head["confounds"])
         return "\n".join(lines)
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import jax
 import numpy as np
+from jaxtyping import Float32, Int32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
@@ -18,6 +19,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
+LONGEST_STEP = 1.5  # samples; a longer one is a gap, which would be read as a steep line
 
 
 def encode(
@@ -36,7 +38,8 @@ def encode(
     Args:
         wrench: one recording ``[time, axis]``, several ``[recording, time, axis]``, or a list of recordings of any
             lengths; NumPy, JAX, pandas or xarray; any number of axes, N and Nm. Names of axes are taken from pandas and
-            xarray; a column or coordinate "time" (s) must agree with the rate.
+            xarray; a column, index or coordinate "time" (s, or dates) must agree with the rate and have no gap. Of
+            xarray, the dimension "time" may be anywhere.
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
@@ -52,8 +55,8 @@ def encode(
         labels ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several, on the host.
 
     Raises:
-        InputError: another shape, values that are not finite, recordings of different axes, thresholds that do not
-            fit, or a tolerance for the paper's rule.
+        InputError: another shape, values that are not finite, recordings of different axes, a time that disagrees with
+            the rate or has a gap, thresholds that do not fit, or a tolerance for the paper's rule.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.
@@ -95,23 +98,7 @@ def _positive(rate: float) -> float:
 
 def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ...]]:
     """Values ``[..., time, axis]`` and names of the axes."""
-    names: tuple[str, ...] | None = None
-    if hasattr(wrench, "columns") and hasattr(wrench, "to_numpy"):  # pandas
-        if "time" in wrench.columns:
-            _check_time(wrench["time"].to_numpy(), dt)
-            wrench = wrench.drop(columns="time")
-        names, values = tuple(map(str, wrench.columns)), wrench.to_numpy()
-    elif hasattr(wrench, "dims") and hasattr(wrench, "coords"):  # xarray
-        order = [dim for dim in wrench.dims if dim not in ("time", "axis")]
-        known = [dim for dim in ("time", "axis") if dim in wrench.dims]
-        if len(known) == 2:
-            wrench = wrench.transpose(*order, *known)
-        if "time" in wrench.coords and wrench.coords["time"].dtype.kind in "fiu":
-            _check_time(wrench.coords["time"].to_numpy(), dt)
-        names = tuple(map(str, wrench.coords["axis"].to_numpy())) if "axis" in wrench.coords else None
-        values = wrench.to_numpy()
-    else:
-        values = np.asarray(wrench)
+    values, names = _read_signal(wrench, dt)
     if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape[-1:]:
         raise InputError(
             f"The wrench has shape {values.shape} of {values.dtype}; expected numbers [time, axis] or "
@@ -123,11 +110,131 @@ def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ..
     return values, names or axis_names(values.shape[-1])
 
 
-def _check_time(time: NDArray[Any], dt: float) -> None:
-    if len(time) > 1:
-        step = float(np.median(np.diff(time)))
-        if not abs(step - dt) <= RATE_TOLERANCE * dt:
-            raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
+def read_signals(
+    recordings: Any, dt: float, axis_first: bool = False
+) -> tuple[Float32[np.ndarray, "recording time axis"], Int32[np.ndarray, " recording"], tuple[str, ...] | None]:
+    """Recordings under each other, padded with zeros at the end, their lengths in samples, and names of the axes.
+
+    Args:
+        recordings: an array ``[recording, time, axis]``, or several ``[time, axis]`` of any lengths; NumPy, JAX, pandas
+            or xarray.
+        dt: s per sample, with which a column, an index or a coordinate of time must agree.
+        axis_first: values whose dimensions have no names are ``[..., axis, time]``.
+
+    Returns:
+        values, lengths, and the names of pandas or xarray; None = there are none.
+
+    Raises:
+        InputError: other shapes, recordings of different axes, or a time that disagrees or has a gap.
+    """
+    if _is_frame(recordings) or _is_xarray(recordings):
+        values, names = _read_signal(recordings, dt, axis_first)
+        read = [(value, names) for value in values]
+    else:
+        read = [_read_signal(recording, dt, axis_first) for recording in recordings]
+    named = list({names for _, names in read if names})
+    if len(named) > 1:
+        raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
+    parts = [np.asarray(values, np.float32) for values, _ in read]
+    shapes = [part.shape for part in parts]
+    if not parts or any(len(shape) != 2 for shape in shapes):
+        raise InputError(
+            f"Recordings have the shapes {sorted(set(shapes))}; expected an array [n, time, axis] or a list of "
+            "[time, axis]; pass a single recording as [recording]."
+        )
+    if len({axes for _, axes in shapes}) > 1 or min(min(shape) for shape in shapes) == 0:
+        raise InputError(
+            f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
+        )
+    return *padded(parts), next(iter(named), None)
+
+
+def _read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
+    """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
+
+    Args:
+        wrench: NumPy, JAX, pandas or xarray.
+        dt: s per sample, with which a column, an index or a coordinate of time must agree.
+        axis_first: values whose dimensions have no names are ``[..., axis, time]``.
+
+    Raises:
+        InputError: a time that disagrees, has a gap or is none, or an xarray Dataset.
+    """
+    if _is_frame(wrench):
+        index = getattr(wrench, "index", None)
+        if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
+            _check_time(index, dt)
+        if "time" in wrench.columns:
+            _check_time(wrench["time"], dt)
+            wrench = wrench.drop(columns="time")
+        return wrench.to_numpy(), tuple(map(str, wrench.columns))
+    if _is_xarray(wrench):
+        if hasattr(wrench, "data_vars"):
+            raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
+        wrench = _ordered(wrench, axis_first)
+        if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
+            _check_time(wrench.coords["time"], dt)
+        return wrench.to_numpy(), _coordinate_names(wrench)
+    values = np.asarray(wrench)
+    return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def _is_frame(wrench: Any) -> bool:
+    """A data frame, as of pandas."""
+    return hasattr(wrench, "columns") and hasattr(wrench, "to_numpy")
+
+
+def _is_xarray(wrench: Any) -> bool:
+    """An array or a data set of xarray."""
+    return hasattr(wrench, "dims") and hasattr(wrench, "coords")
+
+
+def _ordered(wrench: Any, axis_first: bool = False) -> Any:
+    """An xarray with time and axis last: the dimensions of these names, or else the last ones."""
+    dims = list(wrench.dims)
+    if len(dims) < 2:
+        return wrench
+    others = [dim for dim in dims if dim not in ("time", "axis")]
+    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and "time" not in dims else -1)
+    time = "time" if "time" in dims else others.pop()
+    return wrench.transpose(*others, time, axis)
+
+
+def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
+    """Names of the axes, the last dimension; numbers are no names unless the dimension is called axis."""
+    axis = wrench.dims[-1] if wrench.dims else ""
+    if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
+        return None
+    return tuple(map(str, wrench.coords[axis].to_numpy()))
+
+
+def _check_time(time: Any, dt: float) -> None:
+    """Refuse a time ``[..., sample]`` of another rate, or with a gap."""
+    seconds = _seconds(time)
+    steps = np.diff(seconds)
+    if not steps.size:
+        return
+    step = float(np.median(steps))
+    if not abs(step - dt) <= RATE_TOLERANCE * dt:
+        raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
+    wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
+    if len(wrong):
+        place = tuple(wrong[0])
+        raise InputError(
+            f"The time jumps by {steps[place]:g} s after {seconds[place] - seconds[..., 0].min():g} s, at a rate of "
+            f'{1 / dt:g} samples per second; fill the gap, or import the recording with "rcbht import".'
+        )
+
+
+def _seconds(time: Any) -> NDArray[np.float64]:
+    """Numbers are seconds; dates and durations are counted from the first."""
+    kind = time.dtype.kind
+    if kind in "fiu":
+        return np.asarray(time, np.float64)
+    if kind not in "mM":
+        raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
+    stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")
+    return np.asarray((stamps - stamps[..., :1]) / np.timedelta64(1, "s"), np.float64)
 
 
 def _padded(
@@ -155,6 +262,7 @@ def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> AnyLimits:
 
 def _names(wrench: Any, count: int) -> tuple[str | int, ...]:
     """Names of the recordings, those of xarray's first coordinate where there is one, else numbers."""
+    wrench = _ordered(wrench) if _is_xarray(wrench) else wrench
     dims: tuple[str, ...] = getattr(wrench, "dims", ())
     if len(dims) == 3 and dims[0] in getattr(wrench, "coords", {}):
         return tuple(map(str, wrench.coords[dims[0]].to_numpy()))

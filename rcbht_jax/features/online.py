@@ -3,8 +3,10 @@
 :class:`RunningStats` holds sums over the labels published since the interval began; labels that the encoder has not
 published yet (see ``peek``) are added for one snapshot and dropped again. The features at sample n are therefore those
 that :func:`rcbht_jax.features.interval_features` makes of the recording cut off after n samples: nothing later is used,
-and a test compares the two. Sums of values are kept in two single-precision numbers each, so that they stay exact to
-1e-7 over streams of any length; durations are whole samples.
+and a test compares the two. ``parts``, ``spread``, ``together``, ``order`` and ``levels`` only come close: a stream
+takes the nearest of the readings that it keeps (:mod:`rcbht_jax.features.online_signal`) in place of those at their own
+moments, and the test does so too. Sums of values are kept in two single-precision numbers each, so that they stay exact
+to 1e-7 over streams of any length; durations are whole samples.
 """
 
 from __future__ import annotations

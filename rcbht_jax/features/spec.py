@@ -145,20 +145,25 @@ def concatenate_features(parts: Mapping[str, Features]) -> Features:
     return _side_by_side([_prefixed(part, name, name) for name, part in parts.items()])
 
 
-def interval_features(tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec) -> Features:
+def interval_features(
+    tracks: LabelTracks, intervals: Intervals, spec: FeatureSpec, axes: Sequence[str] = ()
+) -> Features:
     """Features of each interval.
 
     Args:
         tracks: labels, every array ``[recording, axis, slot]``, spans in samples; any number of axes.
         intervals: samples of the recordings.
         spec: which features.
+        axes: their names in the names of features; none = Fx to Mz where there are six, else numbered ones. Models
+            compare names of features, so name axes only where no model is stored.
 
     Raises:
         InputError: an interval is empty or points outside the recordings.
     """
+    axes = tuple(axes) or axis_names(int(np.asarray(tracks.primitive.label).shape[1]))
     recordings = int(np.asarray(tracks.primitive.label).shape[0])
     _check(intervals, recordings)
-    blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec)]
+    blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec, axes)]
     seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
     if "duration" in spec.families:
         blocks.append(Features(seconds, ("duration.total",), ("duration",), ("length of the interval, s",)))
@@ -210,7 +215,9 @@ def _chunks(intervals: Intervals) -> list[Intervals]:
     return [intervals.take(slice(i, i + _CHUNK)) for i in range(0, max(len(intervals), 1), _CHUNK)]
 
 
-def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec) -> list[Features]:
+def _layer(
+    track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpec, axes: tuple[str, ...]
+) -> list[Features]:
     makers = {
         "sentence": families.resampled(spec.slots[LAYERS.index(layer)], spec.one_hot),
         "histogram": families.histogram(spec.word_weighing),
@@ -221,7 +228,6 @@ def _layer(track: LabelTrack, intervals: Intervals, layer: str, spec: FeatureSpe
         "course": families.course,
         "edges": families.edges,
     }
-    axes = axis_names(int(np.asarray(track.label).shape[1]))
     chunks = [clip(track, part, layer) for part in _chunks(intervals)]
     parts = [
         _flat([makers[family](words) for words in chunks], family, layer, axes)

@@ -46,9 +46,18 @@ def conformal_threshold(peaks: Float[np.ndarray, " trial"], share: float) -> flo
     if rank > len(peaks):
         raise InputError(
             f"{len(peaks)} nominal trials cannot promise {share:g} false alarms per trial; "
-            f"it takes {int(np.ceil(1 / share - 1 - 1e-9))}."
+            f"it takes {trials_needed(share)}."
         )
     return float(np.sort(peaks)[rank - 1])
+
+
+def trials_needed(share: float) -> int:
+    """Fewest nominal trials that promise ``share`` false alarms per trial, more than 0 and less than 1.
+
+    >>> trials_needed(0.1)
+    9
+    """
+    return int(np.ceil(1 / share - 1 - 1e-9))
 
 
 def peaks(

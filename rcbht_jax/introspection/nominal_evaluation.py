@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.alarms import conformal_threshold
+from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor
 
 with needs_extra("learn"):
@@ -100,7 +100,7 @@ def auroc(nominal: Bool[np.ndarray, " recording"], peak: Float[np.ndarray, " rec
 
 def thresholds(watched: Watched, alpha: float) -> dict[str, float]:
     """Threshold of each group for so many false alarms, where enough nominal recordings of the others promise it."""
-    fewest = int(np.ceil(1 / alpha - 1 - 1e-9)) if 0 < alpha < 1 else 0
+    fewest = trials_needed(alpha) if 0 < alpha < 1 else 0  # 0: the first threshold says what is expected
     return {
         group: conformal_threshold(peaks, alpha) for group, peaks in watched.calibration.items() if len(peaks) >= fewest
     }

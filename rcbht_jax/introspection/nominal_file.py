@@ -27,6 +27,7 @@ class MonitorFile:
     monitor: NominalMonitor
     axes: tuple[str, ...]  # names
     where: tuple[str, ...]  # which recordings taught, COLUMN=VALUE each
+    units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
 
 
 def save(path: Path, file: MonitorFile) -> None:
@@ -40,6 +41,7 @@ def save(path: Path, file: MonitorFile) -> None:
         "format": FORMAT,
         "version": rcbht_jax.__version__,
         "axes": file.axes,
+        "units": file.units,
         "where": file.where,
         "parameters": file.monitor.get_params(),
         **{name: getattr(bank, name) for name in _NUMBERS},
@@ -66,7 +68,9 @@ def load(path: Path) -> MonitorFile:
             or bank.scale.shape != bank.described.shape[2:]
             or bank.described.shape[2] != channels
             or channels != len(axes) + len(monitor.levels)
+            or len(meta.get("units", [])) not in (0, len(axes))
             or not np.isfinite(peaks).all()
         ):
             raise InputError(f"{path} is damaged: its arrays do not fit each other.")
-        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, checked_texts("its groups", meta["where"]))
+        where, units = checked_texts("its groups", meta["where"]), checked_texts("its units", meta.get("units", []))
+        return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, where, units)

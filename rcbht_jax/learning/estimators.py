@@ -13,10 +13,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset, validate
@@ -25,7 +26,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
 from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
 from rcbht_jax.learning.svm import SvmSpec, fit, pairs
-from rcbht_jax.types import LabelTrack, LabelTracks, axis_names, padded
+from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
 with needs_extra("learn"):
     from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
@@ -61,8 +62,9 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         rate: samples per second.
         window: samples per straight-line fit, at least 2.
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
-            limits ``[4]`` of every axis, N/s or Nm/s. Unless there are six axes, a robot's name stands for its limits
-            of forces. By the fit rule also :class:`FitLimits`, whose tolerance stands for "auto".
+            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name stands for its limits of moments where names of
+            axes begin with M or T, else of forces; six axes without names are Fx to Mz. By the fit rule also
+            :class:`FitLimits`, whose tolerance stands for "auto".
         features: which features; None = ``FeatureSpec()``.
         config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig by
             the fit rule; None = its defaults.
@@ -70,10 +72,12 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         tolerance: of the fit rule, N and Nm: a number, or one for each axis; ``"auto"`` = from the recordings of
             ``fit``.
         layout: ``"time-axis"`` for arrays ``[n, time, axis]`` or lists of ``[time, axis]``; ``"axis-time"`` for aeon's
-            ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length.
+            ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length. Of pandas, and
+            of xarray with a dimension "time" or "axis", the names say it: see :func:`rcbht_jax.encode`, also for time.
 
     Attributes:
         n_features_in_: axes of a recording.
+        feature_names_in_: names of the axes ``[axis]``, only where pandas or xarray gave them to ``fit``.
         thresholds_: limits ``[axis, 4]`` that are used.
         tolerance_: tolerances ``[axis]`` that are used; None by the paper's rule.
         feature_weight_: weights of the columns where ``features.balance`` is set, else None; StateClassifier uses them.
@@ -97,15 +101,16 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
             InputError: wrong shapes, an unknown layout, robot or rule, thresholds or tolerances that do not fit the
                 axes, or a tolerance or configuration of the other rule.
         """
-        wrench, length = _padded(X, self.layout)
+        wrench, length, names = self._read(X)
         axes = wrench.shape[2]
         fitted = isinstance(self.thresholds, FitLimits)
-        self.thresholds_ = _limits(self.thresholds.gradients if fitted else self.thresholds, axes)
+        self.thresholds_ = _limits(self.thresholds.gradients if fitted else self.thresholds, names or axis_names(axes))
         limits = FitLimits(self.thresholds_, self.thresholds.tolerance) if fitted else self.thresholds_
         self._encoding = limits_for(self._encoder_config(), limits, self.tolerance, wrench, length)
         self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
-        described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features)
+        described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features, names or ())
         self.n_features_in_ = axes
+        _keep_names(self, names)
         self._names = np.array(described.names, object)
         self.feature_weight_ = described.weights(self.features or FeatureSpec())
         return self
@@ -114,12 +119,16 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         """One row of features per recording.
 
         Raises:
-            InputError: wrong shapes, another number of axes than in ``fit``, or values that are not finite.
+            InputError: wrong shapes, another number of axes than in ``fit``, other names of axes or another order, or
+                values that are not finite.
         """
         check_is_fitted(self)
-        wrench, length = _padded(X, self.layout)
+        wrench, length, names = self._read(X)
         if wrench.shape[2] != self.n_features_in_:
             raise InputError(f"recordings have {wrench.shape[2]} axes; fit had {self.n_features_in_}.")
+        known = tuple(getattr(self, "feature_names_in_", names or ()))
+        if names and names != known:
+            raise InputError(f"recordings have the axes {', '.join(names)}; fit had {', '.join(known)}, in this order.")
         config = self._encoder_config()
         tracks = encode_batch(config, self._encoding, wrench, length)
         return _describe(tracks, length, config.dt, self.features).values
@@ -128,6 +137,11 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         """Names of the columns, ``family.layer.axis.what``."""
         check_is_fitted(self)
         return self._names
+
+    def _read(self, X: Any) -> tuple[NDArray[np.float32], NDArray[np.int32], tuple[str, ...] | None]:
+        if self.layout not in LAYOUTS:
+            raise InputError(f"layout is {self.layout!r}; expected one of {', '.join(LAYOUTS)}.")
+        return read_signals(X, self._encoder_config().dt, axis_first=self.layout == "axis-time")
 
     def _encoder_config(self) -> AnyConfig:
         if not self.rate > 0:
@@ -151,30 +165,17 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return tags
 
 
-def _padded(
-    recordings: Any, layout: str
-) -> tuple[Float32[np.ndarray, "recording time axis"], Int[np.ndarray, " recording"]]:
-    """Recordings under each other, padded with zeros at the end, and their lengths in samples."""
-    if layout not in LAYOUTS:
-        raise InputError(f"layout is {layout!r}; expected one of {', '.join(LAYOUTS)}.")
-    parts = [np.asarray(recording, np.float32) for recording in recordings]
-    parts = [part.T if layout == "axis-time" and part.ndim == 2 else part for part in parts]
-    shapes = [part.shape for part in parts]
-    if not parts or any(len(shape) != 2 for shape in shapes):
-        raise InputError(
-            f"Recordings have the shapes {sorted(set(shapes))}; expected an array [n, time, axis] or a list of "
-            "[time, axis]; pass a single recording as [recording]."
-        )
-    if len({axes for _, axes in shapes}) > 1 or min(min(shape) for shape in shapes) == 0:
-        raise InputError(
-            f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
-        )
-    return padded(parts)
+def _keep_names(estimator: Any, names: tuple[str, ...] | None) -> None:
+    """Names of axes as scikit-learn has names of features: an attribute where there are some."""
+    vars(estimator).pop("feature_names_in_", None)
+    if names:
+        estimator.feature_names_in_ = np.array(names, object)
 
 
-def _limits(thresholds: Any, axes: int) -> Float[np.ndarray, "axis 4"]:
+def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 4"]:
+    axes = len(names)
     if isinstance(thresholds, str):
-        thresholds = preset(thresholds, axis_names(axes))
+        thresholds = preset(thresholds, names)
     limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
@@ -183,9 +184,11 @@ def _limits(thresholds: Any, axes: int) -> Float[np.ndarray, "axis 4"]:
     return limits
 
 
-def _describe(tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None) -> Features:
+def _describe(
+    tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None, names: tuple[str, ...] = ()
+) -> Features:
     rows = np.arange(len(length))
-    return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec())
+    return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec(), names)
 
 
 def _no_labels(axes: int) -> LabelTracks:
@@ -317,6 +320,7 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     Attributes:
         classes_: sorted classes.
         n_features_in_: axes of a recording.
+        feature_names_in_: names of the axes, where ``fit`` had some.
         features_: the fitted :class:`WrenchFeatures`.
         classifier_: the fitted classifier.
 
@@ -348,6 +352,7 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
         self.features_ = WrenchFeatures(**described).fit(X)
         self.n_features_in_ = self.features_.n_features_in_
+        _keep_names(self, tuple(getattr(self.features_, "feature_names_in_", ())))
         self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
         if self.features_.feature_weight_ is not None:
             self.classifier_.set_params(feature_weight=self.features_.feature_weight_)

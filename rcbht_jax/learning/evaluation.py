@@ -17,7 +17,14 @@ from rcbht_jax.learning import validation
 from rcbht_jax.learning.confounds import confounds
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import Grid, Split, Weight, fit, grouped_folds, select
-from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, TrackBatches, extract_features, labelled_intervals
+from rcbht_jax.learning.tasks import (
+    LabelledIntervals,
+    TaskSpec,
+    TrackBatches,
+    extract_features,
+    labelled_intervals,
+    track_of,
+)
 from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
@@ -54,8 +61,9 @@ class EvaluationResult:
     task: dict[str, Any]
     protocol: dict[str, Any]
     classes: tuple[str, ...]
-    items: dict[str, int]  # class -> items
+    items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
+    untaught: tuple[str, ...]  # classes that are tested and not taught
     tested: int  # of the trials
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
@@ -162,9 +170,13 @@ def score(
         "duration": validation.forest(items.seconds, items.y),
         "majority": validation.majority(items.y),
     }
+    used, untaught = np.arange(len(items.y)), tuple[str, ...]()
     if protocol.train_on:
         split = _split(items, protocol)
         tested = len(np.unique(items.trial[split[1]]))
+        used = np.concatenate(split)
+        taught, asked = (set(items.y[rows].tolist()) for rows in split)
+        untaught = tuple(items.classes[k] for k in sorted(asked - taught))
         scores = {
             k: validation.holdout_score(e, items.y, items.trial, split, protocol.seed) for k, e in estimators.items()
         }
@@ -185,8 +197,9 @@ def score(
         task=task,
         protocol=asdict(protocol) | ({} if splitter is None else {"splitter": repr(splitter)}),
         classes=items.classes,
-        items=dict(zip(items.classes, np.bincount(items.y).tolist(), strict=True)),
-        trials=len(np.unique(items.trial)),
+        items=dict(zip(items.classes, np.bincount(items.y[used], minlength=len(items.classes)).tolist(), strict=True)),
+        trials=len(np.unique(items.trial[used])),
+        untaught=untaught,
         tested=tested,
         dropped=items.dropped,
         score=tables["svm"][0],
@@ -275,8 +288,10 @@ def train(
         svm=svm,
         feature_spec=features,
         feature_names=best.names,
-        task=asdict(task),
+        task={**asdict(task), "whole": not track_of(recordings, task)},  # new data need not have the column
         encoder=how,
         data_hash=(facts or WrenchFacts.of(recordings)).data_hash,
-        extra={"items": len(items.y), "trials": len(np.unique(items.trial)), "seed": seed},
-    )
+        extra={
+            "items": len(items.y), "trials": len(np.unique(items.trial)), "dropped": items.dropped, "seed": seed,
+        },
+    )  # fmt: skip

@@ -188,10 +188,6 @@ class Certainty:
     m_paper: NDArray[np.float64]  # count_mean / (avg_len / 3): can exceed 1 for trials longer than average
     m_own: NDArray[np.float64]  # mean over trials of count / length of the trial's own window, in [0, 1]
 
-    def m_paper_of(self, count: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The paper's m of ``count_min``, ``count_mean`` or ``count_max``."""
-        return count / (self.avg_len / 3)
-
 
 def certainties(probabilities: Sequence[Floats], y_true: Sequence[int], k: float = CERTAINTY_LEVELS[0]) -> Certainty:
     """Counts, AvgLen and m of a set of trials, each ``[step, class]`` with one true class.

@@ -25,6 +25,11 @@ from rcbht_jax.learning.scaling import KNOTS
 from rcbht_jax.learning.svm import SvmModel, SvmSpec
 
 FORMAT = "rcbht-model-1"
+MAKERS = {
+    FORMAT: "rcbht train",
+    "rcbht-introspection-1": "rcbht train-online",
+    "rcbht-monitor-1": "rcbht monitor fit",
+}
 
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
 
@@ -146,6 +151,9 @@ def reading(
         for name, values in archive.items():
             check_finite(path, name, values[:0] if name in gaps else values)
         if meta["format"] != kind:
+            if {kind, meta["format"]} <= MAKERS.keys():
+                made, needed = MAKERS[meta["format"]], MAKERS[kind]
+                raise InputError(f'{path} was made by "{made}"; this needs a file of "{needed}".')
             raise InputError(f"{path} has the format {meta['format']}; this version reads {kind} here.")
         yield meta, archive
     except InputError as error:

@@ -18,7 +18,14 @@ from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
 from rcbht_jax.learning.svm import pairs, vote
-from rcbht_jax.learning.tasks import TaskSpec, TrackBatches, UnlabelledIntervals, extract_features, unlabelled_intervals
+from rcbht_jax.learning.tasks import (
+    UNKNOWN,
+    TaskSpec,
+    TrackBatches,
+    UnlabelledIntervals,
+    extract_features,
+    unlabelled_intervals,
+)
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
@@ -59,7 +66,9 @@ def encoders_of(model: TrainedModel) -> dict[str, Mapping[str, Any]]:
 def task_of(
     model: TrainedModel, sources: tuple[str, ...] = (), sessions: tuple[str, ...] = (), outcomes: tuple[str, ...] = ()
 ) -> TaskSpec:
-    """The task that a model was trained for, on other data sets and sessions (empty = all) and outcomes (as trained).
+    """The task that a model was trained for, on other data sets and sessions (empty = all).
+
+    Outcomes are those of the training and unknown ones, unless others are named.
 
     Raises:
         InputError: the model does not say what it was trained for.
@@ -70,7 +79,7 @@ def task_of(
         spec = TaskSpec(known["task"], known["boundaries"], known["arms"], seconds=known.get("seconds", 0.0))
     except (KeyError, TypeError) as error:
         raise InputError(f"the model does not say what it was trained for: {error} is missing.") from error
-    kept = outcomes or trained
+    kept = outcomes or (trained and (*trained, UNKNOWN))
     return replace(spec, sources=sources, sessions=sessions, outcomes=kept)
 
 
@@ -140,7 +149,7 @@ def classify(
         >>> classify(model, recordings, {"": tracks}, task_of(model)).predicted[[0, -1]].tolist()
         ['failure', 'success']
     """
-    items = unlabelled_intervals(recordings, spec)
+    items = unlabelled_intervals(recordings, spec, whole=model.task.get("whole") is True)
     if not len(items.row):
         why = (
             ", ".join(f"{count} trials: {reason}" for reason, count in items.dropped.items())

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.annotations import Annotations, nearest_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import (
     Features,
@@ -23,6 +22,7 @@ from rcbht_jax.features import (
     concatenate_features,
     interval_features,
 )
+from rcbht_jax.learning.task_items import leave_out, track_items, whole_items
 from rcbht_jax.types import LabelTracks, Recordings
 
 SUCCESS, FAILURE, UNKNOWN = "success", "failure", "unknown"  # outcomes; unknown: nobody judged the trial
@@ -43,7 +43,8 @@ class TaskSpec:
     arms: str = "R"  # one arm, or "both" side by side; where there is only one, that one
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
-    outcomes: tuple[str, ...] | None = None  # None = successes of a track if there are some; of a column all
+    # None = of a track the successes, if there are some, the others being counted as left out; of a column all
+    outcomes: tuple[str, ...] | None = None
     classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
     complete: bool = False  # only recordings that have every label of the track, each after the one before
     seconds: float = 0.0  # of every whole recording, from its beginning, shorter ones left out; 0 = to its end
@@ -84,24 +85,35 @@ class UnlabelledIntervals:
     dropped: dict[str, int]  # reason -> trials left out
 
 
-def unlabelled_intervals(recordings: Recordings, spec: TaskSpec) -> UnlabelledIntervals:
-    """Find what a trained model can be asked about: as :func:`sentences`, but nobody need know the answers.
+def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = False) -> UnlabelledIntervals:
+    """Find what a trained model can be asked about: as :func:`labelled_intervals`, but nobody need know the answers.
 
-    Trials of unknown outcome pass the task's own choice of outcomes (not one that ``spec`` names), and a whole trial of
-    unknown class stays in.
+    Trials of unknown outcome pass the task's own choice of outcomes, and one that names "unknown", which no other
+    outcome that it names need be there for; a whole trial of unknown class stays in.
+
+    Args:
+        recordings: the data set.
+        spec: the task.
+        whole: the task is known to be about whole recordings, whose column need not be there.
 
     Raises:
-        InputError: a filter names an unknown source or session.
+        InputError: a filter names an unknown source or session, or the track or column is not there.
     """
     dropped: Counter[str] = Counter()
-    rows = _rows(recordings, chosen_recordings(recordings, spec, unknown=spec.outcomes is None), spec.arms, dropped)
-    track = track_of(recordings, spec)
-    if track:
-        found = _of_track(recordings, rows, track, spec, dropped)
+    unknown = spec.outcomes is None or UNKNOWN in spec.outcomes
+    if whole and not _is_there(recordings, spec):
+        everything = replace(spec, task="outcome", outcomes=spec.outcomes or ())
+        rows = _rows(recordings, everything, dropped, unknown)
+        found = whole_items(recordings, rows, np.full(len(rows), ""), spec.seconds, dropped)
     else:
-        values, known, _ = _known(recordings, rows, spec)
-        found = _whole(recordings, rows, np.where(known, values, ""), spec, dropped)
-    return UnlabelledIntervals(found.rows[:, 0], found.label, _intervals(found, recordings.dt), dict(dropped))
+        rows = _rows(recordings, spec, dropped, unknown)
+        track = track_of(recordings, spec)
+        if track:
+            found = track_items(recordings, rows, track, spec.classes, spec.complete, dropped)
+        else:
+            values, known, _ = _known(recordings, rows, spec)
+            found = whole_items(recordings, rows, np.where(known, values, ""), spec.seconds, dropped)
+    return UnlabelledIntervals(found.rows[:, 0], found.label, found.intervals(recordings.dt), dict(dropped))
 
 
 def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledIntervals:
@@ -117,16 +129,17 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         (('failure', 'success'), [1, 0], {'class unknown': 1})
     """
     dropped: Counter[str] = Counter()
-    rows = _rows(recordings, chosen_recordings(recordings, spec), spec.arms, dropped)
+    rows = _rows(recordings, spec, dropped)
     track = track_of(recordings, spec)
     if track:
-        found = _of_track(recordings, rows, track, spec, dropped)
+        found = track_items(recordings, rows, track, spec.classes, spec.complete, dropped)
         order = recordings.annotations.labels[track]
     else:
         values, known, doubtful = _known(recordings, rows, spec)
-        _count(dropped, "same record under two names", int(doubtful.sum()))
-        _count(dropped, "class not in the list" if spec.classes else "class unknown", int((~known & ~doubtful).sum()))
-        found = _whole(recordings, rows[known], values[known], spec, dropped)
+        leave_out(dropped, "same record under two names", int(doubtful.sum()))
+        why = "class not in the list" if spec.classes else "class unknown"
+        leave_out(dropped, why, int((~known & ~doubtful).sum()))
+        found = whole_items(recordings, rows[known], values[known], spec.seconds, dropped)
         order = tuple(sorted(set(found.label.tolist())))
     present = set(found.label.tolist())
     classes = tuple(name for name in spec.classes or order if name in present)
@@ -137,8 +150,8 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         )
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
-    intervals = _intervals(found, recordings.dt)
-    return LabelledIntervals(classes, y, recordings.trial[first], recordings.session[first], intervals, dict(dropped))
+    trial, session = recordings.trial[first], recordings.session[first]
+    return LabelledIntervals(classes, y, trial, session, found.intervals(recordings.dt), dict(dropped))
 
 
 def track_of(recordings: Recordings, spec: TaskSpec) -> str:
@@ -238,24 +251,6 @@ def extract_batched_features(
     )
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Labelled intervals in samples, half-open."""
-
-    rows: NDArray[np.int64]  # [item, arm] recording
-    label: NDArray[np.str_]  # [item]
-    start: NDArray[np.int64]  # [item, arm]
-    end: NDArray[np.int64]  # [item, arm]
-
-
-def _intervals(found: _Found, dt: float) -> tuple[Intervals, ...]:
-    """The intervals of each arm."""
-    return tuple(
-        Intervals(recording=rows, start=start, end=end, dt=dt)
-        for rows, start, end in zip(found.rows.T, found.start.T, found.end.T, strict=True)
-    )
-
-
 def _listed(noun: str, names: Sequence[str]) -> str:
     return f"only the {noun} {names[0]}" if names else f"no {noun}"
 
@@ -286,7 +281,7 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     Args:
         recordings: the data set.
         spec: names them.
-        unknown: recordings of unknown outcome pass as well.
+        unknown: recordings of unknown outcome pass as well, and no outcome need be there.
 
     Raises:
         InputError: a filter names a source, session or outcome that the data set has not.
@@ -298,9 +293,10 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     ]
     chosen = np.ones(len(recordings), bool)
     for what, values, wanted in filters:
-        passing = values == UNKNOWN if unknown and what == "outcome" else np.zeros(len(values), bool)
+        lenient = unknown and what == "outcome"
+        passing = values == UNKNOWN if lenient else np.zeros(len(values), bool)
         missing = set(wanted) - set(values.tolist())
-        if missing and not passing.any():
+        if missing and not lenient:
             known = ", ".join(sorted(set(values.tolist())))
             raise InputError(f"no recording has the {what} {', '.join(sorted(missing))}; there are {known}.")
         if wanted:
@@ -308,68 +304,33 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
     return chosen
 
 
-def _rows(recordings: Recordings, chosen: NDArray[np.bool_], arms: str, dropped: Counter[str]) -> NDArray[np.int64]:
-    """Rows of the data set ``[trial, arm]``; trials that lack an arm are dropped.
+def _is_there(recordings: Recordings, spec: TaskSpec) -> bool:
+    tracks = {spec.task, f"{spec.task}-{spec.boundaries}"}.intersection(recordings.annotations.tracks)
+    return bool(tracks or _column(recordings, spec))
+
+
+def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown: bool = False) -> NDArray[np.int64]:
+    """Rows of the chosen recordings ``[trial, arm]``; trials of another outcome, or that lack an arm, are dropped.
 
     Raises:
         InputError: two recordings have the same source, trial and arm.
     """
+    chosen = chosen_recordings(recordings, spec, unknown)
+    outcomes = dict.fromkeys([*_outcomes(recordings, spec), *[UNKNOWN] * unknown])
+    if track_of(recordings, spec) or spec.outcomes:  # of a column the others have no class
+        others = np.flatnonzero(chosen_recordings(recordings, replace(spec, outcomes=())) & ~chosen)
+        trials = {(recordings.source[row], recordings.trial[row]) for row in others.tolist()}
+        leave_out(dropped, f"outcome not {' or '.join(outcomes)}", len(trials))
     there = sorted(set(recordings.arm[chosen].tolist()), reverse=True)  # R before L
-    wanted = tuple(there) if arms == BOTH or len(there) == 1 else (arms,)
+    wanted = tuple(there) if spec.arms == BOTH or len(there) == 1 else (spec.arms,)
     by_trial: dict[tuple[str, str], dict[str, int]] = {}
     for row in np.flatnonzero(chosen).tolist():
         key, arm = (str(recordings.source[row]), str(recordings.trial[row])), str(recordings.arm[row])
         if by_trial.setdefault(key, {}).setdefault(arm, row) != row:
             raise InputError(f"Two recordings of {key[0]!r} are named {key[1]!r}, arm {arm}; a name must be unique.")
     complete = [[arm[a] for a in wanted] for arm in by_trial.values() if set(wanted) <= set(arm)]
-    _count(dropped, f"no arm {' and '.join(wanted)}", len(by_trial) - len(complete))
+    leave_out(dropped, f"no arm {' and '.join(wanted)}", len(by_trial) - len(complete))
     return np.array(complete, np.int64).reshape(-1, len(wanted))
-
-
-def _count(dropped: Counter[str], reason: str, trials: int) -> None:
-    if trials:
-        dropped[reason] += trials
-
-
-def _of_track(
-    recordings: Recordings, rows: NDArray[np.int64], track: str, spec: TaskSpec, dropped: Counter[str]
-) -> _Found:
-    """Intervals of a track whose ends are known, in the order of the trials and of time."""
-    marks = recordings.annotations.of(track)
-    labels = np.array(marks.labels[track], np.str_)
-    longest = int(recordings.length.max())
-    start = nearest_samples(marks.start, longest, recordings.dt)
-    end = np.nan_to_num(nearest_samples(marks.end, longest, recordings.dt), nan=-1.0)
-    # What lasts beyond the record is cut off there; an unknown end is before every start.
-    end = np.minimum(end, recordings.length[marks.recording])
-    usable = (start >= 0) & (end > start)
-    if spec.complete:
-        usable &= _complete(marks, usable, len(recordings))[marks.recording]
-    if spec.classes:
-        usable &= np.isin(labels[marks.code], spec.classes)
-    chosen = np.flatnonzero(usable)
-    bounds = np.searchsorted(marks.recording[chosen], np.arange(len(recordings) + 1))
-    of_trials = [[chosen[bounds[row] : bounds[row + 1]] for row in arms] for arms in rows.tolist()]
-    there = [arms for arms in of_trials if all(len(arm) for arm in arms)]
-    _count(dropped, "a state is missing" if spec.complete else "no annotation", len(of_trials) - len(there))
-    same = [arms for arms in there if all(np.array_equal(marks.code[arms[0]], marks.code[arm]) for arm in arms)]
-    _count(dropped, "its arms are annotated differently", len(there) - len(same))
-    items = np.array([item for arms in same for item in zip(*arms, strict=True)], np.int64).reshape(-1, rows.shape[1])
-    left = np.isin(marks.recording, rows[:, 0]) & ~usable
-    if not spec.complete and not spec.classes and left.any():
-        _count(dropped, "intervals that are empty, begin after the record or have no known end", int(left.sum()))
-    return _Found(
-        marks.recording[items].astype(np.int64), labels[marks.code[items[:, 0]]],
-        start[items].astype(np.int64), end[items].astype(np.int64),
-    )  # fmt: skip
-
-
-def _complete(marks: Annotations, usable: NDArray[np.bool_], recordings: int) -> NDArray[np.bool_]:
-    """Recordings ``[recording]`` all of whose labels are there, follow each other and are usable."""
-    (names,) = marks.labels.values()
-    count = np.bincount(marks.recording[usable], minlength=recordings)
-    ordered = (np.diff(marks.starts(next(iter(marks.labels)), recordings), axis=1) > 0).all(1)
-    return np.asarray((count == len(names)) & ordered)
 
 
 def _known(
@@ -382,20 +343,3 @@ def _known(
     copies = np.char.find(recordings.note[first], "contradictory-duplicate") >= 0
     doubtful = copies & (column != "outcome")
     return values, known & ~doubtful, doubtful
-
-
-def _whole(
-    recordings: Recordings, rows: NDArray[np.int64], values: NDArray[np.str_], spec: TaskSpec, dropped: Counter[str]
-) -> _Found:
-    """Whole records, or the same number of seconds of each."""
-    end = recordings.length[rows].astype(np.int64)
-    if spec.seconds:
-        samples = round(spec.seconds / recordings.dt) if 0 < spec.seconds < np.inf else 0
-        if samples < 1:
-            raise InputError(
-                f"the first {spec.seconds:g} s of each recording were asked for; expected a sample or more."
-            )
-        long = (end >= samples).all(1)
-        _count(dropped, f"shorter than {spec.seconds:g} s", int((~long).sum()))
-        rows, values, end = rows[long], values[long], np.full_like(end[long], samples)
-    return _Found(rows, values, np.zeros_like(rows), end)

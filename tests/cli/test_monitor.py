@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recordings = Recordings.from_arrays(
         wrenches, 20.0, axes=("Fz", "grip"), outcome=np.where(failed, "failure", "success"),
         day=[f"day {number % 3}" for number in range(25)], skill=["5"] * 24 + ["7"],
-        began=np.where(failed, str(ONSET), ""),
+        tool=[1.0] * 24 + [2.0], began=np.where(failed, f"{ONSET:e}", "1-2"), units=("N", ""),
     )  # fmt: skip
     path = tmp_path_factory.mktemp("monitor") / "runs.zarr"
     write_recordings(path, recordings, {})
@@ -71,6 +72,17 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert main([*map(str, words), "--false-alarms", "0.01"]) == 0
     table = capsys.readouterr().out.splitlines()
     assert table[1].split()[:6] == ["all", "18", "6", "1.000", "-", "-"]  # 12 recordings cannot promise 1 in 100
+    assert (
+        table[-1]
+        == "No alarms of day 0, day 1, day 2: --false-alarms 0.01 takes 99 nominal recordings of the other groups."
+    )
+
+
+def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = store.parent / "milli.zarr"
+    write_recordings(other, replace(read_recordings(store), units=("mN", "m")), {})
+    assert main(["monitor", "watch", str(other), "-m", str(model), "--false-alarms", "0.1"]) == 2
+    assert f"learned Fz in N; {other} has it in mN." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -80,6 +92,8 @@ def test_days_are_held_out(store: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["fit", "--where", "skill=9"], "no recording with skill=9"),
         (["fit", "--levels", "Mx"], "There is no axis Mx; there are Fz, grip"),
         (["fit", "--where", "skill=7"], "three or more"),
+        (["fit", "--where", "tool=2"], "three or more"),  # a column of numbers
+        (["fit", "--nominal", "good"], "outcome good; there are failure, success. Choose one with --nominal."),
     ],
 )
 def test_wrong_input_is_one_sentence(

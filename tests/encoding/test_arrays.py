@@ -18,6 +18,7 @@ from tests.support.trees import assert_trees_equal
 RNG = np.random.default_rng(0)
 WRENCH = RNG.normal(size=(3, 300, 6)).cumsum(1).astype(np.float32)
 NAMES = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+DATES = pd.date_range("2024-05-01", periods=300, freq="5ms")
 
 
 def labels_only(tracks: rj.LabelTracks) -> tuple:
@@ -39,8 +40,11 @@ def test_several_recordings_have_the_labels_of_the_core() -> None:
         pd.DataFrame(WRENCH[1], columns=NAMES),
         pd.DataFrame(WRENCH[1], columns=NAMES).assign(time=np.arange(300) * 0.005),
         xr.DataArray(WRENCH[1].T, dims=("axis", "time"), coords={"axis": NAMES, "time": np.arange(300) * 0.005}),
+        pd.DataFrame(WRENCH[1], columns=NAMES).assign(time=DATES.tz_localize("Europe/Berlin")),
+        pd.DataFrame(WRENCH[1], columns=NAMES, index=DATES - DATES[0]),
+        xr.DataArray(WRENCH[1].T, dims=("channel", "time"), coords={"channel": NAMES, "time": DATES}),
     ],
-    ids=["numpy", "jax", "pandas", "pandas with time", "xarray, transposed"],
+    ids=["numpy", "jax", "pandas", "with time", "xarray, transposed", "with dates", "with durations", "time last"],
 )
 def test_one_recording_needs_no_batch_axis(wrench: object) -> None:
     tracks = rj.encode(wrench)
@@ -123,6 +127,17 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
         (lambda: rj.encode(WRENCH[:1], lengths=[2.9]), "whole numbers"),
         (lambda: rj.encode(WRENCH[:1], lengths=[2**32 + 100]), "whole numbers"),
         (lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time=np.arange(300) * 0.01)), "100 samples per second"),
+        (lambda: rj.encode(pd.DataFrame(WRENCH[0], pd.Index(np.arange(300) / 1e3, name="time"))), "1000 samples per"),
+        (
+            lambda: rj.encode(xr.DataArray(WRENCH[0], {"time": 2 * (DATES - DATES[0])}, ("time", "axis"))),
+            "100 samples per",
+        ),
+        (
+            lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time=np.arange(300) * 0.005 + 98 * (np.arange(300) > 99))),
+            r"jumps by 98.005 s after 0.495 s",
+        ),
+        (lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time="noon")), "expected seconds or dates"),
+        (lambda: rj.encode(xr.Dataset({"Fz": ("time", WRENCH[0, :, 2])})), "to_array"),
         (lambda: rj.encode(WRENCH[0]).words("Fw"), "Fw"),
         (lambda: rj.encode(WRENCH[0]).words(0, "word"), "word"),
         (lambda: rj.encode(WRENCH[0]).words(0, recording=1), "recording"),

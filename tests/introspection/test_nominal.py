@@ -14,6 +14,7 @@ from rcbht_jax.introspection import nominal_file
 from rcbht_jax.introspection.nominal import FREEDOM, Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge, thresholds
 from rcbht_jax.introspection.nominal_peers import GaussianProcessBand, IsolationForestMonitor, QuantileBand
+from rcbht_jax.learning.model_io import reading, write_archive
 
 MONITORS = [
     NominalMonitor(rate=20, score_rate=10, memory=0.5, levels=(1,)),
@@ -130,11 +131,16 @@ def test_a_threshold_that_cannot_be_promised_is_refused() -> None:
 def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
     monitor, series = NominalMonitor(levels=(1,)).fit(pushes(6, 0)), pushes(1, 1)[0]
     path = tmp_path / "nominal.monitor"
-    nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fz", "Mx"), ("skill=7",)))
+    nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fz", "Mx"), ("skill=7",), ("N", "Nm")))
     again = nominal_file.load(path)
     assert (again.axes, again.where) == (("Fz", "Mx"), ("skill=7",))
     np.testing.assert_array_equal(again.monitor.scores(series), monitor.scores(series))
     assert again.monitor.threshold(0.2) == monitor.threshold(0.2)
+    assert again.units == ("N", "Nm")
+    with reading(path, nominal_file.FORMAT, gaps=("described",)) as (meta, arrays):
+        del meta["units"]  # as files were written before
+        write_archive(path, meta, arrays)
+    assert nominal_file.load(path).units == ()
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match="not a readable"):
         nominal_file.load(path)

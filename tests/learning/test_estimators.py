@@ -5,7 +5,9 @@ from __future__ import annotations
 import doctest
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_val_score
 from sklearn.pipeline import make_pipeline
@@ -62,6 +64,31 @@ def test_layouts_and_unequal_lengths_agree():
     assert turned.n_features_in_ == 6
     equal = wrenches()
     np.testing.assert_array_equal(turned.transform(equal.swapaxes(1, 2)), encoder.transform(equal))
+
+
+def test_names_of_axes_are_kept_and_compared():
+    """A column of time is no axis, and columns in another order are other features."""
+    names = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+    plain = wrenches()
+    frames = [pd.DataFrame(wrench, columns=names).assign(time=np.arange(300) / 200) for wrench in plain]
+    arrays = xr.DataArray(plain.swapaxes(1, 2), dims=("trial", "axis", "time"), coords={"axis": names})
+    chain = StateClassifier(features=SPEC).fit(frames, STATE)
+    assert chain.n_features_in_ == 6
+    assert chain.feature_names_in_.tolist() == names
+    expected = StateClassifier(features=SPEC).fit(plain, STATE).decision_function(plain)
+    for form in (frames, plain, arrays, list(arrays)):
+        np.testing.assert_array_equal(chain.decision_function(form), expected)
+    assert cross_val_score(StateClassifier(features=SPEC), arrays, STATE, groups=TRIAL, cv=GroupKFold(2)).min() > 0.8
+    for form in ([frame[names[::-1]] for frame in frames], arrays.assign_coords(axis=list("abcdef"))):
+        with pytest.raises(InputError, match="fit had Fx, Fy, Fz, Mx, My, Mz, in this order"):
+            chain.predict(form)
+    with pytest.raises(InputError, match="different axes"):
+        chain.fit([frames[0], frames[1][names[::-1]]], STATE[:2])
+    with pytest.raises(InputError, match="100 samples per second"):
+        chain.fit([frame.assign(time=np.arange(300) / 100) for frame in frames], STATE)
+    assert not hasattr(chain.fit(plain, STATE), "feature_names_in_")
+    other = WrenchFeatures(features=SPEC).fit([frame.rename(columns={"Fx": "grip"}) for frame in frames])
+    assert other.get_feature_names_out()[0] == "histogram.primitive.grip.time.bpos"
 
 
 def test_options_of_the_encoder_are_used():

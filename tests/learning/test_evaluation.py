@@ -77,7 +77,7 @@ def recordings() -> Recordings:
 def test_states_cover_the_record_and_incomplete_trials_are_counted(recordings):
     items = labelled_intervals(recordings, TaskSpec(boundaries="recorded", complete=True))
     assert items.classes == ("approach", "rotation", "insertion", "mating")
-    assert items.dropped == {"a state is missing": 1}
+    assert items.dropped == {"outcome not success": 4, "a state is missing": 1}
     good = 2 * (TRIALS - 2) - 1
     assert len(items.y) == 4 * good
     (only,) = items.intervals
@@ -132,13 +132,14 @@ def test_a_trial_that_lacks_a_mark_keeps_its_other_intervals(recordings):
     items = labelled_intervals(marked(recordings, onset), TaskSpec(boundaries="recorded"))
     of = items.intervals[0].recording == 0
     assert [items.classes[y] for y in items.y[of]] == ["insertion", "mating"]
-    assert items.dropped == {"intervals that are empty, begin after the record or have no known end": 1}
+    why = "intervals that are empty, begin after the record or have no known end"
+    assert items.dropped == {"outcome not success": 4, why: 1}
 
 
 def test_two_arms_are_paired_by_trial(recordings):
     items = labelled_intervals(recordings, TaskSpec(arms="both", sources=("SET_A",), complete=True))
     assert sorted(set(items.trial.tolist())) == ["A0", "A1", "A2"]  # A3 lacks a state of its right arm
-    assert items.dropped == {"no arm R and L": 6, "a state is missing": 1}
+    assert items.dropped == {"outcome not success": 2, "no arm R and L": 6, "a state is missing": 1}
     right, left = items.intervals
     assert set(recordings.arm[right.recording]) == {"R"}
     assert set(recordings.arm[left.recording]) == {"L"}
@@ -260,6 +261,13 @@ def test_sessions_can_be_held_out(recordings):
     assert same.score["accuracy"] == {"mean": 1.0, "low": low, "high": 1.0}
     assert other.score["accuracy"]["mean"] == 0
     assert np.sum(same.confusion) == 40  # the ten successes of B
+    assert (same.trials, same.untaught) == (20, ())
+    third = replace(recordings, session=np.where(recordings.trial == "A0", "C", recordings.session))
+    tool = with_columns(third, tool=np.where(third.session == "C", "clip", np.where(np.arange(28) % 2, "peg", "hole")))
+    protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("C",))
+    new = evaluate(tool, tracks, TaskSpec("tool"), FeatureSpec(("histogram",)), protocol)
+    assert new.untaught == ("clip",)
+    assert new.trials == sum(new.items.values()) == 11  # one has two names; none of session B
     json.dumps(same.to_json(), allow_nan=False)
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
-from rcbht_jax.learning.model_io import TrainedModel, load, save
+from rcbht_jax.introspection import model as introspection
+from rcbht_jax.learning.model_io import FORMAT, TrainedModel, load, reading, save, write_archive
 from rcbht_jax.learning.predict import check_encoders, task_of
 from rcbht_jax.learning.svm import SvmSpec, fit
 from rcbht_jax.learning.tasks import TaskSpec
@@ -60,6 +61,17 @@ def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
     save(path, model)
     rewritten(path, intercept=np.zeros(1))
     with pytest.raises(InputError, match=r"intercept has the shape \(1,\)"):
+        load(path)
+
+
+def test_a_model_of_another_command_is_named(model, tmp_path):
+    path = tmp_path / "m"
+    save(path, model)
+    with pytest.raises(InputError, match='made by "rcbht train"; this needs a file of "rcbht train-online"'):
+        introspection.load(path)
+    with reading(path, FORMAT) as (meta, arrays):
+        write_archive(path, meta | {"format": introspection.FORMAT}, arrays)
+    with pytest.raises(InputError, match='made by "rcbht train-online"; this needs a file of "rcbht train"'):
         load(path)
 
 

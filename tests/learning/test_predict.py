@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rcbht_jax as rj
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
@@ -18,6 +19,7 @@ from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.learning.evaluation import candidates
 from rcbht_jax.learning.model_io import load, save
 from rcbht_jax.learning.predict import classify, task_of
+from rcbht_jax.learning.svm import Grid
 from rcbht_jax.learning.tasks import TaskSpec, labelled_intervals, unlabelled_intervals
 from rcbht_jax.types import Recordings
 from tests.cli.test_commands import synthetic
@@ -113,6 +115,40 @@ def test_whole_trials_need_no_class() -> None:
     found = unlabelled_intervals(recordings, TaskSpec("failure-type"))
     assert found.row.tolist() == [1, 2, 4, 5, 7, 8, 10, 11]  # failures, and what nobody judged
     assert found.name.tolist() == ["", "", "+x", "", "+x", "", "+x", ""]
+
+
+def test_new_data_need_not_have_the_column_of_the_task() -> None:
+    """Nobody knows the classes of new data; a task that is a track is asked for as before."""
+    recorded = replace(synthetic(), outcome=np.array(["success", "failure"] * 6))
+    parts = with_columns(recorded, part=np.array(["peg", "hole"] * 6))
+    tracks = rj.encode(parts.wrench, rate=200)
+    grid = Grid(("linear",), (1.0,), inner=2)
+    named = TaskSpec("part", outcomes=("success", "failure"))
+    model = rj.train(parts, tracks, named, FeatureSpec(("histogram",)), grid)
+    unnamed = replace(recorded, outcome=np.full(12, "unknown"))
+    found = classify(model, unnamed, {"": tracks}, task_of(model))
+    assert found.items.name.tolist() == [""] * 12
+    assert found.predicted.tolist() == classify(model, parts, {"": tracks}, task_of(model)).predicted.tolist()
+    for task in (model.task | {"whole": False}, {k: v for k, v in model.task.items() if k != "whole"}):
+        with pytest.raises(InputError, match="no track or column 'part'"):
+            classify(replace(model, task=task), unnamed, {"": tracks}, task_of(model))
+
+
+def test_trials_of_another_outcome_are_counted() -> None:
+    recordings = replace(synthetic(), outcome=np.array(["success", "failure", "unknown"] * 4))
+    assert unlabelled_intervals(recordings, TaskSpec()).dropped == {"outcome not success or unknown": 4}
+    named = unlabelled_intervals(recordings, TaskSpec(outcomes=("failure",)))
+    assert named.dropped == {"outcome not failure": 8}
+    assert unlabelled_intervals(recordings, TaskSpec(outcomes=())).dropped == {}
+
+
+def test_outcomes_to_learn_from_can_be_named(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train", str(place / "set.zarr"), "--tracks", "online-W5", *RICH, "-o", str(tmp_path / "m.model")]
+    assert main(words) == 0
+    assert "left out: 6 trials, outcome not success" in capsys.readouterr().out
+    assert main([*words, "--outcome", "success", "unknown", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["trials"], said["dropped"]) == (12, {})
 
 
 def test_without_any_sentence(place: Path) -> None:
