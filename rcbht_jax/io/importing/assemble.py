@@ -41,6 +41,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     values: list[NDArray[np.float32]] = []
     rates: Counter[str] = Counter()
     filtered = uneven = 0
+    slow = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.period > 1]
+    report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in slow]
     for record, source_clock in zip(records, clocks, strict=True):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
@@ -52,7 +54,6 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
             report.skipped.append((record.name, str(error)))
             continue
         record.notes.extend(flags)
-        record.notes.extend(f"saturated:{record.axes[axis]}" for axis in conform.saturated(record.values))
         rates.update(f"{flag.partition(':')[2]} Hz" for flag in flags if flag.startswith("resampled"))
         filtered += "filtered" in flags
         uneven += "uneven" in flags
@@ -131,14 +132,15 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
 
 
 def _trials(records: list[Record]) -> list[str]:
-    """Names without suffix, where that leaves them apart; the topics of a bag are arms of one trial."""
+    """Names without suffix, where that leaves them apart; topics of a bag and groups of a column arm share a trial."""
     short = []
-    for record in records:
+    arms = [arm_of(record.name) or str(record.columns.get("arm", "")) for record in records]
+    for record, arm in zip(records, arms, strict=True):
         path, _, part = record.name.partition("#")
-        part = "" if part.startswith("/") else part
+        part = "" if part == arm else part
         stem = PurePosixPath(path).with_suffix("").as_posix() if path else ""
         short.append("-".join(filter(None, [stem, part])) or record.name)
-    pairs = Counter(zip(short, (arm_of(record.name) for record in records), strict=True))
+    pairs = Counter(zip(short, arms, strict=True))
     if max(pairs.values()) > 1:
         return [record.name for record in records]
     return short

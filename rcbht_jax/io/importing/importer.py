@@ -21,7 +21,7 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
-from rcbht_jax.io.importing.guess import Understood, guess
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
 from rcbht_jax.io.importing.record import Record, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
@@ -166,6 +166,9 @@ def _read(
                     beside.append(table)
                     continue
                 mapping, understood = guess(table, base)
+                more = "" if base.channels else more_wrenches(table, mapping)
+                if more and more not in report.remarks:
+                    report.remarks.append(more)
                 row = marks.row_for(rows, table.name) if base.table else None
                 if base.table and row is None:
                     report.warnings.append((table.name, f"{base.table} has no row for it."))
@@ -174,6 +177,8 @@ def _read(
                     if isinstance(record, tuple):
                         report.skipped.append(record)
                         continue
+                    if "changes:outcome" in record.notes:
+                        report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
                     _beside(source, item, record, extra, report)
                     found.append(record)
                     used[record.name] = mapping, understood

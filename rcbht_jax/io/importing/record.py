@@ -66,7 +66,7 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
     parts: dict[str, NDArray[Any]] = {"": np.arange(rows)}
     if mapping.group:
         group = table.columns[mapping.group]
-        if group.dtype.kind != "U" and not np.isfinite(group).all():
+        if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
             yield table.name, f"rows without a value in {mapping.group} belong to no recording."
         values, which = np.unique(group, return_inverse=True)
         if len(values) > MAX_GROUPS:
@@ -134,6 +134,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
         if track.column:
             order = np.argsort(stamps, kind="stable")
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
+    notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
     values = _moved(mapping, time, values)
     return Record(
         name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
@@ -155,19 +156,19 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
 
 
 def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | float | None:
-    """A column's value for a recording; None = it changes within it."""
+    """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
     if source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:
-        values = np.unique(table.columns[source.column][rows])
+        values = {text(value) for value in np.unique(table.columns[source.column][rows])} - {""}
         if len(values) > 1:
             return None
-        found = text(values[0])
+        found = values.pop() if values else ""
     else:
         found = text(table.facts[source.column])
-    return source.words.get(found, found)
+    return source.words.get(found, source.words.get(found.lower(), found))
 
 
 def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
@@ -192,6 +193,8 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bias, tare and rotation."""
     if mapping.bias:
+        if len(mapping.bias) != values.shape[1]:
+            raise InputError(f"bias has {len(mapping.bias)} values for {values.shape[1]} channels.")
         values = values - np.array(mapping.bias)
     if mapping.tare:
         values = values - values[time <= mapping.tare].mean(0)

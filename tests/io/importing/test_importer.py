@@ -167,6 +167,42 @@ def test_a_table_outside_the_source_is_refused(tmp_path: Path) -> None:
         read_source(tmp_path / "in", mapping=Mapping(table="../facts.csv", columns={"x": Value(table="x")}))
 
 
+def test_an_outcome_in_one_row_counts_and_one_that_changes_is_a_warning(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0), outcome=[""] * 199 + ["good"])
+    write(tmp_path / "b.csv", noise(1), outcome=["good"] * 199 + ["bad"])
+    write(tmp_path / "c.csv", noise(2), outcome="")
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == ["good", "unknown", "unknown"]
+    assert imported.report.warnings == [("b.csv", "states several outcomes; its outcome is unknown.")]
+
+
+@pytest.mark.parametrize("name", ["outcome", "success"])
+def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> None:
+    words = ("TRUE", "ok", "Pass", "1", "False", "NOK", "fail", "0")
+    for number, word in enumerate(words):
+        write(tmp_path / f"{number}.csv", noise(number), **{name: word})
+    assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
+
+
+def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> None:
+    rows = [f"{k * DT},{arm},{force}" for k in range(50) for arm, force in (("left", k), ("right", -k))]
+    (tmp_path / "a.csv").write_text("\n".join(["t,arm,Fz", *rows]))
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.trial.tolist(), recordings.arm.tolist()) == (["a", "a"], ["left", "right"])
+    np.testing.assert_array_equal(recordings.wrench[:, :, 0], [np.arange(50), -np.arange(50)])
+
+
+def test_a_slow_clock_and_a_second_wrench_are_said(tmp_path: Path) -> None:
+    axes = [f"{side}.force.{axis}" for side in ("left", "right") for axis in "xyz"]
+    rows = [",".join(map(str, [k * 2000, *np.random.default_rng(k).normal(size=6)])) for k in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(["t [ms]", *axes]), *rows]))
+    report = read_source(tmp_path).report
+    assert report.warnings == [("a.csv", "has 0.5 samples per second. Is the unit of time right?")]
+    assert report.remarks[0].startswith(
+        "2 wrenches were found, and that of left.force.x was taken; to import that of 'r"
+    )
+
+
 # --- Robots --------------------------------------------------------------------------------------------------------
 
 
