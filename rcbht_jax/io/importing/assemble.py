@@ -15,7 +15,7 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, arm_of, folder_of
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -108,10 +108,10 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
             columns[target] = np.array(["" if value is None else str(value) for value in values], np.str_)
         else:
             columns[target] = np.array([np.nan if value is None else value for value in values], np.float64)
-    folders = [folder_of(record.name) for record in records]
+    folders = [record.folder for record in records]
     defaults: dict[str, list[str]] = {
         "trial": _trials(records),
-        "arm": [arm_of(record.name) or STANDARD_COLUMNS["arm"] for record in records],
+        "arm": [record.arm or STANDARD_COLUMNS["arm"] for record in records],
         "source": [spelled(source.resolve().stem)] * len(records),
         "session": folders if any(folders) else [STANDARD_COLUMNS["session"]] * len(records),
         "outcome": [STANDARD_COLUMNS["outcome"]] * len(records),
@@ -134,13 +134,11 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
 def _trials(records: list[Record]) -> list[str]:
     """Names without suffix, where that leaves them apart; topics of a bag and groups of a column arm share a trial."""
     short = []
-    arms = [arm_of(record.name) or str(record.columns.get("arm", "")) for record in records]
-    for record, arm in zip(records, arms, strict=True):
-        path, _, part = record.name.partition("#")
-        part = "" if part == arm else part
-        stem = PurePosixPath(path).with_suffix("").as_posix() if path else ""
-        short.append("-".join(filter(None, [stem, part])) or record.name)
-    pairs = Counter(zip(short, arms, strict=True))
+    for record in records:
+        stem = PurePosixPath(record.file).with_suffix("").as_posix()
+        part = "" if record.part == record.arm else record.part
+        short.append("-".join(filter(None, [stem, part])))
+    pairs = Counter(zip(short, (record.arm for record in records), strict=True))
     if max(pairs.values()) > 1:
         return [record.name for record in records]
     return short

@@ -158,8 +158,9 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
         for episode in np.unique(columns[EPISODE]):
             rows = columns[EPISODE] == episode
             part = {key: values[rows] for key, values in columns.items() if key not in _OWN}
-            number = int(episode)
-            yield Table(f"{name}#{number:06d}".lstrip("#"), part, float(fps), facts=episodes.get(number, {}))
+            number = f"{int(episode):06d}"
+            facts, place = episodes.get(int(episode), {}), number if name else ""
+            yield Table(f"{name}#{number}" if name else number, part, float(fps), facts=facts, part=place)
 
 
 def _element_names(info: Mapping[str, Any]) -> dict[str, str]:

@@ -37,6 +37,23 @@ class Record:
     intervals: list[Interval] = field(default_factory=list)  # s from the first sample
     notes: list[str] = field(default_factory=list)
     origin: float = 0.0  # s, of the first sample on the source's clock
+    part: str = ""  # of the file, as the name ends with it; "" = the whole file
+
+    @property
+    def file(self) -> str:
+        """The name without the part."""
+        return self.name.removesuffix(f"#{self.part}") if self.part else self.name
+
+    @property
+    def arm(self) -> str:
+        """The topic that the part names, or what a column arm says; "" = neither."""
+        return self.part if self.part.startswith("/") else str(self.columns.get("arm", ""))
+
+    @property
+    def folder(self) -> str:
+        """The folder of the file, relative to the source; "" = the source itself."""
+        parent = str(PurePosixPath(self.file).parent)
+        return "" if parent == "." else parent
 
     @property
     def end(self) -> float:
@@ -82,7 +99,7 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
                 record = _record(table, mapping, part, name, row or {})
-            yield record
+            yield replace(record, part="#".join(filter(None, [table.part, value])))
         except InputError as error:
             yield name, str(error)
 
@@ -231,15 +248,3 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
         else:
             kept.append((track, label, start, end if np.isfinite(end) else float("nan")))
     return replace(record, intervals=kept), problems
-
-
-def arm_of(name: str) -> str:
-    """The part of a table's name that names a topic: what follows "#" if that is a path."""
-    part = name.partition("#")[2]
-    return part if part.startswith("/") else ""
-
-
-def folder_of(name: str) -> str:
-    """The folder of a file's relative name; "" = the source itself."""
-    parent = str(PurePosixPath(name.partition("#")[0]).parent)
-    return "" if parent == "." else parent

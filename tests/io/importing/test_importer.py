@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,70 @@ def test_annotations_beside_each_recording(tmp_path: Path) -> None:
     marks = read_source(tmp_path / "a.csv", mapping=stamped).recordings.annotations
     assert marks.labels == {"phase": ("none", "push")}
     np.testing.assert_allclose(marks.start, [0, 0.2], atol=1e-9)
+
+
+def labels(recordings: Recordings) -> list[tuple[str, str]]:
+    marks = recordings.annotations
+    return list(zip(recordings.trial[marks.recording].tolist(), marks.names().tolist(), strict=True))
+
+
+def test_a_name_that_two_recordings_have_is_used_for_none(tmp_path: Path) -> None:
+    """Annotations and outcomes of one were those of the other, too."""
+    for seed, name in enumerate(("mon/run1", "tue/run1", "tue/run2", "wed/run3", "run3")):
+        write(tmp_path / f"{name}.csv", noise(seed))
+    words = ("run1", "tue/run1", "run2.csv", "run3")
+    (tmp_path / "marks.csv").write_text("recording,label,start\n" + "".join(f"{word},{word},0.1\n" for word in words))
+    (tmp_path / "facts.csv").write_text("file,ok\n" + "".join(f"{word},{word}\n" for word in words))
+    own = [("run3", "run3"), ("tue/run1", "tue/run1"), ("tue/run2", "run2.csv")]
+    base = Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})
+    for mapping in (base, replace(base, annotations=(Track("label", file="marks.csv"),))):
+        imported = read_source(tmp_path, mapping=mapping)
+        assert sorted(labels(imported.recordings)) == own
+        outcomes = dict(zip(imported.recordings.trial.tolist(), imported.recordings.outcome.tolist(), strict=True))
+        assert {trial: word for trial, word in outcomes.items() if word != "unknown"} == dict(own)
+        reason = "'run1' is the name of several recordings and is used for none; write it with its folder."
+        assert [name for name, text in imported.report.warnings if text == reason] == ["facts.csv", "marks.csv"]
+
+
+def test_labels_of_a_file_are_for_the_one_in_the_same_folder(tmp_path: Path) -> None:
+    for seed, folder in enumerate((".", "mon")):
+        write(tmp_path / folder / "run1.csv", noise(seed))
+    (tmp_path / "run1_labels.csv").write_text("label,start\npush,0.1\n")
+    assert labels(read_source(tmp_path).recordings) == [("run1", "push")]
+
+
+def test_a_number_sign_in_the_name_of_a_file_separates_nothing(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write(tmp_path / f"run #{number}.csv", noise(number), run=["a"] * 100 + ["b"] * 100)
+    (tmp_path / "run #1_labels.csv").write_text("label,start\npush,0.1\n")
+    (tmp_path / "facts.csv").write_text("file,ok\nrun #2.csv,good\n")
+    mapping = Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})
+    recordings = read_source(tmp_path, mapping=mapping).recordings
+    assert recordings.trial.tolist() == ["run #1-a", "run #1-b", "run #2-a", "run #2-b"]
+    assert recordings.outcome.tolist() == ["unknown"] * 2 + ["good"] * 2
+    for number in (1, 2):
+        write(tmp_path / f"run #{number}.csv", noise(number))
+    assert labels(read_source(tmp_path / "run #1.csv").recordings) == []
+    assert labels(read_source(tmp_path).recordings) == [("run #1", "push")]
+    np.savez(tmp_path / "#3.npz", wrench=np.random.default_rng(0).normal(size=(2, 50, 6)), dt=DT)
+    assert read_source(tmp_path / "#3.npz").recordings.trial.tolist() == ["#3-0", "#3-1"]
+
+
+def test_a_table_of_recordings_lacks_no_column_and_repeats_no_file_unsaid(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0))
+    (tmp_path / "facts.csv").write_text("file,ok\na.csv,good\na,bad\n")
+    report = read_source(tmp_path, mapping=Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})).report
+    assert report.warnings == [("facts.csv", "has several rows for a.csv; the last one counts.")]
+    with pytest.raises(InputError, match="has no column 'okay'; it has file, ok"):
+        read_source(tmp_path, mapping=Mapping(table="facts.csv", columns={"outcome": Value(table="okay")}))
+
+
+def test_labels_at_times_of_text_are_one_warning(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0))
+    (tmp_path / "a_labels.csv").write_text("label,start\npush,soon\n")
+    assert read_source(tmp_path).report.warnings == [
+        ("a_labels.csv", "a_labels.csv: column start is text; expected seconds.")
+    ]
 
 
 def test_a_word_that_changes_in_one_recording_is_a_track_in_all(tmp_path: Path) -> None:
