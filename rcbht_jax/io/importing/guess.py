@@ -86,6 +86,10 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
     if table.rate is not None:
         return mapping
+    # A column whose type is a time, such as an index that pandas wrote, has its unit from the file.
+    typed = (name for name in free if table.units.get(name) == "s" and (np.diff(table.columns[name]) > 0).any())
+    if index := next(typed, ""):
+        return replace(mapping, time=index)
     first = next(iter(table.columns), "")
     if first in free and parsed[first][0] in ("c0", "unnamed: 0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
