@@ -60,3 +60,8 @@ def test_stamps_of_another_unit_are_named() -> None:
     with pytest.raises(InputError, match=r"one every 200 s\. Are its time stamps in seconds"):
         Resampler(200.0)
     Resampler(20.0)  # whose fourfold is more than is bridged
+
+
+def test_lost_readings_do_not_make_a_stream_slower() -> None:
+    kept = (k for k in count() if k not in (20, 40))
+    assert read_opening(Sample((1.0,), k / 500) for k in kept).rate() == pytest.approx(500)

@@ -115,7 +115,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             path, sum(int(np.prod(item.shape or (0,), dtype=object)) * item.dtype.itemsize for item in datasets), size
         )
         group = _like(file, h5py)
-        parts = [(name, file)] if group is None else [(f"{name}#{key}", one) for key, one in _groups(group, h5py)]
+        parts = [("", file)] if group is None else _groups(group, h5py)
         for part, node in parts:
             prefix = node.name.rstrip("/") + "/"
             found = {one.name.removeprefix(prefix): one for one in datasets if one.name.startswith(prefix)}
@@ -124,7 +124,7 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             }
             arrays |= {key: _array(one, turned) for key, one in found.items()}
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
-            yield from tables_of(path, part, usable)
+            yield from tables_of(path, f"{name}#{part}" if part else name, usable, part)
 
 
 def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:

@@ -15,7 +15,7 @@ from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Record, arm_of, folder_of
+from rcbht_jax.io.importing.record import Record
 from rcbht_jax.io.importing.report import ImportReport
 from rcbht_jax.io.store import VARIABLES
 from rcbht_jax.types import STANDARD_COLUMNS, Recordings
@@ -41,6 +41,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     values: list[NDArray[np.float32]] = []
     rates: Counter[str] = Counter()
     filtered = uneven = 0
+    slow = [(record.name, one.rate) for record, one in zip(records, clocks, strict=True) if one.period > 1]
+    report.warnings += [(name, f"has {rate:.3g} samples per second. Is the unit of time right?") for name, rate in slow]
     for record, source_clock in zip(records, clocks, strict=True):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
@@ -52,7 +54,6 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
             report.skipped.append((record.name, str(error)))
             continue
         record.notes.extend(flags)
-        record.notes.extend(f"saturated:{record.axes[axis]}" for axis in conform.saturated(record.values))
         rates.update(f"{flag.partition(':')[2]} Hz" for flag in flags if flag.startswith("resampled"))
         filtered += "filtered" in flags
         uneven += "uneven" in flags
@@ -107,10 +108,10 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
             columns[target] = np.array(["" if value is None else str(value) for value in values], np.str_)
         else:
             columns[target] = np.array([np.nan if value is None else value for value in values], np.float64)
-    folders = [folder_of(record.name) for record in records]
+    folders = [record.folder for record in records]
     defaults: dict[str, list[str]] = {
         "trial": _trials(records),
-        "arm": [arm_of(record.name) or STANDARD_COLUMNS["arm"] for record in records],
+        "arm": [record.arm or STANDARD_COLUMNS["arm"] for record in records],
         "source": [spelled(source.resolve().stem)] * len(records),
         "session": folders if any(folders) else [STANDARD_COLUMNS["session"]] * len(records),
         "outcome": [STANDARD_COLUMNS["outcome"]] * len(records),
@@ -131,14 +132,13 @@ def _columns(records: list[Record], source: Path, report: ImportReport) -> dict[
 
 
 def _trials(records: list[Record]) -> list[str]:
-    """Names without suffix, where that leaves them apart; the topics of a bag are arms of one trial."""
+    """Names without suffix, where that leaves them apart; topics of a bag and groups of a column arm share a trial."""
     short = []
     for record in records:
-        path, _, part = record.name.partition("#")
-        part = "" if part.startswith("/") else part
-        stem = PurePosixPath(path).with_suffix("").as_posix() if path else ""
-        short.append("-".join(filter(None, [stem, part])) or record.name)
-    pairs = Counter(zip(short, (arm_of(record.name) for record in records), strict=True))
+        stem = PurePosixPath(record.file).with_suffix("").as_posix()
+        part = "" if record.part == record.arm else record.part
+        short.append("-".join(filter(None, [stem, part])))
+    pairs = Counter(zip(short, (record.arm for record in records), strict=True))
     if max(pairs.values()) > 1:
         return [record.name for record in records]
     return short

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,8 @@ def read_bag_tables(path: Path, name: str, topic: str = "") -> Iterator[Table]:
     for key, content in topics.items():
         if not content.received:
             raise InputError(f"{path} holds no readable message on {key}{': ' + problems[0] if problems else ''}.")
-        yield content.table(f"{name}#{key}" if len(topics) > 1 else name, spoken, notes)
+        table = content.table(name, spoken, notes)
+        yield replace(table, name=f"{name}#{key}", part=key) if len(topics) > 1 else table
 
 
 class _Topic:

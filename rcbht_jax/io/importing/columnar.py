@@ -57,12 +57,12 @@ def parquet_tables(path: Path, name: str) -> Iterator[Table]:
         InputError: as :func:`read_parquet`.
     """
     with reading(path, "Parquet"):
-        columns, rate = _columns(path)
-    yield Table(name, columns, rate)
+        columns, rate, units = _columns(path)
+    yield Table(name, columns, rate, units)
 
 
-def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None]:
-    """Columns that can be imported, and the rate where the metadata state it."""
+def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None, dict[str, str]]:
+    """Columns that can be imported, the rate where the metadata state it, the unit of those that are times by type."""
     size = check_file(path)
     pa, pq = require("pyarrow", "import"), require("pyarrow.parquet", "import")
     limits = {"thrift_string_size_limit": 2**24, "thrift_container_size_limit": 2**20}
@@ -88,7 +88,8 @@ def _columns(path: Path) -> tuple[dict[str, NDArray[Any]], float | None]:
             columns[field.name] = _array(pa, column, _kind(pa, field.type))
     if not columns or not len(next(iter(columns.values()))):
         raise InputError(f"{path} has no rows of numbers or text.")
-    return columns, 1 / float(rows) if rows and float(rows) > 0 else None
+    seconds = {field.name: "s" for field in table.schema if _kind(pa, field.type) == "time"}
+    return columns, 1 / float(rows) if rows and float(rows) > 0 else None, seconds
 
 
 def _kind(pa: Any, kind: Any) -> str:
@@ -158,8 +159,9 @@ def read_lerobot(folder: Path, name: str) -> Iterator[Table]:
         for episode in np.unique(columns[EPISODE]):
             rows = columns[EPISODE] == episode
             part = {key: values[rows] for key, values in columns.items() if key not in _OWN}
-            number = int(episode)
-            yield Table(f"{name}#{number:06d}".lstrip("#"), part, float(fps), facts=episodes.get(number, {}))
+            number = f"{int(episode):06d}"
+            facts, place = episodes.get(int(episode), {}), number if name else ""
+            yield Table(f"{name}#{number}" if name else number, part, float(fps), facts=facts, part=place)
 
 
 def _element_names(info: Mapping[str, Any]) -> dict[str, str]:

@@ -16,6 +16,7 @@ JITTER = 0.25  # of a period: largest distance of a sample from a steady grid th
 DRIFT = 0.02  # of a period, after a whole recording: what rounding its period may cost
 GAP = 5  # periods without a sample
 MISSING = 5  # samples in a row without a value that are interpolated
+SPAN = 7  # steps in a row whose mean is a period
 HELD = 10  # samples in a row at the largest or smallest value
 SHORTEST, LONGEST = 1e-6, 1e3  # s: periods of samples that sensors have
 EQUAL = 1e-3  # relative difference below which two rates are one
@@ -45,14 +46,15 @@ def tidy(
         values: NaN = missing.
 
     Raises:
-        InputError: a value is infinite, times are missing or run backwards, fewer than two samples are left, or more
-            than ``MISSING`` values in a row are missing. The sentence names no file.
+        InputError: a value is infinite, times are missing, run backwards or repeat with other values, fewer than two
+            samples are left, or more than ``MISSING`` values in a row are missing. The sentence names no file.
     """
     notes: list[str] = []
     if not np.isfinite(time).all():
         raise InputError(f"sample {int(np.flatnonzero(~np.isfinite(time))[0])} has no time.")
     back = np.flatnonzero(np.diff(time) < 0)
-    if len(back) > max(2, len(time) // 100):
+    few = max(2, len(time) // 100)
+    if len(back) > few:
         raise InputError(
             f"time runs backwards {len(back)} times, first at sample {int(back[0]) + 1}; if the table holds several "
             "recordings, name the column that separates them with --group."
@@ -68,6 +70,13 @@ def tidy(
         notes.append(f"unordered:{len(back)}")
     fresh = np.concatenate([[True], np.diff(time) > 0])
     if not fresh.all():
+        other = ~fresh[1:] & ~_equal(values[1:], values[:-1]).all(1)
+        if other.sum() > few:
+            raise InputError(
+                f"time stamps repeat {int((~fresh).sum())} of {len(time)} times, with other values; if the table holds "
+                "several recordings, name the column that separates them with --group, else give --source-rate, which "
+                "replaces the stamps."
+            )
         notes.append(f"repeated:{int((~fresh).sum())}")
         time, values = time[fresh], values[fresh]
     if len(time) < 2:
@@ -86,6 +95,10 @@ def tidy(
         values = np.stack(filled, 1)
         notes.append(f"missing:{int(missing.sum())}")
     return time, values, notes
+
+
+def _equal(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return (one == other) | (np.isnan(one) & np.isnan(other))
 
 
 def runs(mask: Bool[np.ndarray, " sample"]) -> NDArray[np.int64]:
@@ -111,7 +124,10 @@ def clock(time: Float[np.ndarray, " sample"]) -> Clock:
     middle = float(np.median(np.diff(time)))
     if middle < SHORTEST:  # no sensor is as fast; its rate need not even be a finite number
         return Clock(middle, False)
-    # The mean knows the rate better, if nothing is missing.
+    # The mean knows the rate better; of spans of several steps, jitter hides less which of them lost samples.
+    steps = min(SPAN, len(time) // 2)
+    spans = time[steps:] - time[:-steps]
+    period = float(spans[spans < (1 + 0.5 / steps) * np.median(spans)].mean()) / steps
     return Clock(1 / _nice(1 / (period if abs(period / middle - 1) < NEAR else middle)), False)
 
 
@@ -192,7 +208,7 @@ def on_grid(
     gaps = np.diff(time)[np.diff(time) > GAP * source.period]
     notes = [f"gap:{gaps.max():.3g}"] if len(gaps) else []
     notes += [f"gaps:{len(gaps)}"] if len(gaps) > 1 else []
-    if source.steady and agrees(source, period):
+    if source.steady and abs(source.period - period) * len(time) <= JITTER * period:  # to its last sample
         return values, notes
     rows = _rows(time, period, values.shape[1])
     if rows < 2:
@@ -204,7 +220,7 @@ def on_grid(
     moved = np.stack([np.interp(grid, time, column) for column in values.T], 1)
     # A clock that only jitters has the grid's rate.
     near = abs(source.period / period - 1) < NEAR and not source.steady
-    return moved, [*notes, "uneven" if near else f"resampled:{source.rate:.4g}"]
+    return moved, [*notes, "uneven" if near else f"resampled:{source.rate:.6g}"]
 
 
 def _rows(time: Float[np.ndarray, " sample"], period: float, axes: int) -> int:

@@ -1,4 +1,4 @@
-"""The meaning of columns from their names and values, where no mapping states it; never a unit that nothing states."""
+"""The meaning of columns from names and values, where no mapping states it; never a channel's unit out of nothing."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import names
+from rcbht_jax.io.importing import names, record
 from rcbht_jax.io.importing.clock import seconds_of
-from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.mapping import SECONDS, Channel, Mapping, Track, Value
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
-TRUE = {"1": "success", "1.0": "success", "true": "success", "True": "success"}
-FALSE = {"0": "failure", "0.0": "failure", "false": "failure", "False": "failure"}
+OUTCOMES = {
+    "1": "success", "true": "success", "ok": "success", "pass": "success", "0": "failure", "false": "failure",
+    "nok": "failure", "fail": "failure",
+}  # fmt: skip
+SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if not base.group:
         mapping = replace(mapping, group=_group(table, free))
         free = [name for name in free if name != mapping.group]
+    if names.base_and_unit(mapping.group)[0] == "arm":
+        mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
     mapping = _words(table, mapping, free)
     mapping = replace(mapping, channels=_channels(table, [name for name in free if name not in _used(mapping)]))
     return mapping, _table(table, mapping)
@@ -81,6 +86,10 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
     if table.rate is not None:
         return mapping
+    # A column whose type is a time, such as an index that pandas wrote, has its unit from the file.
+    typed = (name for name in free if table.units.get(name) == "s" and (np.diff(table.columns[name]) > 0).any())
+    if index := next(typed, ""):
+        return replace(mapping, time=index)
     first = next(iter(table.columns), "")
     if first in free and parsed[first][0] in ("c0", "unnamed: 0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
@@ -96,11 +105,18 @@ def _dates(values: NDArray[Any]) -> bool:
 
 
 def _unit(values: NDArray[Any]) -> str:
-    """Unit of time stamps without one: from 1973 on a count since 1970 shows by its size."""
-    if values.dtype.kind == "U" or not len(values) or not np.isfinite(values).any():
+    """Unit of time stamps without one: from 1973 on a count since 1970 shows by its size, others by their steps."""
+    if values.dtype.kind == "U":
         return "s"
-    largest = np.nanmax(np.abs(values))
-    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+    known = values[np.isfinite(values)]
+    largest = np.abs(known).max(initial=0.0)
+    unit = next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+    with np.errstate(over="ignore"):
+        steps = np.diff(known)
+    if not (steps > 0).any() or (step := float(np.median(steps[steps > 0]))) * SECONDS[unit] <= 1:
+        return unit
+    likely = [finer for finer, scale in SECONDS.items() if SENSIBLE[0] <= step * scale < SENSIBLE[1]]
+    return likely[0] if len(likely) == 1 else unit
 
 
 def _clocklike(values: NDArray[Any]) -> bool:
@@ -118,7 +134,8 @@ def _group(table: Table, free: list[str]) -> str:
     for base in names.GROUPS:
         if base in bases and len(_distinct(table.columns[bases[base]])) > 1:
             return bases[base]
-    return ""
+    arm = bases.get("arm", "")
+    return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""
 
 
 def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
@@ -130,12 +147,15 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values, base = table.columns[name], names.base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
-        if base in names.COUNTERS or not (text or (_is_label(name) and _integers(values))):
+        stamps = text and base in names.TIMES and _dates(values)  # that --source-rate replaces
+        if base in names.COUNTERS or stamps or not (text or (_is_label(name) and _integers(values))):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
-        if all(len(_distinct(values[rows])) <= 1 for rows in groups):
-            if short == "success" and set(map(str, _distinct(values))) <= {*TRUE, *FALSE}:
-                columns.setdefault("outcome", Value(name, words=TRUE | FALSE))
+        # An outcome that changes is a mistake, not a track, which would take its place in every recording.
+        if short == "outcome" or all(_constant(values[rows], short in names.LABELS) for rows in groups):
+            known = {record.text(value).lower() for value in _distinct(values)} <= set(OUTCOMES)
+            if short in ("success", "outcome") and known:
+                columns.setdefault("outcome", Value(name, words=OUTCOMES))
             columns.setdefault(target, Value(name))
         elif not text:
             numbers.append(name)
@@ -173,6 +193,12 @@ def _distinct(values: NDArray[Any]) -> NDArray[Any]:
     return np.unique(values[values != ""] if values.dtype.kind == "U" else values[np.isfinite(values)])
 
 
+def _constant(values: NDArray[Any], label: bool) -> bool:
+    """Whether a column says one thing; a label that only some rows have marks those."""
+    gone = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
+    return len(_distinct(values)) <= 1 and not (label and gone.any() and not gone.all())
+
+
 def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     numeric = [name for name in free if table.columns[name].dtype.kind != "U"]
     found = names.wrenches(numeric)
@@ -192,6 +218,20 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     short = [names.split_unit(name)[0] for name in rest]
     titles = short if len(set(short)) == len(rest) else rest
     return tuple(Channel(name, title, _unit_of(table, name)) for name, title in zip(rest, titles, strict=True))
+
+
+def more_wrenches(table: Table, mapping: Mapping) -> str:
+    """What to say of wrenches that are not imported; "" = there are none, or the mapping is not of a wrench."""
+    taken = {channel.column for channel in mapping.channels}
+    found = names.wrenches(name for name, values in table.columns.items() if values.dtype.kind != "U")
+    others = [wrench["Fx"] for wrench in found if not taken & set(wrench.values())]
+    own = next((wrench["Fx"] for wrench in found if taken & set(wrench.values())), "")
+    if not own or not others:
+        return ""
+    return (
+        f"{len(found)} wrenches were found, and that of {own} was taken; to import that of {_some(others)}, name its "
+        "channels with --map."
+    )
 
 
 def _some(texts: Iterable[str]) -> str:

@@ -21,7 +21,7 @@ from rcbht_jax.io.importing import arrays, columnar, marks
 from rcbht_jax.io.importing.assemble import assemble
 from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
-from rcbht_jax.io.importing.guess import Understood, guess
+from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
 from rcbht_jax.io.importing.record import Record, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
@@ -78,8 +78,11 @@ def read_source(
     if others:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
         report.remarks.append(f"{len(others)} other files were not looked at: {listed}.")
-    found, used, beside = _read(source, items, base, report, progress)
-    _attach(found, beside, report)
+    read, used, tables = _read(source, items, base, report, progress)
+    found = [record for record, _ in read]
+    names = marks.Names((record.file, record.part) for record in found)
+    _beside(source, read, [track for track in base.annotations if not track.column], names, report)
+    _attach(found, tables, names, report)
     found = [_bounded(record, report) for record in found]
     found = most_common(without_copies(found, report, keep_copies), report)
     if not found:
@@ -148,13 +151,14 @@ def _exported(source: Path, item: Item) -> Imported:
 
 def _read(
     source: Path, items: list[Item], base: Mapping, report: ImportReport, progress: Progress
-) -> tuple[list[Record], dict[str, tuple[Mapping, list[Understood]]], list[Table]]:
-    """The recordings of all files, the mapping of each, and tables of intervals."""
-    rows = marks.rows_of(source, base)
-    found: list[Record] = []
+) -> tuple[list[tuple[Record, Item]], dict[str, tuple[Mapping, list[Understood]]], list[Table]]:
+    """The recordings of all files and where each is from, the mapping of each, and tables of intervals."""
+    found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
+    files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
+    rows = marks.rows_of(source, base, files, report.warnings)
     for item in progress(items):
         if item.name in tables:
             continue
@@ -166,16 +170,19 @@ def _read(
                     beside.append(table)
                     continue
                 mapping, understood = guess(table, base)
-                row = marks.row_for(rows, table.name) if base.table else None
+                more = "" if base.channels else more_wrenches(table, mapping)
+                if more and more not in report.remarks:
+                    report.remarks.append(more)
+                row = rows.get(table.file)
                 if base.table and row is None:
                     report.warnings.append((table.name, f"{base.table} has no row for it."))
-                extra = [track for track in base.annotations if not track.column]
                 for record in records(table, mapping, row):
                     if isinstance(record, tuple):
                         report.skipped.append(record)
                         continue
-                    _beside(source, item, record, extra, report)
-                    found.append(record)
+                    if "changes:outcome" in record.notes:
+                        report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
+                    found.append((record, item))
                     used[record.name] = mapping, understood
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
@@ -187,36 +194,39 @@ def _reason(error: InputError, source: Path) -> str:
     return spelled(str(error).replace(f"{source}/", ""))
 
 
-def _beside(source: Path, item: Item, record: Record, tracks: list[Track], report: ImportReport) -> None:
-    """Add the intervals that files beside a recording hold; a missing file leaves the others."""
-    file = Path(source.name) if item.path == source else item.path.relative_to(source)
-    for track in tracks:
-        try:
-            intervals = marks.track_intervals(source, file, record.name, track)
-        except InputError as error:
-            report.warnings.append((record.name, _reason(error, source)))
-            continue
-        shift = record.origin if track.clock == "stamps" else 0.0
-        record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
+def _beside(
+    source: Path, read: list[tuple[Record, Item]], tracks: list[Track], names: marks.Names, report: ImportReport
+) -> None:
+    """Add the intervals that files beside the recordings hold; a missing file leaves the others."""
+    for place, (record, item) in enumerate(read):
+        file = Path(source.name) if item.path == source else item.path.relative_to(source)
+        for track in tracks:
+            try:
+                intervals = marks.track_intervals(source, file, track, names, place, report.warnings)
+            except InputError as error:
+                report.warnings.append((record.name, _reason(error, source)))
+                continue
+            shift = record.origin if track.clock == "stamps" else 0.0
+            record.intervals.extend((name, label, start - shift, end - shift) for name, label, start, end in intervals)
 
 
-def _attach(found: list[Record], beside: list[Table], report: ImportReport) -> None:
+def _attach(found: list[Record], tables: list[Table], names: marks.Names, report: ImportReport) -> None:
     """Give recordings the intervals of tables that name them, or that are named after them."""
-    for table in beside:
+    for table in tables:
         stem = PurePosixPath(table.name).with_suffix("").as_posix()
         own = next((stem.removesuffix(ending) for ending in _ENDINGS if stem.endswith(ending)), "")
-        named = {key.lower() for key in table.columns} & {"recording", "file", "trial", "name"}
-        count = 0
-        for record in found:
-            if named or marks.same_recording(own, record.name):
-                try:
-                    intervals = marks.intervals_of(table, Track("label", file=table.name), record.name if named else "")
-                except InputError as error:
-                    report.warnings.append((table.name, str(error)))
-                    break
-                record.intervals.extend(intervals)
-                count += len(intervals)
-        if not count:
+        try:
+            rows = marks.intervals_of(table, Track("label", file=table.name))
+        except InputError as error:
+            report.warnings.append((table.name, str(error)))
+            continue
+        meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
+        for word, interval in rows:
+            if len(meant[word]) == 1:
+                found[min(meant[word])].intervals.append(interval)
+        twofold = [word or own for word, places in meant.items() if len(places) > 1]
+        report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
+        if not any(meant.values()):
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )

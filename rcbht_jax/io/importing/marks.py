@@ -10,7 +10,7 @@ import numpy as np
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.mapping import Mapping, Track
-from rcbht_jax.io.importing.record import text
+from rcbht_jax.io.importing.record import Row, text
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 
@@ -27,12 +27,12 @@ def is_intervals(columns: Iterable[str]) -> bool:
     return {"label", "start"} <= {name.lower() for name in columns}
 
 
-def intervals_of(table: Table, track: Track, name: str = "") -> list[Interval]:
-    """The intervals of a table label, start and perhaps end, track; of one recording where it names them.
+def intervals_of(table: Table, track: Track) -> list[tuple[str, Interval]]:
+    """The intervals of a table label, start and perhaps end, track, each with the name of its recording; "" = none.
 
     >>> table = Table("a.csv", {"label": np.array(["push"]), "start": np.array([1.0])})
     >>> intervals_of(table, Track("phase", file="a.csv"))
-    [('phase', 'push', 1.0, nan)]
+    [('', ('phase', 'push', 1.0, nan))]
 
     Raises:
         InputError: a time is text.
@@ -44,28 +44,52 @@ def intervals_of(table: Table, track: Track, name: str = "") -> list[Interval]:
             raise InputError(f"{table.name}: column {key} is text; expected seconds.")
     ends = columns.get("end", np.full(count, np.nan))
     tracks = columns.get("track", np.full(count, track.track))
-    key = next((key for key in _NAMES if key in columns), "")
+    names = next((columns[key] for key in _NAMES if key in columns), np.full(count, ""))
     found = []
     for row in range(count):
-        if key and name and not same_recording(text(columns[key][row]), name):
-            continue
         label = text(columns["label"][row])
         label = track.words.get(label, label)
         if label and label not in track.ignore:
-            found.append((text(tracks[row]), label, float(columns["start"][row]), float(ends[row])))
+            interval = text(tracks[row]), label, float(columns["start"][row]), float(ends[row])
+            found.append((text(names[row]), interval))
     return found
 
 
-def same_recording(given: str, name: str) -> bool:
-    """Whether a table's word means a recording: its name, its file, or its file without folder or suffix.
+def is_naming(columns: Iterable[str]) -> bool:
+    """Whether a table of annotations names the recording of each.
 
-    >>> same_recording("run1", "monday/run1.csv"), same_recording("run1", "run10.csv")
-    (True, False)
+    >>> is_naming(["Recording", "label", "start"])
+    True
     """
-    path, _, part = name.partition("#")
-    file = PurePosixPath(path)
-    forms = {path, file.name, file.stem, str(file.with_suffix(""))} if file.name else set()
-    return given in ({f"{form}#{part}" for form in forms} | {part} if part else forms)
+    return bool(set(_NAMES) & {name.lower() for name in columns})
+
+
+def ambiguous(word: str) -> str:
+    """What to say of a word that means several recordings."""
+    return f"{word!r} is the name of several recordings and is used for none; write it with its folder."
+
+
+class Names:
+    """Which recordings a word in a table means: by path if one has it, else by file, by file without suffix, by part.
+
+    >>> names = Names([("run1.csv", ""), ("monday/run1.csv", ""), ("monday/run2.csv", "")])
+    >>> names.meant("run1"), names.meant("run2.csv"), names.meant("run3")
+    ({0}, {2}, set())
+    """
+
+    def __init__(self, recordings: Iterable[tuple[str, str]]) -> None:
+        """Take the file and the part of each recording; "" = the whole file."""
+        self._ranks: tuple[dict[str, set[int]], ...] = ({}, {}, {})
+        for place, (name, part) in enumerate(recordings):
+            file, tail = PurePosixPath(name), f"#{part}" if part else ""
+            bare = {f"{file.name}{tail}", f"{file.stem}{tail}", part} - {""}
+            for rank, words in zip(self._ranks, ({name + tail}, {f"{file.with_suffix('')}{tail}"}, bare), strict=True):
+                for word in words:
+                    rank.setdefault(word, set()).add(place)
+
+    def meant(self, word: str) -> set[int]:
+        """Places of the recordings; more than one if the word does not say which."""
+        return set(next((rank[word] for rank in self._ranks if word in rank), ()))
 
 
 def beside(source: Path, file: Path, pattern: str) -> Path:
@@ -86,14 +110,18 @@ def beside(source: Path, file: Path, pattern: str) -> Path:
     return path
 
 
-def track_intervals(source: Path, file: Path, name: str, track: Track) -> list[Interval]:
+def track_intervals(
+    source: Path, file: Path, track: Track, names: Names, place: int, warnings: list[tuple[str, str]]
+) -> list[Interval]:
     """The intervals of a track that a file beside a recording holds.
 
     Args:
         source: a file or a folder.
         file: of the recording, relative to the folder.
-        name: of the recording.
         track: of its intervals.
+        names: of all recordings.
+        place: of the recording among them.
+        warnings: gets words that mean several recordings.
 
     Raises:
         InputError: the file is missing or not a table of intervals.
@@ -103,7 +131,13 @@ def track_intervals(source: Path, file: Path, name: str, track: Track) -> list[I
         [table] = read_csv(path, path.name)
         if not is_intervals(table.columns):
             raise InputError(f"{path} has columns {', '.join(table.columns)}; expected label, start and end.")
-        return intervals_of(table, track, name)
+        rows = intervals_of(table, track)
+        if is_naming(table.columns):
+            meant = {word: names.meant(word) for word, _ in rows}
+            said = [(path.name, ambiguous(word)) for word, places in meant.items() if len(places) > 1]
+            warnings += [row for row in said if row not in warnings]  # the file may be read for every recording
+            rows = [(word, interval) for word, interval in rows if meant[word] == {place}]
+        return [interval for _, interval in rows]
     ends, ids = (_lines(beside(source, file, pattern)) for pattern in (track.ends, track.ids))
     if len(ends) != len(ids):
         raise InputError(f"{beside(source, file, track.ends)} has {len(ends)} ends for {len(ids)} labels.")
@@ -113,8 +147,8 @@ def track_intervals(source: Path, file: Path, name: str, track: Track) -> list[I
     except ValueError:
         raise InputError(f"{beside(source, file, track.ends)} holds a line that is not a number.") from None
     words = [track.words.get(label, label) for label in labels]
-    rows = zip(words, times[:-1], times[1:], strict=True)
-    return [(track.track, label, start, end) for label, start, end in rows if label not in track.ignore]
+    spans = zip(words, times[:-1], times[1:], strict=True)
+    return [(track.track, label, start, end) for label, start, end in spans if label not in track.ignore]
 
 
 def _lines(path: Path) -> list[str]:
@@ -125,11 +159,17 @@ def _lines(path: Path) -> list[str]:
         raise InputError(f"{path} is not text.") from None
 
 
-def rows_of(source: Path, mapping: Mapping) -> dict[str, dict[str, str]]:
+def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tuple[str, str]]) -> dict[str, Row]:
     """The table of recordings: file -> column -> text.
 
+    Args:
+        source: a file or a folder.
+        mapping: names the table, its column of files and the columns to read.
+        files: names of all files of recordings.
+        warnings: gets what is odd: a file that is named twice, a word that means several files.
+
     Raises:
-        InputError: the table is missing, not CSV or a JSON list of objects, or lacks the column of files.
+        InputError: the table is missing, not CSV or a JSON list of objects, or lacks a column that the mapping names.
     """
     if not mapping.table:
         return {}
@@ -143,18 +183,25 @@ def rows_of(source: Path, mapping: Mapping) -> dict[str, dict[str, str]]:
         [table] = read_csv(path, path.name)
         columns = {key: [text(value) for value in values] for key, values in table.columns.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    if rows and mapping.key not in rows[0]:
-        raise InputError(f"{path} has no column {mapping.key!r}; it has {', '.join(rows[0])}.")
-    return {row[mapping.key]: row for row in rows if mapping.key in row}
+    there = dict.fromkeys(key for row in rows for key in row)
+    for column in (mapping.key, *(value.table for value in mapping.columns.values() if value.table)):
+        if rows and column not in there:
+            raise InputError(f"{path} has no column {column!r}; it has {', '.join(there)}.")
+    names, found = Names((file, "") for file in files), dict[str, Row]()
+    for row in rows:
+        word = row.get(mapping.key, "")
+        meant = names.meant(word)
+        if len(meant) > 1:
+            warnings.append((mapping.table, ambiguous(word)))
+            continue
+        file = files[meant.pop()] if meant else word
+        if file and file in found:
+            warnings.append((mapping.table, f"has several rows for {file}; the last one counts."))
+        found[file] = row
+    return found
 
 
 def _word(value: object) -> str:
     if value is None:
         return ""
     return text(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
-
-
-def row_for(rows: dict[str, dict[str, str]], name: str) -> dict[str, str] | None:
-    """The row of a recording's file; None = there is none."""
-    file = name.partition("#")[0]
-    return rows.get(file) or next((row for key, row in rows.items() if same_recording(key, file)), None)

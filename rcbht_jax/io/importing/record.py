@@ -37,6 +37,23 @@ class Record:
     intervals: list[Interval] = field(default_factory=list)  # s from the first sample
     notes: list[str] = field(default_factory=list)
     origin: float = 0.0  # s, of the first sample on the source's clock
+    part: str = ""  # of the file, as the name ends with it; "" = the whole file
+
+    @property
+    def file(self) -> str:
+        """The name without the part."""
+        return self.name.removesuffix(f"#{self.part}") if self.part else self.name
+
+    @property
+    def arm(self) -> str:
+        """The topic that the part names, or what a column arm says; "" = neither."""
+        return self.part if self.part.startswith("/") else str(self.columns.get("arm", ""))
+
+    @property
+    def folder(self) -> str:
+        """The folder of the file, relative to the source; "" = the source itself."""
+        parent = str(PurePosixPath(self.file).parent)
+        return "" if parent == "." else parent
 
     @property
     def end(self) -> float:
@@ -66,7 +83,7 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
     parts: dict[str, NDArray[Any]] = {"": np.arange(rows)}
     if mapping.group:
         group = table.columns[mapping.group]
-        if group.dtype.kind != "U" and not np.isfinite(group).all():
+        if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
             yield table.name, f"rows without a value in {mapping.group} belong to no recording."
         values, which = np.unique(group, return_inverse=True)
         if len(values) > MAX_GROUPS:
@@ -82,7 +99,7 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
                 record = _record(table, mapping, part, name, row or {})
-            yield record
+            yield replace(record, part="#".join(filter(None, [table.part, value])))
         except InputError as error:
             yield name, str(error)
 
@@ -134,6 +151,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
         if track.column:
             order = np.argsort(stamps, kind="stable")
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
+    notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
     values = _moved(mapping, time, values)
     return Record(
         name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
@@ -155,19 +173,19 @@ def _stamps(table: Table, mapping: Mapping, rows: NDArray[Any]) -> NDArray[np.fl
 
 
 def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | float | None:
-    """A column's value for a recording; None = it changes within it."""
+    """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
     if source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:
-        values = np.unique(table.columns[source.column][rows])
+        values = {text(value) for value in np.unique(table.columns[source.column][rows])} - {""}
         if len(values) > 1:
             return None
-        found = text(values[0])
+        found = values.pop() if values else ""
     else:
         found = text(table.facts[source.column])
-    return source.words.get(found, found)
+    return source.words.get(found, source.words.get(found.lower(), found))
 
 
 def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> list[Interval]:
@@ -192,6 +210,8 @@ def stretches(track: Track, time: NDArray[np.float64], column: NDArray[Any]) -> 
 def _moved(mapping: Mapping, time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bias, tare and rotation."""
     if mapping.bias:
+        if len(mapping.bias) != values.shape[1]:
+            raise InputError(f"bias has {len(mapping.bias)} values for {values.shape[1]} channels.")
         values = values - np.array(mapping.bias)
     if mapping.tare:
         values = values - values[time <= mapping.tare].mean(0)
@@ -228,15 +248,3 @@ def bounded(record: Record) -> tuple[Record, list[str]]:
         else:
             kept.append((track, label, start, end if np.isfinite(end) else float("nan")))
     return replace(record, intervals=kept), problems
-
-
-def arm_of(name: str) -> str:
-    """The part of a table's name that names a topic: what follows "#" if that is a path."""
-    part = name.partition("#")[2]
-    return part if part.startswith("/") else ""
-
-
-def folder_of(name: str) -> str:
-    """The folder of a file's relative name; "" = the source itself."""
-    parent = str(PurePosixPath(name.partition("#")[0]).parent)
-    return "" if parent == "." else parent

@@ -30,9 +30,15 @@ class Table:
     facts: Mapping[str, str | float] = field(default_factory=dict)  # what holds for the whole table
     intervals: tuple[Interval, ...] = ()
     notes: tuple[str, ...] = ()
+    part: str = ""  # of the file, as the name ends with it; "" = the whole file
+
+    @property
+    def file(self) -> str:
+        """The name without the part; a file's own name may have a "#" too."""
+        return self.name.removesuffix(f"#{self.part}") if self.part else self.name
 
 
-def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iterator[Table]:
+def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: str = "") -> Iterator[Table]:
     """Tables of named arrays, as array files hold them.
 
     Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
@@ -43,6 +49,12 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iter
     >>> list(table.columns), table.rate
     (['wrench_0', 'wrench_1'], 100.0)
 
+    Args:
+        path: the file.
+        name: relative to the source, with the part of the file.
+        arrays: by their names.
+        part: of the file that they are; "" = all of it.
+
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
@@ -52,15 +64,16 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iter
     if cubes:
         count, rows = next(iter(cubes.values())).shape[:2]
         for number in range(count):
-            part = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
-            part |= {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
-            part |= {
+            cut = {key: array[number] for key, array in cubes.items() if array.shape[:2] == (count, rows)}
+            cut |= {key: array for key, array in arrays.items() if array.shape == (rows,) and rows != count}
+            cut |= {
                 key: array[number]
                 for key, array in arrays.items()
                 if array.ndim == 2 and array.shape == (count, rows) and _usable(array)
             }
             own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
-            yield Table(f"{name}#{number}", _columns(path, part), rate, facts={**facts, **own})
+            place = f"{part}#{number}" if part else str(number)
+            yield Table(f"{name}#{number}", _columns(path, cut), rate, facts={**facts, **own}, part=place)
         return
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
@@ -72,7 +85,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> Iter
     others = tuple(
         f"{key} has {len(array)} rows where most have {rows}" for key, array in flat.items() if key not in chosen
     )
-    yield Table(name, _columns(path, chosen), rate, facts=facts, notes=others)
+    yield Table(name, _columns(path, chosen), rate, facts=facts, notes=others, part=part)
 
 
 def _usable(array: NDArray[Any]) -> bool:

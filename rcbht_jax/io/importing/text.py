@@ -1,4 +1,4 @@
-"""Tables as text: CSV with commas, semicolons (and decimal commas), tabs or blanks, with or without a line of names.
+"""Tables as text: CSV with commas, semicolons or tabs (and decimal commas), or blanks, with or without a line of names.
 
 Data loggers write lines about the device before the names of the columns; those are left out.
 """
@@ -109,8 +109,9 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
 
 
 def _delimiter(line: bytes) -> str:
-    if b";" in line and all(map(_is_number, _cells(line, ";"))):
-        return ";"  # its commas are those of numbers
+    for mark in ";\t":
+        if mark.encode() in line and all(map(_is_number, _cells(line, mark))):
+            return mark  # its commas are those of numbers
     counts = {mark: line.count(mark.encode()) for mark in ",;\t"}
     best = max(counts, key=lambda mark: counts[mark])
     return best if counts[best] else " "
@@ -219,8 +220,8 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[t
 
 
 def _plain(cell: str, delimiter: str) -> str:
-    """A cell with a point where a table with semicolons has a decimal comma."""
-    return _COMMA.sub(r"\1.\2", cell) if delimiter == ";" and "," in cell else cell
+    """A cell with a point where a table with semicolons or tabs has a decimal comma."""
+    return _COMMA.sub(r"\1.\2", cell) if delimiter in (";", "\t") and "," in cell else cell
 
 
 def _flush(columns: list[_Column], rows: list[list[str]], numbers: list[int]) -> None:

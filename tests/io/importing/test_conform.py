@@ -133,3 +133,27 @@ def test_a_clock_that_hardly_moves_is_refused_without_a_warning() -> None:
         conform.checked_period(conform.common([source]))
     assert conform.common([conform.Clock(0.0, False), conform.Clock(0.005, True)]) == 0.005
     assert not conform.agrees(source, 0.0)
+
+
+def test_stamps_that_repeat_with_other_values_are_refused() -> None:
+    """Two arms in one table, or stamps of whole seconds: half of the samples were left out and the others mixed."""
+    arms, seconds = np.repeat(np.arange(300) * 0.005, 2), np.floor(np.arange(3000) * 0.01)
+    for time, count in ((arms, "300 of 600"), (seconds, "2970 of 3000")):
+        with pytest.raises(InputError, match=f"time stamps repeat {count} times, .*--group.*--source-rate"):
+            conform.tidy(time, np.arange(len(time))[:, None] * 1.0)
+    _, _, notes = conform.tidy(arms, np.stack([arms, np.full(600, np.nan)], 1)[:, :1])
+    assert notes == ["repeated:300"]  # copies of samples are none of their own
+
+
+@pytest.mark.parametrize("lost", [np.r_[100:150], np.random.default_rng(0).choice(np.arange(1, 1499), 60)])
+def test_lost_samples_do_not_make_a_recording_slower(lost: np.ndarray) -> None:
+    time = np.delete(np.arange(1500) / 250, lost)
+    assert conform.clock(time).period == pytest.approx(1 / 250)
+
+
+def test_a_clock_that_is_a_little_off_is_resampled() -> None:
+    """Kept as they are, the samples of five minutes leave the annotations by a quarter of a second."""
+    time = np.arange(60000) / 200.16
+    moved, notes = conform.on_grid(time, time[:, None], conform.clock(time), 0.005)
+    assert notes == ["resampled:200.16"]
+    np.testing.assert_allclose(moved[:, 0], np.arange(len(moved)) * 0.005, atol=1e-9)

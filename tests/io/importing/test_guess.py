@@ -7,7 +7,7 @@ import pytest
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.guess import guess
-from rcbht_jax.io.importing.mapping import Mapping
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import base_and_unit, wrenches
 from rcbht_jax.io.importing.table import Table
 
@@ -146,3 +146,29 @@ def test_two_wrenches_are_two() -> None:
 )
 def test_units_in_names(name: str, parts: tuple[str, str]) -> None:
     assert base_and_unit(name) == parts
+
+
+@pytest.mark.parametrize(
+    ("steps", "unit"),
+    [(5.0, "ms"), (2000.0, "us"), (1e6, "ns"), (0.005, "s"), (1.0, "s"), (200.0, "s")],  # the last may be two units
+)
+def test_the_unit_of_bare_stamps_follows_from_their_steps(steps: float, unit: str) -> None:
+    first = 5e12 if unit == "ns" else 0.0  # since the machine started
+    mapping, _ = guess(Table("a.csv", {"timestamp": first + np.arange(N) * steps, "Fz": np.ones(N)}))
+    assert mapping.time_unit == unit
+
+
+def test_an_arm_that_changes_separates_recordings() -> None:
+    arms = np.array(["left", "right"] * (N // 2))
+    mapping, _ = guess(table("t", "arm", "Fz", t=np.arange(N) // 2 * 0.1, arm=arms))
+    assert (mapping.group, mapping.columns, mapping.annotations) == ("arm", {"arm": Value("arm")}, ())
+
+
+def test_a_label_of_some_rows_marks_those_and_a_word_describes_the_recording() -> None:
+    some = np.array([""] * 10 + ["contact"] * 20)
+    number = np.where(some == "", np.nan, 1.0)
+    mapping, _ = guess(table("t", "Fz", "phase", "part", t=np.arange(N) * 0.1, phase=some, part=some))
+    assert (mapping.annotations, set(mapping.columns)) == ((Track("phase", "phase"),), {"part"})
+    assert guess(table("t", "Fz", "label", t=np.arange(N) * 0.1, label=number))[0].annotations == (
+        Track("label", "label"),
+    )

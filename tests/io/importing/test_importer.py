@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,70 @@ def test_annotations_beside_each_recording(tmp_path: Path) -> None:
     np.testing.assert_allclose(marks.start, [0, 0.2], atol=1e-9)
 
 
+def labels(recordings: Recordings) -> list[tuple[str, str]]:
+    marks = recordings.annotations
+    return list(zip(recordings.trial[marks.recording].tolist(), marks.names().tolist(), strict=True))
+
+
+def test_a_name_that_two_recordings_have_is_used_for_none(tmp_path: Path) -> None:
+    """Annotations and outcomes of one were those of the other, too."""
+    for seed, name in enumerate(("mon/run1", "tue/run1", "tue/run2", "wed/run3", "run3")):
+        write(tmp_path / f"{name}.csv", noise(seed))
+    words = ("run1", "tue/run1", "run2.csv", "run3")
+    (tmp_path / "marks.csv").write_text("recording,label,start\n" + "".join(f"{word},{word},0.1\n" for word in words))
+    (tmp_path / "facts.csv").write_text("file,ok\n" + "".join(f"{word},{word}\n" for word in words))
+    own = [("run3", "run3"), ("tue/run1", "tue/run1"), ("tue/run2", "run2.csv")]
+    base = Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})
+    for mapping in (base, replace(base, annotations=(Track("label", file="marks.csv"),))):
+        imported = read_source(tmp_path, mapping=mapping)
+        assert sorted(labels(imported.recordings)) == own
+        outcomes = dict(zip(imported.recordings.trial.tolist(), imported.recordings.outcome.tolist(), strict=True))
+        assert {trial: word for trial, word in outcomes.items() if word != "unknown"} == dict(own)
+        reason = "'run1' is the name of several recordings and is used for none; write it with its folder."
+        assert [name for name, text in imported.report.warnings if text == reason] == ["facts.csv", "marks.csv"]
+
+
+def test_labels_of_a_file_are_for_the_one_in_the_same_folder(tmp_path: Path) -> None:
+    for seed, folder in enumerate((".", "mon")):
+        write(tmp_path / folder / "run1.csv", noise(seed))
+    (tmp_path / "run1_labels.csv").write_text("label,start\npush,0.1\n")
+    assert labels(read_source(tmp_path).recordings) == [("run1", "push")]
+
+
+def test_a_number_sign_in_the_name_of_a_file_separates_nothing(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write(tmp_path / f"run #{number}.csv", noise(number), run=["a"] * 100 + ["b"] * 100)
+    (tmp_path / "run #1_labels.csv").write_text("label,start\npush,0.1\n")
+    (tmp_path / "facts.csv").write_text("file,ok\nrun #2.csv,good\n")
+    mapping = Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})
+    recordings = read_source(tmp_path, mapping=mapping).recordings
+    assert recordings.trial.tolist() == ["run #1-a", "run #1-b", "run #2-a", "run #2-b"]
+    assert recordings.outcome.tolist() == ["unknown"] * 2 + ["good"] * 2
+    for number in (1, 2):
+        write(tmp_path / f"run #{number}.csv", noise(number))
+    assert labels(read_source(tmp_path / "run #1.csv").recordings) == []
+    assert labels(read_source(tmp_path).recordings) == [("run #1", "push")]
+    np.savez(tmp_path / "#3.npz", wrench=np.random.default_rng(0).normal(size=(2, 50, 6)), dt=DT)
+    assert read_source(tmp_path / "#3.npz").recordings.trial.tolist() == ["#3-0", "#3-1"]
+
+
+def test_a_table_of_recordings_lacks_no_column_and_repeats_no_file_unsaid(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0))
+    (tmp_path / "facts.csv").write_text("file,ok\na.csv,good\na,bad\n")
+    report = read_source(tmp_path, mapping=Mapping(table="facts.csv", columns={"outcome": Value(table="ok")})).report
+    assert report.warnings == [("facts.csv", "has several rows for a.csv; the last one counts.")]
+    with pytest.raises(InputError, match="has no column 'okay'; it has file, ok"):
+        read_source(tmp_path, mapping=Mapping(table="facts.csv", columns={"outcome": Value(table="okay")}))
+
+
+def test_labels_at_times_of_text_are_one_warning(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0))
+    (tmp_path / "a_labels.csv").write_text("label,start\npush,soon\n")
+    assert read_source(tmp_path).report.warnings == [
+        ("a_labels.csv", "a_labels.csv: column start is text; expected seconds.")
+    ]
+
+
 def test_a_word_that_changes_in_one_recording_is_a_track_in_all(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", noise(0), phase=["free"] * 100 + ["push"] * 100)
     write(tmp_path / "b.csv", noise(1), phase="free")
@@ -165,6 +230,42 @@ def test_a_table_outside_the_source_is_refused(tmp_path: Path) -> None:
     (tmp_path / "facts.csv").write_text("file,x\na,1\n")
     with pytest.raises(InputError, match="outside the source"):
         read_source(tmp_path / "in", mapping=Mapping(table="../facts.csv", columns={"x": Value(table="x")}))
+
+
+def test_an_outcome_in_one_row_counts_and_one_that_changes_is_a_warning(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", noise(0), outcome=[""] * 199 + ["good"])
+    write(tmp_path / "b.csv", noise(1), outcome=["good"] * 199 + ["bad"])
+    write(tmp_path / "c.csv", noise(2), outcome="")
+    imported = read_source(tmp_path)
+    assert imported.recordings.outcome.tolist() == ["good", "unknown", "unknown"]
+    assert imported.report.warnings == [("b.csv", "states several outcomes; its outcome is unknown.")]
+
+
+@pytest.mark.parametrize("name", ["outcome", "success"])
+def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> None:
+    words = ("TRUE", "ok", "Pass", "1", "False", "NOK", "fail", "0")
+    for number, word in enumerate(words):
+        write(tmp_path / f"{number}.csv", noise(number), **{name: word})
+    assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
+
+
+def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> None:
+    rows = [f"{k * DT},{arm},{force}" for k in range(50) for arm, force in (("left", k), ("right", -k))]
+    (tmp_path / "a.csv").write_text("\n".join(["t,arm,Fz", *rows]))
+    recordings = read_source(tmp_path).recordings
+    assert (recordings.trial.tolist(), recordings.arm.tolist()) == (["a", "a"], ["left", "right"])
+    np.testing.assert_array_equal(recordings.wrench[:, :, 0], [np.arange(50), -np.arange(50)])
+
+
+def test_a_slow_clock_and_a_second_wrench_are_said(tmp_path: Path) -> None:
+    axes = [f"{side}.force.{axis}" for side in ("left", "right") for axis in "xyz"]
+    rows = [",".join(map(str, [k * 2000, *np.random.default_rng(k).normal(size=6)])) for k in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(["t [ms]", *axes]), *rows]))
+    report = read_source(tmp_path).report
+    assert report.warnings == [("a.csv", "has 0.5 samples per second. Is the unit of time right?")]
+    assert report.remarks[0].startswith(
+        "2 wrenches were found, and that of left.force.x was taken; to import that of 'r"
+    )
 
 
 # --- Robots --------------------------------------------------------------------------------------------------------

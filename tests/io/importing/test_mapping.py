@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.guess import guess
 from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value, check, read_mapping, write_mapping
 from rcbht_jax.io.importing.record import records
 from rcbht_jax.io.importing.table import Table
@@ -102,3 +103,25 @@ def test_scale_bias_tare_and_rotation() -> None:
     np.testing.assert_allclose(record.values[-1], [-5, 2, 0], atol=1e-12)
     [(_, reason)] = records(Table("a", columns), Mapping((Channel("fx"),), time="t", rotation=quarter))
     assert "a rotation needs channels named" in reason
+
+
+def test_a_bias_of_another_length_than_the_guessed_channels_is_refused() -> None:
+    columns = {"t": np.arange(9.0), "Fx": np.ones(9), "Fy": np.ones(9), "Fz": np.ones(9)}
+    for bias in ((1.0,), (1.0, 2.0)):
+        mapping, _ = guess(Table("a", columns), Mapping(bias=bias))
+        [(_, reason)] = records(Table("a", columns), mapping)
+        assert reason == f"bias has {len(bias)} values for 3 channels."
+
+
+def test_a_reading_that_is_held_is_noted_though_it_is_rotated() -> None:
+    held = np.minimum(np.arange(100.0), 60)
+    columns = {"Fx": np.zeros(100), "Fy": np.arange(100.0) ** 2, "Fz": held}
+    mapping = Mapping(tuple(map(Channel, columns)), source_rate=10.0, rotation=((0.0, 0.38, 0.0, 0.92),))
+    [record] = records(Table("a", columns), mapping)
+    assert record.notes == ["saturated:Fz"]
+
+
+def test_rows_without_a_group_are_reported() -> None:
+    columns = {"t": np.arange(9.0), "Fz": np.ones(9), "run": np.array([""] * 3 + ["a"] * 6)}
+    reason, record = records(Table("a", columns), Mapping((Channel("Fz"),), time="t", group="run"))
+    assert (reason[1], record.name) == ("rows without a value in run belong to no recording.", "a#a")

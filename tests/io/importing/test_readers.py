@@ -89,6 +89,14 @@ def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
     assert read_source(tmp_path / "bare.csv").recordings.wrench.shape == (1, N, 6)
 
 
+def test_decimal_commas_between_tabs(tmp_path: Path) -> None:
+    rows = ["\t".join(repr(float(v)).replace(".", ",") for v in [t, *row]) for t, row in zip(TIME, WRENCH, strict=True)]
+    (tmp_path / "run.tsv").write_text("\n".join(["\t".join(["time", *AXES]), *rows]))
+    same(read_source(tmp_path / "run.tsv"))
+    (tmp_path / "bare.tsv").write_text("\n".join(rows))
+    assert read_source(tmp_path / "bare.tsv").recordings.wrench.shape == (1, N, 6)
+
+
 def test_a_table_without_names_has_the_time_first(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "run.txt", np.column_stack([TIME, WRENCH]))
     imported = read_source(tmp_path / "run.txt", "csv")
@@ -140,6 +148,15 @@ def test_parquet_with_lists_and_dictionaries(tmp_path: Path) -> None:
     imported = read_source(tmp_path / "a.parquet")
     same(imported)
     assert imported.recordings.annotations.names().tolist() == ["free", "push"]
+
+
+@pytest.mark.parametrize("name", ["timestamp_ns", "__index_level_0__"])
+def test_parquet_knows_the_unit_of_a_typed_time(tmp_path: Path, name: str) -> None:
+    """A name with a unit scaled it again; the index that pandas writes without a name was no time."""
+    stamps = pa.array((TIME * 1e9).round().astype(np.int64) + 10**18, pa.timestamp("ns"))
+    table = pa.table({name: stamps, **{axis: WRENCH[:, number] for number, axis in enumerate(AXES)}})
+    pq.write_table(table, tmp_path / "a.parquet")
+    same(read_source(tmp_path / "a.parquet"))
 
 
 def test_npz_of_one_recording_and_of_many(tmp_path: Path) -> None:
