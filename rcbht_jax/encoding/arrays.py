@@ -19,7 +19,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
-LONGEST_STEP = 1.5  # samples; a longer one is a gap, which would be read as a steep line
+LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
 
 
 def encode(
