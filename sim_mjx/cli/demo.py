@@ -51,7 +51,7 @@ class Demo(Command):
     """Folder for stores, models, pictures and the summary; those of an earlier demo are replaced."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of the authors' data sets, to use in place of a simulation."""
-    trials: int = 150
+    trials: int = 100
     """Trials to simulate."""
     seed: int = 0
     """Seed of the random numbers."""
