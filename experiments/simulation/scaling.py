@@ -28,7 +28,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from experiments._lib.random_walks import SAMPLES, recordings
 from experiments._lib.results_io import machine, write_result
-from experiments.simulation.simulate_gpu import COMMAND
+from experiments.simulation.simulate_gpu import COMMAND, PRESET
 from rcbht_jax._util.devices import in_turn
 from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
@@ -95,7 +95,7 @@ def simulation(folder: Path, each: int, gpus: list[str]) -> dict[str, Any]:
     command(each, gpus[:1])  # compiles
     one, shared = command(each, gpus[:1]), command(each * len(gpus), gpus)
     return {
-        "one": one, "all": shared, "of linear": of_linear(one, shared, "of_work"),
+        "preset": PRESET, "one": one, "all": shared, "of linear": of_linear(one, shared, "of_work"),
         "of linear, start included": of_linear(one, shared, "seconds"),
     }  # fmt: skip
 

@@ -199,7 +199,7 @@ def native_cores(result: Result) -> str:
 @table("scaling", "scaling")
 def scaling(result: Result) -> str:
     """All devices of a machine against one."""
-    places = {"": result} | {f"{place}: ": other for place, other in result["other machines"].items()}
+    places = {"": result} | {f"{place}: ": other for place, other in result.get("other machines", {}).items()}
     lines = [line for place, part in places.items() for line in _shared(place, part)]
     return markdown(("", "one GPU, s", "all, s", "of linear", "same bits"), lines)
 

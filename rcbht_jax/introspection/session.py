@@ -19,6 +19,7 @@ from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Malformed, Message, Reset, Sample, Silence
+from rcbht_jax.io.tare import bias_of
 
 Floats = NDArray[np.floating[Any]]
 LONGEST_TARE = 600.0  # s, which are held in memory
@@ -64,9 +65,7 @@ class Tare:
             return []
         none = self._held[0][0][:0]
         parts = [np.concatenate([none, *pieces]) for pieces in self._held]
-        whole = np.concatenate(parts)
-        # in single precision the sum of a minute's samples would be wrong by a part in ten thousand
-        self._mean, self._held = whole[: self.samples].mean(0, dtype=np.float64).astype(whole.dtype), [[]]
+        self._mean, self._held = bias_of(np.concatenate(parts)[: self.samples]), [[]]
         return [part - self._mean for part in parts]
 
 

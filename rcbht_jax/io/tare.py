@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Recordings
+
+
+def bias_of(samples: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Mean ``[axis]`` of samples ``[time, axis]`` in rest.
+
+    Its sum is in double precision: in single, that of a minute's samples is wrong by a part in ten thousand.
+    """
+    return samples.mean(0, dtype=np.float64).astype(samples.dtype)
 
 
 def tare(recordings: Recordings, samples: int) -> Recordings:
@@ -24,5 +34,5 @@ def tare(recordings: Recordings, samples: int) -> Recordings:
         raise InputError(f"a tare over {samples} samples is impossible; expected at least one.")
     wrench = recordings.wrench.copy()
     for row, length in enumerate(recordings.length):
-        wrench[row, :length] -= wrench[row, : min(samples, length)].mean(0, dtype=np.float64)
+        wrench[row, :length] -= bias_of(wrench[row, : min(samples, length)])
     return replace(recordings, wrench=wrench)

@@ -101,7 +101,7 @@ def unlabelled_intervals(recordings: Recordings, spec: TaskSpec, whole: bool = F
     """
     dropped: Counter[str] = Counter()
     unknown = spec.outcomes is None or UNKNOWN in spec.outcomes
-    if whole and not _is_there(recordings, spec):
+    if whole and not (_track(recordings, spec) or _column(recordings, spec)):
         everything = replace(spec, task="outcome", outcomes=spec.outcomes or ())
         rows = _rows(recordings, everything, dropped, unknown)
         found = whole_items(recordings, rows, np.full(len(rows), ""), spec.seconds, dropped)
@@ -166,13 +166,12 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
         prefix = f"{spec.task}-"
         variants = [PLAIN, *(track.removeprefix(prefix) for track in tracks if track.startswith(prefix))]
         raise InputError(f"There are no boundaries {spec.boundaries!r} of {spec.task}; expected {', '.join(variants)}.")
-    for track in (variant, spec.task):
-        if track in tracks:
-            if spec.seconds:
-                raise InputError(
-                    f"the task {spec.task} is a track; only whole recordings can be cut to their first seconds."
-                )
-            return track
+    if track := _track(recordings, spec):
+        if spec.seconds:
+            raise InputError(
+                f"the task {spec.task} is a track; only whole recordings can be cut to their first seconds."
+            )
+        return track
     if not _column(recordings, spec):
         known = (*tracks, *column_names(recordings))
         raise InputError(f"There is no track or column {spec.task!r} for the task; there are {', '.join(known)}.")
@@ -269,6 +268,12 @@ def _outcomes(recordings: Recordings, spec: TaskSpec) -> tuple[str, ...]:
     return () if spec.task == "outcome" else tuple(sorted(set(recordings.outcome[values != ""].tolist())))
 
 
+def _track(recordings: Recordings, spec: TaskSpec) -> str:
+    """The track of a task, in the variant that is asked for if there is one; "" = there is none."""
+    names = (f"{spec.task}-{spec.boundaries}", spec.task)
+    return next((name for name in names if name in recordings.annotations.tracks), "")
+
+
 def _column(recordings: Recordings, spec: TaskSpec) -> str:
     """The column of a task, which may be spelt with hyphens; "" = there is none."""
     known = column_names(recordings)
@@ -302,11 +307,6 @@ def chosen_recordings(recordings: Recordings, spec: TaskSpec, unknown: bool = Fa
         if wanted:
             chosen &= np.isin(values, wanted) | passing
     return chosen
-
-
-def _is_there(recordings: Recordings, spec: TaskSpec) -> bool:
-    tracks = {spec.task, f"{spec.task}-{spec.boundaries}"}.intersection(recordings.annotations.tracks)
-    return bool(tracks or _column(recordings, spec))
 
 
 def _rows(recordings: Recordings, spec: TaskSpec, dropped: Counter[str], unknown: bool = False) -> NDArray[np.int64]:

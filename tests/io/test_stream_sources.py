@@ -263,6 +263,13 @@ def test_a_gap_during_the_tare_leaves_the_stamps_before_it():
     assert np.array(found[1]) == pytest.approx(np.array(found[0]))
 
 
+def test_a_stream_is_tared_as_a_store_is():
+    """Models of tared stores read tared streams: the same bits."""
+    wrench = (np.random.default_rng(0).normal(size=(400, 6)) + 50).astype(np.float32)
+    stored = tare_of(Recordings.from_arrays(wrench[None], rate=200), 150).wrench[0]
+    np.testing.assert_array_equal(np.concatenate(Tare(150).tared(wrench)), stored)
+
+
 def test_the_tare_of_a_minute_is_exact():
     tare, level = Tare(60_000), np.float32(100.03)
     (rest,) = tare.tared(np.full((60_000, 2), level, np.float32))
