@@ -15,7 +15,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,7 +32,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from experiments._lib.random_walks import SAMPLES, recordings
 from experiments._lib.results_io import machine, write_result
 from experiments.simulation.simulate_gpu import COMMAND, PRESET
-from rcbht_jax._util.devices import in_turn
 from rcbht_jax._util.ratios import interleaved
 from rcbht_jax.calibration.dataset import CalibrationData, device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates
@@ -42,6 +44,8 @@ from sim_mjx.synthesis import claims, launch, shards
 
 SEED = 0
 LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two looks at a running command
+SIZES = ((32_768, 5), (32_768, 20))  # recordings of a device, and the window
+CALLS = (1, 4)  # in flight
 Section = Literal["simulation", "search", "labels"]
 SECTIONS: tuple[Section, ...] = ("simulation", "search", "labels")
 
@@ -100,16 +104,10 @@ def simulation(folder: Path, each: int, gpus: list[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def same_bits(alone: Array, shared: Array) -> bool:
-    """Compared on the devices, part by part: a copy to the host would turn the layout of gigabytes."""
-    parts = [(jax.device_put(alone[part.index], part.device), part.data) for part in shared.addressable_shards]
-    return all(bool(jnp.array_equal(one, other)) for one, other in parts)
-
-
 def equal_bits(alone: Callable[[], Any], shared: Callable[[], Any]) -> bool:
-    """Whether one device and all of them give the same."""
-    leaves = [jax.tree.leaves(jax.tree.map(jnp.asarray, made())) for made in (alone, shared)]
-    return all(same_bits(one, other) for one, other in zip(*leaves, strict=True))
+    """Whether two calls give the same."""
+    both = zip(*(jax.tree.leaves(made()) for made in (alone, shared)), strict=True)
+    return all(bool(jnp.array_equal(one, other)) for one, other in both)
 
 
 def compared(
@@ -145,65 +143,78 @@ def search(candidates: int, trials: int, samples: int) -> dict[str, Any]:
     return compared(scored, shared, 1 / len(devices), equal_bits(scored, shared), **about)
 
 
-def labels(count: int, window: int, grown: bool) -> dict[str, Any]:
-    """Dense labels of recordings that are on the devices already, one part on each.
+def labels(count: int, window: int) -> list[dict[str, Any]]:
+    """Dense labels of recordings that are on the devices already, as many on each as on one alone.
 
-    Args:
-        count: recordings of one device alone.
-        window: samples.
-        grown: whether each device has as many of them when they share the work; else they share these.
+    One row waits for every call, the other one has several in flight, as a program does that goes through a data set.
     """
     config, devices = EncoderConfig(window), jax.devices()
-    total = count * len(devices) if grown else count
     mesh = Mesh(np.array(devices), ("recording",))
     rows, everywhere = PartitionSpec("recording"), PartitionSpec()
     shared = jax.shard_map(
         partial(encode, config), mesh=mesh, in_specs=(everywhere, rows, rows), out_specs=rows, check_vma=False
     )
-    limits, wrench = jnp.asarray(preset().limits, jnp.float32), recordings(total)
-    length = jnp.full(total, SAMPLES, jnp.int32)
+    limits, wrench = jnp.asarray(preset().limits, jnp.float32), recordings(count * len(devices))
+    length = jnp.full(len(wrench), SAMPLES, jnp.int32)
     places = (NamedSharding(mesh, everywhere), NamedSharding(mesh, rows), NamedSharding(mesh, rows))
-    parts = jax.device_put((limits, wrench, length), places)
-    pieces = [(limits, wrench[at : at + count], length[at : at + count]) for at in range(0, total, count)]
+    parts, first = jax.device_put((limits, wrench, length), places), (limits, wrench[:count], length[:count])
 
     def compiled(layout: Format | None) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        alone = jax.jit(partial(encode, config), out_shardings=layout).lower(*pieces[0]).compile()
+        alone = jax.jit(partial(encode, config), out_shardings=layout).lower(*first).compile()
         return alone, jax.jit(shared, out_shardings=layout).lower(*parts).compile()
-
-    def whole() -> Any:
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *(plain(*piece) for piece in pieces))
 
     # in the usual layout: JAX 0.11 reads back wrongly what several devices hold in one of the compiler's choice
     plain, plain_shared = compiled(None)
-    same = equal_bits(whole, partial(plain_shared, *parts))
+    same, together = True, plain_shared(*parts)
+    for number in range(len(devices)):  # one device's part at a time: the memory of one would not hold all
+        at = slice(number * count, (number + 1) * count)
+        alone = jax.tree.leaves(plain(limits, wrench[at], length[at]))
+        same &= all(same_bits(one, number, other) for one, other in zip(alone, jax.tree.leaves(together), strict=True))
+    del alone, together, wrench
     one, several = compiled(Format(Layout.AUTO))
-    return compared(
-        partial(one, *pieces[0]), partial(several, *parts), total / count / len(devices), same,
-        recordings=count, together=total, window=window, samples=SAMPLES,
-    )  # fmt: skip
+    about = {"recordings": count, "together": count * len(devices), "window": window, "samples": SAMPLES}
+
+    def called(times: int, function: Callable[..., Any], given: tuple[Array, ...]) -> list[Any]:
+        return [function(*given) for _ in range(times)]
+
+    return [
+        compared(
+            partial(called, times, one, first), partial(called, times, several, parts), 1.0, same, calls=times, **about
+        )
+        for n in CALLS
+    ]
 
 
-def compact_labels(count: int, window: int) -> dict[str, Any]:
-    """Labels in the compact form: each device has as many recordings of its own, and keeps their labels."""
+def same_bits(alone: Array, number: int, shared: Array) -> bool:
+    """Whether a device's part of what several hold is this; compared on a device, since a copy to the host is slow."""
+    (device,) = alone.devices()
+    parts = sorted(shared.addressable_shards, key=lambda part: part.index[0].start or 0)
+    return bool(jnp.array_equal(alone, jax.device_put(parts[number].data, device)))
+
+
+def compact_labels(count: int, window: int) -> list[dict[str, Any]]:
+    """Labels in the compact form: each device has as many recordings of its own, a thread, and keeps their labels."""
     config, devices = EncoderConfig(window), jax.devices()
     given = recordings(count), jnp.full(count, SAMPLES, jnp.int32)
     tasks = [partial(encode_on_device, config, preset(), *jax.device_put(given, device)) for device in devices]
-
-    def shared() -> list[LabelTracks]:
-        return list(in_turn(tasks, len(devices)))
-
     about = {"recordings": count, "together": count * len(devices), "window": window, "samples": SAMPLES}
-    same = all(equal_bits(tasks[0], lambda one=one: jax.device_put(one, devices[0])) for one in shared())
-    return compared(tasks[0], shared, 1.0, same, **about, compact=True)
+    with ExitStack() as stack:
+        threads = [stack.enter_context(ThreadPoolExecutor(1)) for _ in devices]
+
+        def shared() -> list[LabelTracks]:
+            begun = [thread.submit(task) for thread, task in zip(threads, tasks, strict=True)]
+            return [one.result() for one in begun]
+
+        same = all(equal_bits(tasks[0], lambda one=one: jax.device_put(one, devices[0])) for one in shared())
+        return [compared(tasks[0], shared, 1.0, same, **about, compact=True)]
 
 
 def main(
     folder: Annotated[Path, tyro.conf.Positional],
     each: int = 20_480,
-    candidates: int = 16_384,
+    candidates: int = 65_536,
     trials: int = 64,
     samples: int = SAMPLES,
-    count: int = 32_768,
     only: tuple[Section, ...] = SECTIONS,
 ) -> None:
     """Measure and store.
@@ -214,7 +225,6 @@ def main(
         candidates: of the search.
         trials: of the search.
         samples: of a trial of the search.
-        count: recordings to label.
         only: what is measured.
     """
     gpus = launch.visible_devices()
@@ -227,10 +237,9 @@ def main(
         print(json.dumps(result["search"]), flush=True)
     if "labels" in only:
         result["labels"] = []
-        wanted = [partial(labels, count, window, grown) for grown in (True, False) for window in (5, 20)]
-        for row in (*wanted, *(partial(compact_labels, count, window) for window in (5, 20))):
-            result["labels"].append(row())
-            print(json.dumps(result["labels"][-1]), flush=True)
+        for made, size in product((labels, compact_labels), SIZES):
+            result["labels"] += made(*size)
+            print(json.dumps(result["labels"]), flush=True)
     print(machine())
     write_result("scaling", "python -m experiments.simulation.scaling FOLDER", result, SEED)
 

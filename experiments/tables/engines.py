@@ -206,17 +206,19 @@ def scaling(result: Result) -> str:
 
 def _shared(place: str, part: Result) -> list[tuple[str, ...]]:
     """What the devices of one machine shared."""
-    simulated = part["simulation"]
-    counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
-    seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
-    title = f"{place}trials of {simulated['preset']} with labels, stored: {counts[0]}, {counts[1]}"
-    lines, shared = [(title, *seconds, f"{simulated['of linear']:.2f}", "–")], []
+    lines, shared = list[tuple[str, ...]](), []
+    if simulated := part.get("simulation"):
+        counts = [f"{simulated[which]['trials']:,}" for which in ("one", "all")]
+        seconds = [f"{simulated[which]['of_work']:.1f}" for which in ("one", "all")]
+        title = f"{place}trials of {simulated['preset']} with labels, stored: {counts[0]}, {counts[1]}"
+        lines.append((title, *seconds, f"{simulated['of linear']:.2f}", "–"))
     if found := part.get("search"):
         shared.append((f"search: {found['candidates']:,} thresholds on {found['trials']} trials", found))
     for row in part.get("labels", []):
         kind = "compact labels" if "compact" in row else "dense labels"
         both = dict.fromkeys(f"{row[which]:,}" for which in ("recordings", "together"))
-        shared.append((f"{kind}: {', '.join(both)} recordings, window {row['window']}", row))
+        flight = f", {row['calls']} calls in flight" if row.get("calls", 1) > 1 else ""
+        shared.append((f"{kind}: {', '.join(both)} recordings, window {row['window']}{flight}", row))
     for title, row in shared:
         bits = {True: "yes", False: "no", None: "–"}[row.get("same bits")]
         times = [f"{row[which]:.4f}" for which in ("seconds_one", "seconds_all")]

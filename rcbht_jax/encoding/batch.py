@@ -255,9 +255,9 @@ def encode_on_device(
     count, batch = len(wrench), batch or _batch_within(MEMORY, config, wrench)
     if count <= batch:
         return begin_encoding(config, thresholds, wrench, length)()
-    limits = _limits_of_each(limits_of(thresholds), wrench)
     spare = -count % batch  # whole batches: one compiled program
-    given = _padded(spare, 0, limits, wrench, length) if spare else (limits, wrench, length)
+    limits = _limits_of_each(limits_of(thresholds), count + spare)
+    given = limits, *(_padded(spare, 0, wrench, length) if spare else (wrench, length))
     pieces = [begin_encoding(config, *_part(start, batch, given))() for start in range(0, count, batch)]
     return _joined(count, pieces)
 
@@ -274,10 +274,11 @@ def begin_encoding(
     recordings are scanned at once.
     """
     count, samples = wrench.shape[:2]
-    limits = _limits_of_each(limits_of(thresholds), wrench)
-    spare, tail = -count % ROWS, -samples % (config.window * STRETCH)
+    limits, spare, tail = limits_of(thresholds), -count % ROWS, -samples % (config.window * STRETCH)
+    if spare and limits.ndim > 2:
+        limits = _limits_of_each(limits, count + spare)
     if spare or tail:  # a program of its own: those that encode take long to compile
-        limits, wrench, length = _padded(spare, tail, limits, wrench, length)
+        wrench, length = _padded(spare, tail, wrench, length)
     encoded, shortened = (_packed, _trimmed) if _by_kernels(config, wrench) else (_dense, _compacted)
     tracks, used, longest = encoded(config, limits, wrench, length)
 
@@ -309,16 +310,18 @@ def _by_kernels(config: EncoderConfig, wrench: Array) -> bool:
     return gpu.fits(config, wrench, packed=True)
 
 
-@jax.jit
-def _limits_of_each(limits: Array, wrench: Array) -> Array:
-    return jnp.broadcast_to(limits.astype(wrench.dtype), (len(wrench), *limits.shape[-2:]))
+@partial(jax.jit, static_argnums=1)
+def _limits_of_each(limits: Array, count: int) -> Array:
+    """Limits of so many recordings: those of all, or of each and then of the last one."""
+    if limits.ndim == 2:
+        return jnp.broadcast_to(limits, (count, *limits.shape))
+    return jnp.pad(limits, ((0, count - len(limits)), (0, 0), (0, 0)), mode="edge")
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _padded(spare: int, tail: int, limits: Array, wrench: Array, length: Array) -> tuple[Array, Array, Array]:
+def _padded(spare: int, tail: int, wrench: Array, length: Array) -> tuple[Array, Array]:
     """More recordings, which have no samples, and longer ones."""
-    limits = jnp.pad(limits, ((0, spare), (0, 0), (0, 0)), mode="edge")
-    return limits, jnp.pad(wrench, ((0, spare), (0, tail), (0, 0))), jnp.pad(length, (0, spare))
+    return jnp.pad(wrench, ((0, spare), (0, tail), (0, 0))), jnp.pad(length, (0, spare))
 
 
 @partial(jax.jit, static_argnums=1)
@@ -344,6 +347,7 @@ def _packed(config: EncoderConfig, limits: Array, wrench: Array, length: Array) 
     """Packed labels of each layer, how many each lane has ``[3, lane]``, and the most."""
     from rcbht_jax.encoding import gpu
 
+    limits = _limits_of_each(limits, len(wrench)).astype(wrench.dtype)
     by_lane = jnp.moveaxis(limits, -1, 0).reshape(limits.shape[-1], -1)
     packed, used = gpu.encode_packed(config, by_lane, wrench, length.astype(jnp.int32))
     return packed, used, used.max(-1)
@@ -368,7 +372,7 @@ def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[
 @partial(jax.jit, static_argnums=0)
 def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array, Array]:
     """Dense labels ``[recording, axis, slot]``; then as :func:`_packed`."""
-    dense = encode(config, limits, wrench, length)
+    dense = encode(config, _limits_of_each(limits, len(wrench)).astype(wrench.dtype), wrench, length)
     used = jnp.stack([(track.label != 0).sum(-1).ravel() for track in (dense.primitive, dense.mc, dense.llb)])
     return dense, used, used.max(-1)
 

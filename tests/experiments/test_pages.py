@@ -45,7 +45,7 @@ CELLS = [
      ".3f fit_classification > rows > SIM1 states | plain words, fit > accuracy > mean"),
     ("fit-calibration", "rest", "REAL states, A to B",
      ".3f fit_calibration > rows > REAL states, A to B | rest > accuracy > mean"),
-    ("scaling", "search: 16,384 thresholds on 64 trials", "of linear", ".2f scaling > search > of linear"),
+    ("scaling", "search: 65,536 thresholds on 64 trials", "of linear", ".2f scaling > search > of linear"),
     ("words-rate", "optimum", "SIM1",
      ".2f rate_distortion > rows > rate | SIM1 | optimum > words per second at residual > 0.01"),
     ("words-defaults", "SIM1 | 5", "residual of fit",
