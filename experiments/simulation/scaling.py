@@ -178,9 +178,7 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
         return [function(*given) for _ in range(times)]
 
     return [
-        compared(
-            partial(called, times, one, first), partial(called, times, several, parts), 1.0, same, calls=times, **about
-        )
+        compared(partial(called, n, one, first), partial(called, n, several, parts), 1.0, same, calls=n, **about)
         for n in CALLS
     ]
 
