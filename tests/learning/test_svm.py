@@ -151,20 +151,29 @@ def test_ties_go_to_the_simplest_choice():
     assert (chosen.kernel, chosen.cost, chosen.scaling) == ("linear", 1.0, False)
 
 
-def test_the_learner_never_looks_at_the_test_side():
+@pytest.mark.parametrize("grid", [Grid(), Grid(kernels=("rbf",), gamma="scale")], ids=["auto", "scale"])
+def test_the_learner_never_looks_at_the_test_side(grid):
     x, y = blobs(3, 3, spread=2.5)
     groups = np.arange(len(y)) // 3
     train, test = np.arange(45), np.arange(45, 60)
-    said, chosen = nested_svm({"": x}, y, groups, Grid())(train, test, 5)
+    said, chosen = nested_svm({"": x}, y, groups, grid)(train, test, 5)
     x2, y2 = x.copy(), y.copy()
     y2[test] = (y[test] + 1) % 3
-    other, same = nested_svm({"": x2}, y2, groups, Grid())(train, test, 5)
+    other, same = nested_svm({"": x2}, y2, groups, grid)(train, test, 5)
     np.testing.assert_array_equal(said, other)
     assert chosen == same
     x2[test[1:]] += 1e6  # other test items do not move the scaling of the first
-    moved, same = nested_svm({"": x2}, y, groups, Grid())(train, test, 5)
+    moved, same = nested_svm({"": x2}, y, groups, grid)(train, test, 5)
     assert moved[0] == said[0]
     assert chosen == same
+
+
+def test_the_baselines_never_look_at_the_test_side():
+    rng = np.random.default_rng(0)
+    x, y, train, test = rng.normal(size=(60, 1)), rng.integers(0, 2, 60), np.arange(40), np.arange(40, 60)
+    other = np.where(np.arange(60) < 40, y, 1 - y)
+    for make in (lambda y: forest(x, y), majority):
+        np.testing.assert_array_equal(make(y)(train, test, 0)[0], make(other)(train, test, 0)[0])
 
 
 def test_shuffled_classes_score_at_chance():
