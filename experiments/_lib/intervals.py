@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from jaxtyping import Bool
+from numpy.typing import NDArray
+
 from rcbht_jax.learning.metrics import wilson
+
+RESAMPLES = 2000
 
 
 def with_width(score: dict[str, float], trials: int) -> dict[str, Any]:
@@ -23,3 +29,18 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
     """A share of items right with Wilson's interval, each trial counting once: items of a trial are not independent."""
     low, high = wilson(mean * trials, trials)
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
+
+
+def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
+    """95 % percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
+
+    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
+    """
+    number = np.unique(groups, return_inverse=True)[1]
+    right, total = np.bincount(number, correct), np.bincount(number)
+    draws = np.random.default_rng(seed).integers(0, len(total), (RESAMPLES, len(total)))
+    scores = right[draws].sum(1) / total[draws].sum(1)
+    low, high = np.quantile(scores, [0.025, 0.975])
+    if not low < high:
+        return wilson(float(np.mean(correct)) * len(total), len(total))
+    return float(low), float(high)

@@ -31,6 +31,7 @@ from experiments._lib import raw_learners
 from experiments._lib.benchmarks import recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.fit_words import learned_tolerance
+from experiments._lib.intervals import bootstrap
 from experiments._lib.tasks import states
 from experiments._lib.thresholds import trained_thresholds
 from experiments._lib.zero_shot_set import TARE_SECONDS
@@ -42,7 +43,7 @@ from rcbht_jax.calibration.dataset import calibration_data
 from rcbht_jax.calibration.objective import Objective
 from rcbht_jax.calibration.search import SearchOptions, search
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.learning import metrics, validation
+from rcbht_jax.learning import metrics
 from rcbht_jax.learning.svm import Grid, SvmSpec, predictions, select
 from rcbht_jax.learning.tasks import LabelledIntervals, labelled_intervals
 from rcbht_jax.types import Recordings
@@ -230,7 +231,7 @@ def choose(pool: Pool) -> tuple[SvmSpec, float | None]:
 def scored(pool: Pool, test: Ints, predicted: Ints) -> dict[str, Any]:
     """Accuracy with its interval by resampling trials, and who was taken for whom."""
     right = pool.y[test] == predicted
-    low, high = validation.bootstrap(right, pool.trial[test], SEED)
+    low, high = bootstrap(right, pool.trial[test], SEED)
     wrong = Counter(
         f"{pool.classes[true]} as {pool.classes[answer]}"
         for true, answer in zip(pool.y[test][~right].tolist(), predicted[~right].tolist(), strict=True)

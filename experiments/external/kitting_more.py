@@ -26,6 +26,7 @@ from sklearn.model_selection import StratifiedKFold
 
 from experiments._lib.benchmarks import rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
+from experiments._lib.intervals import bootstrap
 from experiments.external import kitting, method
 from rcbht_jax.introspection.nominal_peers import GaussianProcessBand
 from rcbht_jax.learning import metrics, validation
@@ -84,7 +85,7 @@ class Experiment:
         for train, test in by_days(items) if by_day else random_folds(items, self.seed):
             predicted[test] = make(recordings, items)(train, test, self.seed)[0]
         right = predicted == items.y
-        low, high = validation.bootstrap(right, items.session, self.seed)
+        low, high = bootstrap(right, items.session, self.seed)
         days = {str(day): [int(right[items.session == day].sum()), int((items.session == day).sum())]
                 for day in np.unique(items.session)}  # fmt: skip
         return rounded({

@@ -240,8 +240,6 @@ class Classify(Command):
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_write
-        from rcbht_jax._util.digest import data_hash
-        from rcbht_jax.io.store import longest_of, read_batches, read_table
         from rcbht_jax.learning.model_io import load
         from rcbht_jax.learning.predict import classify, task_of
 
@@ -249,13 +247,11 @@ class Classify(Command):
             raise InputError(f"{self.out} must end in .csv or .jsonl, which selects the format.")
         model = load(self.model)
         spec = task_of(model, self.source, self.session, self.outcome)
-        recordings = read_table(self.store)
+        recordings, facts = table_and_facts(self.store)
         tracks = self._tracks(model)
         write = _csv if self.out.suffix == ".csv" else _json_lines
         with progress_bar("classify", "steps", 2) as bar:
-            wrenches = (batch.wrench for batch in read_batches(self.store))
-            data = data_hash(recordings, wrenches, longest_of(self.store))
-            classification = classify(model, recordings, tracks, spec, data)
+            classification = classify(model, recordings, tracks, spec, facts)
             bar.update(1)
             with atomic_write(self.out) as draft:
                 draft.write_text(write(classification, lines_of(classification, recordings)), encoding="utf-8")

@@ -2,9 +2,10 @@
 
 A linear SVM per sub-task separates nominal trials from each cause of failure, from features of the sub-task so far; the
 probability that the trial is not nominal raises the alarm of the *words*. The *clock* raises the alarm when a sub-task
-lasts longer than it should. All alarm levels are split-conformal thresholds (Angelopoulos and Bates 2023, section 1) of
-nominal training trials, each streamed through a classifier that was not trained on it: a new nominal trial raises a
-false alarm with at most the chosen probability.
+lasts longer than it should. All alarm levels are conformal thresholds (Angelopoulos and Bates 2023, section 1) of
+nominal training trials, each streamed through a classifier that was not trained on it, so that a new nominal trial
+raises a false alarm with about the chosen probability or less. That is no theorem, since the classifier that is used
+learns from all of them, and the hold time is chosen afterwards; tests bear it out.
 """
 
 from __future__ import annotations

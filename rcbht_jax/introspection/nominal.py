@@ -245,7 +245,7 @@ class MonitorStream:
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class NominalMonitor(Monitor):
-    """Distance to the nearest nominal recordings at about the same time, summed over the channels as surprise.
+    """Distance to the nearest nominal recordings at about the same time, as surprise, averaged over the channels.
 
     Each channel is described by its change since the beginning of the skill and within ``lags``, so that the bias of a
     sensor does not count. Features are divided by what they differ between groups. The distance of a channel to its

@@ -272,6 +272,7 @@ def train(
         ('failure', 'success')
     """
     items = labelled_intervals(recordings, task)
+    facts = facts or WrenchFacts.of(recordings)
     described = candidates(tracks, items, features)
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
@@ -290,8 +291,9 @@ def train(
         feature_names=best.names,
         task={**asdict(task), "whole": not track_of(recordings, task)},  # new data need not have the column
         encoder=how,
-        data_hash=(facts or WrenchFacts.of(recordings)).data_hash,
+        data_hash=facts.data_hash,
         extra={
             "items": len(items.y), "trials": len(np.unique(items.trial)), "dropped": items.dropped, "seed": seed,
         },
+        digests=facts.digests[np.unique(np.concatenate([part.recording for part in items.intervals]))],
     )  # fmt: skip

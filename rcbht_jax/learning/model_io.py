@@ -34,6 +34,9 @@ MAKERS = {
 _ARRAYS = ("center", "width", "knots", "support", "support_count", "dual", "intercept")
 
 
+_NO_DIGESTS = np.zeros((0, 32), np.uint8)  # older files
+
+
 @dataclass(frozen=True)
 class TrainedModel:
     """A classifier with everything a stream needs to be described the way the training data was."""
@@ -46,6 +49,7 @@ class TrainedModel:
     data_hash: str  # of the training data
     version: str = rcbht_jax.__version__
     extra: dict[str, Any] = field(default_factory=dict)  # anything else worth keeping: JSON values
+    digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] that taught
 
 
 def save(path: Path, model: TrainedModel) -> None:
@@ -61,7 +65,7 @@ def save(path: Path, model: TrainedModel) -> None:
         "feature_spec": asdict(model.feature_spec),
         **{k: getattr(model, k) for k in ("feature_names", "task", "encoder", "data_hash", "version", "extra")},
     }
-    write_archive(path, meta, arrays)
+    write_archive(path, meta, {**arrays, "digests": model.digests})
 
 
 def load(path: Path) -> TrainedModel:
@@ -76,7 +80,10 @@ def load(path: Path) -> TrainedModel:
         checked_texts("its digest and version", [meta["data_hash"], meta["version"]])
         svm = read_svm(path, meta, archive, len(names))
         rest = {k: meta[k] for k in ("task", "encoder", "data_hash", "version", "extra")}
-        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest)
+        digests = archive.get("digests", _NO_DIGESTS)
+        if digests.ndim != 2 or digests.shape[1] != 32 or digests.dtype != np.uint8:
+            raise InputError(f"its digests have the shape {digests.shape}; expected 32 bytes for each recording")
+        return TrainedModel(svm, FeatureSpec.from_dict(meta["feature_spec"]), names, **rest, digests=digests)
 
 
 def check_objects(meta: Mapping[str, Any], *names: str) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.digest import data_hash
 from rcbht_jax._util.untrusted import checked_fields
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.model_io import TrainedModel
@@ -26,6 +25,7 @@ from rcbht_jax.learning.tasks import (
     extract_features,
     unlabelled_intervals,
 )
+from rcbht_jax.learning.wrench_facts import WrenchFacts
 from rcbht_jax.types import LabelTracks, Recordings
 
 MADE_BY = ("semantics", "config", "thresholds")  # what must be the same of two label tracks
@@ -39,7 +39,7 @@ class Classification:
     items: UnlabelledIntervals
     predicted: NDArray[np.str_]  # [item]
     decision: NDArray[np.float64]  # [item, pair] > 0 votes for the first of the pair
-    seen: NDArray[np.bool_]  # [item] the model was trained on this very data set, source and session
+    seen: NDArray[np.bool_]  # [item] the model was trained on this very recording, or an exact copy
 
     @property
     def pairs(self) -> list[str]:
@@ -126,7 +126,7 @@ def classify(
     recordings: Recordings,
     tracks: Mapping[str, LabelTracks] | TrackBatches,
     spec: TaskSpec,
-    data: str | None = None,
+    facts: WrenchFacts | None = None,
 ) -> Classification:
     """Apply a model.
 
@@ -136,7 +136,7 @@ def classify(
         tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``; see
             :func:`check_encoders`; or batches of them.
         spec: of :func:`task_of`.
-        data: digest of the data set (:func:`rcbht_jax._util.digest.data_hash`), if the recordings have no samples.
+        facts: of the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: no sentence passes the filters, or the labels give other features than the model reads.
@@ -168,12 +168,16 @@ def classify(
             "the model's decision values are not finite on these recordings; they are too large, or it is."
         )
     predicted = np.array(model.svm.classes)[vote(decision, len(model.svm.classes))]
-    return Classification(model.svm.classes, items, predicted, decision, _seen(model, recordings, data)[items.row])
+    seen = _seen(model, recordings, facts or WrenchFacts.of(recordings))[items.row]
+    return Classification(model.svm.classes, items, predicted, decision, seen)
 
 
-def _seen(model: TrainedModel, recordings: Recordings, data: str | None) -> NDArray[np.bool_]:
+def _seen(model: TrainedModel, recordings: Recordings, facts: WrenchFacts) -> NDArray[np.bool_]:
     """Recordings that the model was trained on ``[recording]``, as far as its file says."""
-    seen = np.full(len(recordings), (data or data_hash(recordings)) == model.data_hash)
+    if len(model.digests):
+        taught = set(map(bytes, model.digests))
+        return np.array([bytes(one) in taught for one in facts.digests], bool)
+    seen = np.full(len(recordings), facts.data_hash == model.data_hash)  # an older model
     for values, kept in ((recordings.source, "sources"), (recordings.session, "sessions")):
         if model.task.get(kept):
             seen &= np.isin(values, model.task[kept])

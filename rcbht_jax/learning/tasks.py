@@ -64,7 +64,7 @@ class LabelledIntervals:
 
     classes: tuple[str, ...]  # [class] those that occur
     y: NDArray[np.int64]  # [item] index into classes
-    trial: NDArray[np.str_]  # [item] the group that no split may divide
+    trial: NDArray[np.str_]  # [item] the group that no split may divide; with its source where others share the name
     session: NDArray[np.str_]  # [item]
     intervals: tuple[Intervals, ...]  # one per arm (R before L), each of all items
     dropped: dict[str, int]  # reason -> trials left out
@@ -150,7 +150,7 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
         )
     y = np.array([classes.index(name) for name in found.label.tolist()], np.int64)
     first = found.rows[:, 0]
-    trial, session = recordings.trial[first], recordings.session[first]
+    trial, session = _trials(recordings, first), recordings.session[first]
     return LabelledIntervals(classes, y, trial, session, found.intervals(recordings.dt), dict(dropped))
 
 
@@ -248,6 +248,13 @@ def extract_batched_features(
     return concatenate_features(
         {name: arms[0] if len(arms) == 1 else concatenate_arms(arms[0], arms[1]) for name, arms in by_name.items()}
     )
+
+
+def _trials(recordings: Recordings, rows: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Names of trials ``[row]``; where two sources use one name, with the source before it."""
+    source, trial = recordings.source[rows], recordings.trial[rows]
+    full = np.char.add(np.char.add(source, "/"), trial)
+    return trial if len(np.unique(full)) == len(np.unique(trial)) else full
 
 
 def _listed(noun: str, names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
@@ -30,7 +30,6 @@ Prediction = tuple[NDArray[np.int64], dict[str, Any]]
 Estimator = Callable[[NDArray[np.int64], NDArray[np.int64], int], Prediction]
 
 _TREES = 50
-_RESAMPLES = 2000
 
 
 def nested_svm(
@@ -162,7 +161,7 @@ class HoldoutScore:
 
     accuracy: float
     balanced_accuracy: float
-    low: float  # 95% interval of the accuracy, by resampling the test trials; Wilson's where all are alike
+    low: float  # 95% interval of the accuracy: Wilson's, each trial counting once, since its items are not independent
     high: float
     chosen: dict[str, Any]
     confusion: Int[np.ndarray, "true predicted"]
@@ -183,32 +182,18 @@ def holdout_score(estimator: Estimator, y: Ints, groups: NDArray[Any], split: Sp
         y: class index ``[item]``.
         groups: trial ``[item]``.
         split: training and test rows.
-        seed: of the estimator and of the resampling.
+        seed: of the estimator.
     """
     train, test = split
     predicted, choice = estimator(train, test, 1000 * seed)
     y_true, classes = y[test], int(y.max()) + 1
-    low, high = bootstrap(y_true == predicted, groups[test], seed)
+    score, trials = metrics.accuracy(y_true, predicted), len(np.unique(groups[test]))
+    low, high = metrics.wilson(score * trials, trials)
     return HoldoutScore(
-        accuracy=metrics.accuracy(y_true, predicted),
+        accuracy=score,
         balanced_accuracy=metrics.balanced_accuracy(y_true, predicted),
         low=low,
         high=high,
         chosen=choice,
         confusion=metrics.confusion(y_true, predicted, classes),
     )
-
-
-def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
-    """95% percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
-
-    Where it has no width, as without a mistake, the interval is Wilson's, each group counting once.
-    """
-    number = np.unique(groups, return_inverse=True)[1]
-    right, total = np.bincount(number, correct), np.bincount(number)
-    draws = np.random.default_rng(seed).integers(0, len(total), (_RESAMPLES, len(total)))
-    scores = right[draws].sum(1) / total[draws].sum(1)
-    low, high = np.quantile(scores, [0.025, 0.975])
-    if not low < high:
-        return metrics.wilson(float(np.mean(correct)) * len(total), len(total))
-    return float(low), float(high)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +18,18 @@ from experiments.online import causal, frozen_stream_choice
 from experiments.tables.headline import SHORT
 from rcbht_jax import StateClassifier
 from rcbht_jax.errors import InputError
-from rcbht_jax.features import ABSOLUTE
+from rcbht_jax.features import ABSOLUTE, Features
 from rcbht_jax.features.online import names
 from rcbht_jax.introspection.training import Snapshots
 from rcbht_jax.learning import metrics
-from rcbht_jax.learning.svm import Grid
+from rcbht_jax.learning.scaling import KNOTS
+from rcbht_jax.learning.svm import DEGREE, Grid
 from rcbht_jax.types import Recordings
 from tests.support.blank_trials import blank_trials
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 TRIALS, STATE, DT, SEED = 16, 60, 0.005, 3  # STATE: samples in each of the four states
+COLUMNS = "9b3e5ecce241"  # of the families, when the headlines were made
 FAST = {"kernels": ["linear"], "costs": [1.0], "scalings": [True], "inner": 2}
 
 
@@ -101,6 +104,63 @@ def test_relative_features_know_neither_offset_nor_duration() -> None:
     assert all(not {*ABSOLUTE, "duration", "elapsed"} & set(spec.families) for spec in specs)
     assert len({spec.families for spec in method.relative.values()}) == len(method.relative)
     assert all("duration" not in spec.families for spec in method.specs.values())
+
+
+def test_the_method_is_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the digest does not hold, because it is code: limits of the preset, columns of the families."""
+    method = frozen.load()
+    np.testing.assert_allclose(method.thresholds("W20 fine").limits[2], np.array([70.0, 46.0, 23.0, 1.0]) / 16)
+    np.testing.assert_allclose(method.thresholds("W5").limits[4], [7.0, 4.6, 2.3, 0.1])
+    assert all(spec.balance for spec in method.specs.values())
+    columns = {name: names(spec) for name, spec in method.specs.items()}
+    columns |= {head: names(method.stream_spec(head)) for head in ("state", "phase")}
+    assert frozen.digest(columns)[:SHORT] == COLUMNS
+    assert (KNOTS, DEGREE) == (21, 3)
+
+    monkeypatch.setattr(frozen, "encode_batch", lambda config, made, *data: (config.window, float(made.limits[2, 3])))
+    made = method.grammars(blank_trials(2, STATE, DT))
+    assert made == {"preset and fine": {"W5": (5, 1.0), "W20 fine": (20, 1 / 16), "W20 finer": (20, 1 / 256)}}
+
+
+def test_candidates_keep_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    method, items = frozen.load(), headline.labelled_intervals(blank_trials(2, STATE, DT), headline.TaskSpec())
+    part = Features(np.zeros((len(items.y), 2), np.float32), ("a", "b"), ("levels", "histogram"), ("", ""))
+    monkeypatch.setattr(frozen, "candidates", lambda *given: {"one": (part, part.weights(method.specs["untimed"]))})
+    monkeypatch.setattr(frozen, "nested_svm", lambda matrices, y, trial, grid, weights: (grid, weights))
+    grid, weights = method.learner({}, items)
+    assert (grid.ranks, list(grid.costs)) == (True, method.content["grid"]["costs"])
+    assert weights["one"] is not None
+
+
+def test_the_choice_looks_at_training_rows_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, trials = np.random.default_rng(0), 12
+    items = headline.labelled_intervals(blank_trials(trials, STATE, DT), headline.TaskSpec())
+    x = rng.normal(size=(len(items.y), 2)) + 2 * items.y[:, None]
+    train, test = (np.flatnonzero(np.isin(items.trial, names)) for names in np.split(np.unique(items.trial), 2))
+    asked = []
+    chosen = frozen_choice.select
+
+    def noting(matrices, y, *rest):
+        asked.append((matrices[""], y))
+        return chosen(matrices, y, *rest)
+
+    monkeypatch.setattr(frozen_choice, "select", noting)
+    answer = partial(frozen_choice.Experiment.answer, None, x, None, split=(train, test), seed=0)
+    inner, said = answer(items)
+    np.testing.assert_array_equal(asked[0][0], x[train])
+    swapped = items.y.copy()
+    swapped[test] = 3 - swapped[test]
+    again, same = answer(replace(items, y=swapped))
+    assert inner == again
+    np.testing.assert_array_equal(said, same)
+
+
+def test_trials_with_a_mistake_are_noted() -> None:
+    items = headline.labelled_intervals(blank_trials(4, STATE, DT), headline.TaskSpec())
+    wrong: set[str] = set()
+    learn = headline.noting(lambda train, test, seed: (np.where(test == 5, -1, items.y[test]), {}), items, wrong)
+    learn(np.arange(4), np.arange(4, 16), 0)
+    assert wrong == {items.trial[5]}
 
 
 def test_the_method_describes_classifies_and_names_its_choice() -> None:

@@ -11,6 +11,7 @@ from sklearn.base import clone
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import nominal_file
+from rcbht_jax.introspection.neighbours import AROUND, make_bank
 from rcbht_jax.introspection.nominal import FREEDOM, Monitor, NominalMonitor
 from rcbht_jax.introspection.nominal_evaluation import Watched, hold_out, judge, thresholds
 from rcbht_jax.introspection.nominal_peers import GaussianProcessBand, IsolationForestMonitor, QuantileBand
@@ -55,6 +56,24 @@ def test_no_score_knows_later_samples(monitor: Monitor) -> None:
     scores, others = fitted.scores(series), fitted.scores(changed)
     np.testing.assert_array_equal(scores[:20], others[:20])
     assert others[20:].max() > scores[20:].max()
+
+
+def test_what_is_usual_is_measured_between_groups() -> None:
+    """Scales and usual distances against loops: a recording is not near to itself, nor to those of its day."""
+    days = np.array([0, 0, 1, 1, 2])
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(size=(30, 1, 1)) * 0.2 + 4.0 * day for day in days]
+    bank = make_bank(parts, days, slack=1.0, drift=0.0, neighbours=1)
+    flat = np.array(parts)[..., 0, 0]
+    squares = [np.mean((flat[days == day] - np.median(flat[days != day], 0)) ** 2) for day in range(3)]
+    assert bank.scale[0, 0] == pytest.approx(np.sqrt(np.mean(squares)))
+    usual = np.empty((5, 30))
+    for row, now in np.ndindex(5, 30):
+        at = [moment for moment in (now - 1, now, now + 1) if moment >= 0]
+        others = flat[days != days[row]][:, np.minimum(at, 29)]
+        usual[row, now] = np.abs(others - flat[row, now]).min() / bank.scale[0, 0]
+    around = [np.median(usual[:, max(now - AROUND, 0) : now + AROUND + 1]) for now in range(30)]
+    np.testing.assert_allclose(bank.reference[:, 0], around, rtol=1e-5)
 
 
 def by_hand(train: list[NDArray[np.float64]], test: NDArray[np.float64], monitor: NominalMonitor) -> list[float]:

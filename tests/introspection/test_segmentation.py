@@ -13,6 +13,7 @@ from rcbht_jax.encoding.tolerance import auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.segmentation import UNKNOWN, Protocol, WrenchSegmenter, segment
 from rcbht_jax.types import Recordings
+from tests.support.snaps import with_columns
 
 RATE, SHIFT = 40.0, 0.1
 TREES = {"trees": 8}
@@ -50,6 +51,26 @@ def test_phases_are_found_causally():
 def test_the_protocol_is_that_which_was_used(folds: int, said: str):
     result = segment(made(4), WrenchSegmenter(trees=2), Protocol(folds=folds))
     assert result.to_json()["protocol"].startswith(said)  # four recordings cannot make five folds
+
+
+def test_no_group_is_on_both_sides(monkeypatch: pytest.MonkeyPatch):
+    data = with_columns(made(6), operator=np.array(["Ann", "Bob", "Ann", "Bob", "Cy", "Cy"]))
+    taught: list[set[str]] = []
+    fit, predict = WrenchSegmenter.fit, WrenchSegmenter.predict
+
+    def noting(self, recordings, y):
+        taught.append(set(recordings.column("operator").tolist()))
+        return fit(self, recordings, y)
+
+    def checking(self, recordings):
+        assert not taught[-1] & set(recordings.column("operator").tolist())
+        return predict(self, recordings)
+
+    monkeypatch.setattr(WrenchSegmenter, "fit", noting)
+    monkeypatch.setattr(WrenchSegmenter, "predict", checking)
+    segment(data, WrenchSegmenter(trees=2), Protocol(group="operator", folds=2))
+    segment(data, WrenchSegmenter(trees=2), Protocol(group="operator", one_shot=True))
+    assert len(taught) == 2 + 6
 
 
 def test_words_of_the_fit_rule_whose_tolerance_the_teachers_tell():

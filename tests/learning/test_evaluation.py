@@ -89,6 +89,18 @@ def test_states_cover_the_record_and_incomplete_trials_are_counted(recordings):
     assert not {"A3", "A10", "B11"} & set(items.trial.tolist())
 
 
+def test_two_sources_may_use_the_same_names(recordings):
+    alone, states = recordings.take(np.flatnonzero(recordings.arm == "R")), TaskSpec(sessions=("A", "B"))
+    names = labelled_intervals(alone, states).trial
+    same = replace(alone, trial=np.char.lstrip(alone.trial, "AB"))
+    found = labelled_intervals(same, states)
+    assert len(np.unique(found.trial)) == len(np.unique(names)) > TRIALS
+    assert found.trial[0] == "SET_A/0"
+    protocol = EvaluationProtocol(grid=QUICK, train_on=("A",), test_on=("B",))
+    made = evaluate(same, make_tracks(same), states, FeatureSpec(("histogram",)), protocol)
+    assert made.tested == len({name for name in names.tolist() if name.startswith("B")})
+
+
 def test_boundaries_can_be_harmonised_or_merged(recordings):
     harmonised = labelled_intervals(recordings, TaskSpec(boundaries="harmonised")).intervals[0]
     assert harmonised.end[:4].tolist() == [10, 15, 20, 40]

@@ -33,6 +33,7 @@ def model() -> TrainedModel:
         encoder={"window": 5, "thresholds": [[1.0, 2.0]]},
         data_hash="abc",
         extra={"items": 30},
+        digests=np.arange(64, dtype=np.uint8).reshape(2, 32),
     )
 
 
@@ -43,6 +44,7 @@ def test_round_trip_keeps_everything(model, tmp_path):
     x = np.random.default_rng(1).normal(size=(50, 4))
     np.testing.assert_array_equal(back.svm.decision(x), model.svm.decision(x))
     np.testing.assert_array_equal(back.svm.predict(x), model.svm.predict(x))
+    np.testing.assert_array_equal(back.digests, model.digests)
     assert back.svm.spec == model.svm.spec
     for name in ("feature_spec", "feature_names", "task", "encoder", "data_hash", "version", "extra"):
         assert getattr(back, name) == getattr(model, name)
@@ -61,6 +63,10 @@ def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
     save(path, model)
     rewritten(path, intercept=np.zeros(1))
     with pytest.raises(InputError, match=r"intercept has the shape \(1,\)"):
+        load(path)
+    save(path, model)
+    rewritten(path, digests=np.zeros((2, 3), np.uint8))
+    with pytest.raises(InputError, match=r"digests have the shape \(2, 3\)"):
         load(path)
 
 

@@ -107,3 +107,11 @@ def test_a_trained_head_is_calibrated_on_trials_that_were_held_out() -> None:
     assert labelled_intervals(recordings, cut.task).intervals[0].end.tolist() == [80] * 12
     phase = replace(spec, phase=True)
     assert train_head(recordings, phase, config, preset()).progress is None  # the filter takes beliefs as they are
+
+
+def test_few_trials_make_nobody_certain_however_many_steps_they_have() -> None:
+    trial = np.repeat(np.arange(4), 50)
+    y = trial % 2
+    p = np.where(y[:, None] == np.arange(2), 0.9999, 0.0001)
+    found = ProgressCalibration.fit(p, y, np.full(200, 1.0), trial, 1.0)(p, np.full(200, 1.0))
+    assert found.max(1) == pytest.approx(1 - 0.5 / (4 + 2), abs=0.01)  # drawn inwards by one trial, not by one step

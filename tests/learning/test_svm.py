@@ -151,20 +151,29 @@ def test_ties_go_to_the_simplest_choice():
     assert (chosen.kernel, chosen.cost, chosen.scaling) == ("linear", 1.0, False)
 
 
-def test_the_learner_never_looks_at_the_test_side():
+@pytest.mark.parametrize("grid", [Grid(), Grid(kernels=("rbf",), gamma="scale")], ids=["auto", "scale"])
+def test_the_learner_never_looks_at_the_test_side(grid):
     x, y = blobs(3, 3, spread=2.5)
     groups = np.arange(len(y)) // 3
     train, test = np.arange(45), np.arange(45, 60)
-    said, chosen = nested_svm({"": x}, y, groups, Grid())(train, test, 5)
+    said, chosen = nested_svm({"": x}, y, groups, grid)(train, test, 5)
     x2, y2 = x.copy(), y.copy()
     y2[test] = (y[test] + 1) % 3
-    other, same = nested_svm({"": x2}, y2, groups, Grid())(train, test, 5)
+    other, same = nested_svm({"": x2}, y2, groups, grid)(train, test, 5)
     np.testing.assert_array_equal(said, other)
     assert chosen == same
-    x2[test[1:]] += 1e6  # other test items do not move the scaling of the first
-    moved, same = nested_svm({"": x2}, y, groups, Grid())(train, test, 5)
-    assert moved[0] == said[0]
+    x2[test[-1]] += 1e6  # one test item moves neither the scaling of the others nor the width of the kernel
+    moved, same = nested_svm({"": x2}, y, groups, grid)(train, test, 5)
+    np.testing.assert_array_equal(moved[:-1], said[:-1])
     assert chosen == same
+
+
+def test_the_baselines_never_look_at_the_test_side():
+    rng = np.random.default_rng(0)
+    x, y, train, test = rng.normal(size=(60, 1)), rng.integers(0, 2, 60), np.arange(40), np.arange(40, 60)
+    other = np.where(np.arange(60) < 40, y, 1 - y)
+    for make in (lambda y: forest(x, y), majority):
+        np.testing.assert_array_equal(make(y)(train, test, 0)[0], make(other)(train, test, 0)[0])
 
 
 def test_shuffled_classes_score_at_chance():
@@ -199,15 +208,25 @@ def test_fold_extremes_are_those_of_one_run():
     assert summary["fold_min_mean_max"] == [0.0, 0.25, 0.5]
 
 
-def test_transfer_resamples_trials_not_items():
+def test_the_interval_of_a_transfer_counts_trials_not_items():
     y = np.array([0, 1] + [0, 1] * 20)
     groups = np.array([0, 0] + [1] * 20 + [2] * 20)
     made = holdout_score(majority(y), y, groups, (np.array([0, 1]), np.arange(2, 42)))
     assert made.accuracy == 0.5
-    assert (made.low, made.high) == wilson(1, 2)  # both trials are half right, so no resample differs
-    uneven = np.array([0, 1] + [0] * 20 + [1] * 20)
-    made = holdout_score(majority(uneven), uneven, groups, (np.array([0, 1]), np.arange(2, 42)))
-    assert (made.low, made.accuracy, made.high) == (0.0, 0.5, 1.0)
+    assert (made.low, made.high) == wilson(1, 2)
+
+
+@pytest.mark.parametrize("alike", [0.3, 0.98], ids=["states of a trial", "trials right or wrong as a whole"])
+@pytest.mark.parametrize(("trials", "right"), [(8, 0.8), (16, 0.9), (19, 0.95), (35, 0.95)])
+def test_the_interval_of_a_transfer_holds_the_truth_as_often_as_it_says(trials, right, alike):
+    rng, groups = np.random.default_rng(0), np.repeat(np.arange(trials), 4)
+    split, held = (np.arange(len(groups)), np.arange(len(groups))), []
+    for _ in range(400):
+        share = rng.beta(right * (1 / alike - 1), (1 - right) * (1 / alike - 1), trials)
+        wrong = (rng.random(len(groups)) > share[groups]).astype(np.int64)
+        made = holdout_score(lambda train, test, seed: (np.zeros(len(test), np.int64), {}), wrong, groups, split)
+        held.append(made.low <= right <= made.high)
+    assert np.mean(held) > 0.91  # of percentiles of resampled trials as few as 0.84
 
 
 def test_the_forest_learns_a_threshold():
