@@ -12,6 +12,7 @@ from jaxtyping import Float32, Int32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, limits_of, preset
 from rcbht_jax.encoding.tolerance import FitLimits
@@ -19,14 +20,15 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
 RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
+RATE, WINDOW = 200.0, 5  # defaults of encode
 LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
 
 
 def encode(
     wrench: Any,
-    rate: float = 200.0,
+    rate: float = RATE,
     *,
-    window: int = 5,
+    window: int = WINDOW,
     thresholds: AnyLimits | ArrayLike | str | None = None,
     lengths: ArrayLike | None = None,
     config: AnyConfig | None = None,
@@ -56,7 +58,8 @@ def encode(
 
     Raises:
         InputError: another shape, values that are not finite, recordings of different axes, a time that disagrees with
-            the rate or has a gap, thresholds that do not fit, or a tolerance for the paper's rule.
+            the rate or has a gap, thresholds that do not fit, a tolerance for the paper's rule, or a rate, window or
+            rule that the config contradicts.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.
@@ -71,7 +74,10 @@ def encode(
         >>> fitted.words("Fz"), fitted.primitive.t1[2].tolist()[:3]
         (['FX', 'PS', 'FX'], [200, 300, 400])
     """
-    config = config or config_of(rule, window, 1 / _positive(rate))
+    if config is None:
+        config = config_of(rule, window, 1 / _positive(rate))
+    else:
+        _check_agreement(config, rate, window, rule)
     several = isinstance(wrench, list | tuple)
     signals = [_signal(one, config.dt) for one in wrench] if several else [_signal(wrench, config.dt)]
     if not signals:
@@ -90,6 +96,17 @@ def encode(
     return replace(tracks, info=info)
 
 
+def _check_agreement(config: AnyConfig, rate: float, window: int, rule: str) -> None:
+    """Refuse what was given beside a configuration that has another value; the defaults count as not given."""
+    for what, given, default, chosen in (
+        ("rate", rate, RATE, rate if np.isclose(rate * config.dt, 1) else 1 / config.dt),
+        ("window", window, WINDOW, config.window),
+        ("rule", rule, "paper", "fit" if isinstance(config, FitConfig) else "paper"),
+    ):
+        if given not in (default, chosen):
+            raise InputError(f"The {what} is {given}, in the config {chosen}; give one of them.")
+
+
 def _positive(rate: float) -> float:
     if not 0 < rate < float("inf"):
         raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
@@ -98,15 +115,14 @@ def _positive(rate: float) -> float:
 
 def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ...]]:
     """Values ``[..., time, axis]`` and names of the axes."""
-    values, names = _read_signal(wrench, dt)
+    values, names = read_signal(wrench, dt)
     if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape[-1:]:
         raise InputError(
             f"The wrench has shape {values.shape} of {values.dtype}; expected numbers [time, axis] or "
             "[recording, time, axis]."
         )
-    values = values.astype(
-        np.float64 if values.dtype == np.float64 and jax.config.read("jax_enable_x64") else np.float32
-    )
+    double = np.result_type(values, np.float32) == np.float64 and jax.config.read("jax_enable_x64")
+    values = values.astype(np.float64 if double else np.float32)
     return values, names or axis_names(values.shape[-1])
 
 
@@ -128,10 +144,10 @@ def read_signals(
         InputError: other shapes, recordings of different axes, or a time that disagrees or has a gap.
     """
     if _is_frame(recordings) or _is_xarray(recordings):
-        values, names = _read_signal(recordings, dt, axis_first)
+        values, names = read_signal(recordings, dt, axis_first)
         read = [(value, names) for value in values]
     else:
-        read = [_read_signal(recording, dt, axis_first) for recording in recordings]
+        read = [read_signal(recording, dt, axis_first) for recording in recordings]
     named = list({names for _, names in read if names})
     if len(named) > 1:
         raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
@@ -149,7 +165,7 @@ def read_signals(
     return *padded(parts), next(iter(named), None)
 
 
-def _read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
+def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
     """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
 
     Args:
@@ -167,7 +183,7 @@ def _read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDAr
         if "time" in wrench.columns:
             _check_time(wrench["time"], dt)
             wrench = wrench.drop(columns="time")
-        return wrench.to_numpy(), tuple(map(str, wrench.columns))
+        return _frame_values(wrench), tuple(map(str, wrench.columns))
     if _is_xarray(wrench):
         if hasattr(wrench, "data_vars"):
             raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
@@ -175,8 +191,16 @@ def _read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDAr
         if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
             _check_time(wrench.coords["time"], dt)
         return wrench.to_numpy(), _coordinate_names(wrench)
-    values = np.asarray(wrench)
+    values = np.ma.filled(wrench.astype(np.float64), np.nan) if np.ma.isMaskedArray(wrench) else np.asarray(wrench)
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def _frame_values(frame: Any) -> NDArray[Any]:
+    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are."""
+    values = frame.to_numpy()
+    if values.dtype == object and all(getattr(dtype, "kind", "O") in "fiub" for dtype in frame.dtypes):
+        return np.asarray(frame.to_numpy(np.float64, na_value=np.nan))
+    return np.asarray(values)
 
 
 def _is_frame(wrench: Any) -> bool:
