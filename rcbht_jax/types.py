@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.signals import period, read_parts
 from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -278,7 +279,7 @@ class Recordings:
 
     @staticmethod
     def from_arrays(
-        wrenches: Iterable[ArrayLike],
+        wrenches: Any,
         rate: float = 200.0,
         *,
         axes: Sequence[str] | None = None,
@@ -289,18 +290,18 @@ class Recordings:
         """A data set from recordings ``[time, axis]`` of any lengths.
 
         Args:
-            wrenches: the same axes in all, any number of them.
+            wrenches: NumPy, JAX, pandas or xarray, read as by :func:`rcbht_jax.encode`; any number of axes.
             rate: samples per second.
-            axes: their names; default Fx Fy Fz Mx My Mz if there are six.
+            axes: their names; default those of pandas or xarray, or Fx Fy Fz Mx My Mz if there are six.
             units: unit of each axis; default N and Nm for the axes of a wrench, else "".
             annotations: labelled intervals, or rows (recording, track, label, start in s, end in s).
             columns: trial, arm, source, session, outcome, note or columns of any other name; one value for all
                 recordings or one for each.
 
         Raises:
-            InputError: recordings of different axes, or a column of another length.
+            InputError: different axes, a time that disagrees with the rate, or a column of another length.
         """
-        parts = [np.asarray(wrench, np.float32) for wrench in wrenches]
+        parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             raise InputError(
                 f"Recordings have shapes {[part.shape for part in parts]}; expected [time, axis], at least one, with "
@@ -308,7 +309,7 @@ class Recordings:
             )
         wrench, length = padded(parts)
         count, width = len(parts), wrench.shape[2]
-        names = axis_names(width) if axes is None else tuple(axes)
+        names = tuple(named or axis_names(width)) if axes is None else tuple(axes)
         if units is None:
             units = [labels.UNIT_OF.get(name, "") for name in names]
         if len(names) != width or len(units) != width:

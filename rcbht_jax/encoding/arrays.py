@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.signals import is_xarray, ordered, period, read_parts, read_signal
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
@@ -19,9 +20,7 @@ from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
-RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
 RATE, WINDOW = 200.0, 5  # defaults of encode
-LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
 
 
 def encode(
@@ -75,7 +74,7 @@ def encode(
         (['FX', 'PS', 'FX'], [200, 300, 400])
     """
     if config is None:
-        config = config_of(rule, window, 1 / _positive(rate))
+        config = config_of(rule, window, period(rate))
     else:
         _check_agreement(config, rate, window, rule)
     several = isinstance(wrench, list | tuple)
@@ -105,12 +104,6 @@ def _check_agreement(config: AnyConfig, rate: float, window: int, rule: str) -> 
     ):
         if given not in (default, chosen):
             raise InputError(f"The {what} is {given}, in the config {chosen}; give one of them.")
-
-
-def _positive(rate: float) -> float:
-    if not 0 < rate < float("inf"):
-        raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
-    return rate
 
 
 def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ...]]:
@@ -143,15 +136,7 @@ def read_signals(
     Raises:
         InputError: other shapes, recordings of different axes, or a time that disagrees or has a gap.
     """
-    if _is_frame(recordings) or _is_xarray(recordings):
-        values, names = read_signal(recordings, dt, axis_first)
-        read = [(value, names) for value in values]
-    else:
-        read = [read_signal(recording, dt, axis_first) for recording in recordings]
-    named = list({names for _, names in read if names})
-    if len(named) > 1:
-        raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
-    parts = [np.asarray(values, np.float32) for values, _ in read]
+    parts, names = read_parts(recordings, dt, axis_first)
     shapes = [part.shape for part in parts]
     if not parts or any(len(shape) != 2 for shape in shapes):
         raise InputError(
@@ -162,103 +147,7 @@ def read_signals(
         raise InputError(
             f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
         )
-    return *padded(parts), next(iter(named), None)
-
-
-def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
-    """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
-
-    Args:
-        wrench: NumPy, JAX, pandas or xarray.
-        dt: s per sample, with which a column, an index or a coordinate of time must agree.
-        axis_first: values whose dimensions have no names are ``[..., axis, time]``.
-
-    Raises:
-        InputError: a time that disagrees, has a gap or is none, or an xarray Dataset.
-    """
-    if _is_frame(wrench):
-        index = getattr(wrench, "index", None)
-        if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
-            _check_time(index, dt)
-        if "time" in wrench.columns:
-            _check_time(wrench["time"], dt)
-            wrench = wrench.drop(columns="time")
-        return _frame_values(wrench), tuple(map(str, wrench.columns))
-    if _is_xarray(wrench):
-        if hasattr(wrench, "data_vars"):
-            raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
-        wrench = _ordered(wrench, axis_first)
-        if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
-            _check_time(wrench.coords["time"], dt)
-        return wrench.to_numpy(), _coordinate_names(wrench)
-    values = np.ma.filled(wrench.astype(np.float64), np.nan) if np.ma.isMaskedArray(wrench) else np.asarray(wrench)
-    return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
-
-
-def _frame_values(frame: Any) -> NDArray[Any]:
-    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are."""
-    values = frame.to_numpy()
-    if values.dtype == object and all(getattr(dtype, "kind", "O") in "fiub" for dtype in frame.dtypes):
-        return np.asarray(frame.to_numpy(np.float64, na_value=np.nan))
-    return np.asarray(values)
-
-
-def _is_frame(wrench: Any) -> bool:
-    """A data frame, as of pandas."""
-    return hasattr(wrench, "columns") and hasattr(wrench, "to_numpy")
-
-
-def _is_xarray(wrench: Any) -> bool:
-    """An array or a data set of xarray."""
-    return hasattr(wrench, "dims") and hasattr(wrench, "coords")
-
-
-def _ordered(wrench: Any, axis_first: bool = False) -> Any:
-    """An xarray with time and axis last: the dimensions of these names, or else the last ones."""
-    dims = list(wrench.dims)
-    if len(dims) < 2:
-        return wrench
-    others = [dim for dim in dims if dim not in ("time", "axis")]
-    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and "time" not in dims else -1)
-    time = "time" if "time" in dims else others.pop()
-    return wrench.transpose(*others, time, axis)
-
-
-def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
-    """Names of the axes, the last dimension; numbers are no names unless the dimension is called axis."""
-    axis = wrench.dims[-1] if wrench.dims else ""
-    if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
-        return None
-    return tuple(map(str, wrench.coords[axis].to_numpy()))
-
-
-def _check_time(time: Any, dt: float) -> None:
-    """Refuse a time ``[..., sample]`` of another rate, or with a gap."""
-    seconds = _seconds(time)
-    steps = np.diff(seconds)
-    if not steps.size:
-        return
-    step = float(np.median(steps))
-    if not abs(step - dt) <= RATE_TOLERANCE * dt:
-        raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
-    wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
-    if len(wrong):
-        place = tuple(wrong[0])
-        raise InputError(
-            f"The time jumps by {steps[place]:g} s after {seconds[place] - seconds[..., 0].min():g} s, at a rate of "
-            f'{1 / dt:g} samples per second; fill the gap, or import the recording with "rcbht import".'
-        )
-
-
-def _seconds(time: Any) -> NDArray[np.float64]:
-    """Numbers are seconds; dates and durations are counted from the first."""
-    kind = time.dtype.kind
-    if kind in "fiu":
-        return np.asarray(time, np.float64)
-    if kind not in "mM":
-        raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
-    stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")
-    return np.asarray((stamps - stamps[..., :1]) / np.timedelta64(1, "s"), np.float64)
+    return *padded(parts), names
 
 
 def _padded(
@@ -286,7 +175,7 @@ def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> AnyLimits:
 
 def _names(wrench: Any, count: int) -> tuple[str | int, ...]:
     """Names of the recordings, those of xarray's first coordinate where there is one, else numbers."""
-    wrench = _ordered(wrench) if _is_xarray(wrench) else wrench
+    wrench = ordered(wrench) if is_xarray(wrench) else wrench
     dims: tuple[str, ...] = getattr(wrench, "dims", ())
     if len(dims) == 3 and dims[0] in getattr(wrench, "coords", {}):
         return tuple(map(str, wrench.coords[dims[0]].to_numpy()))

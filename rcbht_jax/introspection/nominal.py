@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax.encoding.arrays import read_signal
+from rcbht_jax._util.signals import read_signal
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest
