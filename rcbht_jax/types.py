@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax import labels
 from rcbht_jax._util.optional import require
 from rcbht_jax._util.printable import plural
+from rcbht_jax._util.signals import period, read_parts
 from rcbht_jax._util.svg import Bar, bands
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
@@ -104,29 +105,33 @@ class LabelTracks:
     llb: LabelTrack
     info: TrackInfo | None = field(default=None, kw_only=True, metadata={"static": True})
 
-    def words(self, axis: int | str, layer: str = "llb", recording: int = 0) -> list[str]:
+    def words(self, axis: int | str, layer: str = "llb", recording: int | str = 0) -> list[str]:
         """Names of the labels of one axis in order of time.
 
         Args:
             axis: number or name, for example 2 or "Fz".
             layer: "primitive", "mc" or "llb".
-            recording: number, where there are several.
+            recording: number, or name, where there are several.
 
         Raises:
             InputError: no such axis, layer or recording.
         """
-        names = self._axes()
-        if isinstance(axis, str) and axis not in names:
-            raise InputError(f"There is no axis {axis!r}; there are {', '.join(names)}.")
-        number = names.index(axis) if isinstance(axis, str) else axis
+        number, row = _number("axis", axis, self._axes()), _number("recording", recording, self._recordings().tolist())
         if layer not in labels.LAYERS:
             raise InputError(f"There is no layer {layer!r}; there are {', '.join(labels.LAYERS)}.")
         codes = _batched(getattr(self, layer).label)
-        if not (-codes.shape[0] <= recording < codes.shape[0] and -codes.shape[1] <= number < codes.shape[1]):
+        if not (-codes.shape[0] <= row < codes.shape[0] and -codes.shape[1] <= number < codes.shape[1]):
             raise InputError(
                 f"Recording {recording}, axis {axis} is not there: {codes.shape[0]} recordings, {codes.shape[1]} axes."
             )
-        return [labels.name(layer, code) for code in codes[recording, number].tolist() if code]
+        return [labels.name(layer, code) for code in codes[row, number].tolist() if code]
+
+    def take(self, rows: ArrayLike) -> LabelTracks:
+        """The labels of some recordings, with their names: numbers in any order, or a mask ``[recording]``."""
+        numbers = np.arange(len(self._recordings()))[np.atleast_1d(rows)]
+        names = tuple(self._recordings()[numbers].tolist())
+        taken = jax.tree.map(lambda values: _batched(values)[numbers], self)
+        return replace(taken, info=self.info and replace(self.info, recordings=names))
 
     def to_frame(self) -> pandas.DataFrame:
         """A pandas table with a row per word.
@@ -195,12 +200,18 @@ class LabelTracks:
 
     def _axes(self) -> list[str]:
         count = np.shape(self.llb.label)[-2]
-        return list(self.info.axes if self.info else axis_names(count))
+        return list(self.info.axes if self.info and len(self.info.axes) == count else axis_names(count))
 
     def _recordings(self) -> NDArray[Any]:
-        if self.info is not None and self.info.recordings:
-            return np.array(self.info.recordings)
-        return np.arange(_batched(self.llb.label).shape[0])
+        count = int(np.prod(np.shape(self.llb.label)[:-2]))  # arrays that were cut do not fit their names
+        names = self.info.recordings if self.info else ()
+        return np.array(names) if count and len(names) == count else np.arange(count)
+
+
+def _number(what: str, wanted: int | str, names: Sequence[Any]) -> int:
+    if isinstance(wanted, str) and wanted not in names:
+        raise InputError(f"There is no {what} {wanted!r}; there are {', '.join(map(str, names))}.")
+    return names.index(wanted) if isinstance(wanted, str) else wanted
 
 
 def padded(parts: Sequence[NDArray[np.floating]]) -> tuple[NDArray[np.floating], NDArray[np.int32]]:
@@ -268,7 +279,7 @@ class Recordings:
 
     @staticmethod
     def from_arrays(
-        wrenches: Iterable[ArrayLike],
+        wrenches: Any,
         rate: float = 200.0,
         *,
         axes: Sequence[str] | None = None,
@@ -279,18 +290,18 @@ class Recordings:
         """A data set from recordings ``[time, axis]`` of any lengths.
 
         Args:
-            wrenches: the same axes in all, any number of them.
+            wrenches: NumPy, JAX, pandas or xarray, read as by :func:`rcbht_jax.encode`; any number of axes.
             rate: samples per second.
-            axes: their names; default Fx Fy Fz Mx My Mz if there are six.
+            axes: their names; default those of pandas or xarray, or Fx Fy Fz Mx My Mz if there are six.
             units: unit of each axis; default N and Nm for the axes of a wrench, else "".
             annotations: labelled intervals, or rows (recording, track, label, start in s, end in s).
             columns: trial, arm, source, session, outcome, note or columns of any other name; one value for all
                 recordings or one for each.
 
         Raises:
-            InputError: recordings of different axes, or a column of another length.
+            InputError: different axes, a time that disagrees with the rate, or a column of another length.
         """
-        parts = [np.asarray(wrench, np.float32) for wrench in wrenches]
+        parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             raise InputError(
                 f"Recordings have shapes {[part.shape for part in parts]}; expected [time, axis], at least one, with "
@@ -298,7 +309,7 @@ class Recordings:
             )
         wrench, length = padded(parts)
         count, width = len(parts), wrench.shape[2]
-        names = axis_names(width) if axes is None else tuple(axes)
+        names = tuple(named or axis_names(width)) if axes is None else tuple(axes)
         if units is None:
             units = [labels.UNIT_OF.get(name, "") for name in names]
         if len(names) != width or len(units) != width:

@@ -11,22 +11,23 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.signals import is_xarray, ordered, period, read_parts, read_signal
 from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import GradientThresholds, limits_of, preset
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import LabelTracks, TrackInfo, axis_names, padded
 
-RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
-LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
+RATE, WINDOW = 200.0, 5  # defaults of encode
 
 
 def encode(
     wrench: Any,
-    rate: float = 200.0,
+    rate: float = RATE,
     *,
-    window: int = 5,
+    window: int = WINDOW,
     thresholds: AnyLimits | ArrayLike | str | None = None,
     lengths: ArrayLike | None = None,
     config: AnyConfig | None = None,
@@ -56,7 +57,8 @@ def encode(
 
     Raises:
         InputError: another shape, values that are not finite, recordings of different axes, a time that disagrees with
-            the rate or has a gap, thresholds that do not fit, or a tolerance for the paper's rule.
+            the rate or has a gap, thresholds that do not fit, a tolerance for the paper's rule, or a rate, window or
+            rule that the config contradicts.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.
@@ -71,7 +73,10 @@ def encode(
         >>> fitted.words("Fz"), fitted.primitive.t1[2].tolist()[:3]
         (['FX', 'PS', 'FX'], [200, 300, 400])
     """
-    config = config or config_of(rule, window, 1 / _positive(rate))
+    if config is None:
+        config = config_of(rule, window, period(rate))
+    else:
+        _check_agreement(config, rate, window, rule)
     several = isinstance(wrench, list | tuple)
     signals = [_signal(one, config.dt) for one in wrench] if several else [_signal(wrench, config.dt)]
     if not signals:
@@ -90,23 +95,27 @@ def encode(
     return replace(tracks, info=info)
 
 
-def _positive(rate: float) -> float:
-    if not 0 < rate < float("inf"):
-        raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
-    return rate
+def _check_agreement(config: AnyConfig, rate: float, window: int, rule: str) -> None:
+    """Refuse what was given beside a configuration that has another value; the defaults count as not given."""
+    for what, given, default, chosen in (
+        ("rate", rate, RATE, rate if np.isclose(rate * config.dt, 1) else 1 / config.dt),
+        ("window", window, WINDOW, config.window),
+        ("rule", rule, "paper", "fit" if isinstance(config, FitConfig) else "paper"),
+    ):
+        if given not in (default, chosen):
+            raise InputError(f"The {what} is {given}, in the config {chosen}; give one of them.")
 
 
 def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ...]]:
     """Values ``[..., time, axis]`` and names of the axes."""
-    values, names = _read_signal(wrench, dt)
+    values, names = read_signal(wrench, dt)
     if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape[-1:]:
         raise InputError(
             f"The wrench has shape {values.shape} of {values.dtype}; expected numbers [time, axis] or "
             "[recording, time, axis]."
         )
-    values = values.astype(
-        np.float64 if values.dtype == np.float64 and jax.config.read("jax_enable_x64") else np.float32
-    )
+    double = np.result_type(values, np.float32) == np.float64 and jax.config.read("jax_enable_x64")
+    values = values.astype(np.float64 if double else np.float32)
     return values, names or axis_names(values.shape[-1])
 
 
@@ -127,15 +136,7 @@ def read_signals(
     Raises:
         InputError: other shapes, recordings of different axes, or a time that disagrees or has a gap.
     """
-    if _is_frame(recordings) or _is_xarray(recordings):
-        values, names = _read_signal(recordings, dt, axis_first)
-        read = [(value, names) for value in values]
-    else:
-        read = [_read_signal(recording, dt, axis_first) for recording in recordings]
-    named = list({names for _, names in read if names})
-    if len(named) > 1:
-        raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
-    parts = [np.asarray(values, np.float32) for values, _ in read]
+    parts, names = read_parts(recordings, dt, axis_first)
     shapes = [part.shape for part in parts]
     if not parts or any(len(shape) != 2 for shape in shapes):
         raise InputError(
@@ -146,95 +147,7 @@ def read_signals(
         raise InputError(
             f"Recordings have the shapes {sorted(set(shapes))}; they need samples, and the same axes each."
         )
-    return *padded(parts), next(iter(named), None)
-
-
-def _read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
-    """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
-
-    Args:
-        wrench: NumPy, JAX, pandas or xarray.
-        dt: s per sample, with which a column, an index or a coordinate of time must agree.
-        axis_first: values whose dimensions have no names are ``[..., axis, time]``.
-
-    Raises:
-        InputError: a time that disagrees, has a gap or is none, or an xarray Dataset.
-    """
-    if _is_frame(wrench):
-        index = getattr(wrench, "index", None)
-        if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
-            _check_time(index, dt)
-        if "time" in wrench.columns:
-            _check_time(wrench["time"], dt)
-            wrench = wrench.drop(columns="time")
-        return wrench.to_numpy(), tuple(map(str, wrench.columns))
-    if _is_xarray(wrench):
-        if hasattr(wrench, "data_vars"):
-            raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
-        wrench = _ordered(wrench, axis_first)
-        if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
-            _check_time(wrench.coords["time"], dt)
-        return wrench.to_numpy(), _coordinate_names(wrench)
-    values = np.asarray(wrench)
-    return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
-
-
-def _is_frame(wrench: Any) -> bool:
-    """A data frame, as of pandas."""
-    return hasattr(wrench, "columns") and hasattr(wrench, "to_numpy")
-
-
-def _is_xarray(wrench: Any) -> bool:
-    """An array or a data set of xarray."""
-    return hasattr(wrench, "dims") and hasattr(wrench, "coords")
-
-
-def _ordered(wrench: Any, axis_first: bool = False) -> Any:
-    """An xarray with time and axis last: the dimensions of these names, or else the last ones."""
-    dims = list(wrench.dims)
-    if len(dims) < 2:
-        return wrench
-    others = [dim for dim in dims if dim not in ("time", "axis")]
-    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and "time" not in dims else -1)
-    time = "time" if "time" in dims else others.pop()
-    return wrench.transpose(*others, time, axis)
-
-
-def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
-    """Names of the axes, the last dimension; numbers are no names unless the dimension is called axis."""
-    axis = wrench.dims[-1] if wrench.dims else ""
-    if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
-        return None
-    return tuple(map(str, wrench.coords[axis].to_numpy()))
-
-
-def _check_time(time: Any, dt: float) -> None:
-    """Refuse a time ``[..., sample]`` of another rate, or with a gap."""
-    seconds = _seconds(time)
-    steps = np.diff(seconds)
-    if not steps.size:
-        return
-    step = float(np.median(steps))
-    if not abs(step - dt) <= RATE_TOLERANCE * dt:
-        raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
-    wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
-    if len(wrong):
-        place = tuple(wrong[0])
-        raise InputError(
-            f"The time jumps by {steps[place]:g} s after {seconds[place] - seconds[..., 0].min():g} s, at a rate of "
-            f'{1 / dt:g} samples per second; fill the gap, or import the recording with "rcbht import".'
-        )
-
-
-def _seconds(time: Any) -> NDArray[np.float64]:
-    """Numbers are seconds; dates and durations are counted from the first."""
-    kind = time.dtype.kind
-    if kind in "fiu":
-        return np.asarray(time, np.float64)
-    if kind not in "mM":
-        raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
-    stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")
-    return np.asarray((stamps - stamps[..., :1]) / np.timedelta64(1, "s"), np.float64)
+    return *padded(parts), names
 
 
 def _padded(
@@ -262,7 +175,7 @@ def _thresholds(thresholds: Any, axes: tuple[str, ...]) -> AnyLimits:
 
 def _names(wrench: Any, count: int) -> tuple[str | int, ...]:
     """Names of the recordings, those of xarray's first coordinate where there is one, else numbers."""
-    wrench = _ordered(wrench) if _is_xarray(wrench) else wrench
+    wrench = ordered(wrench) if is_xarray(wrench) else wrench
     dims: tuple[str, ...] = getattr(wrench, "dims", ())
     if len(dims) == 3 and dims[0] in getattr(wrench, "coords", {}):
         return tuple(map(str, wrench.coords[dims[0]].to_numpy()))

@@ -26,7 +26,9 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 
 
-def write_limits(path: Path, limits: AnyLimits, provenance: Mapping[str, Any], axes: Sequence[str] = AXES) -> None:
+def write_limits(
+    path: Path | str, limits: AnyLimits, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
+) -> None:
     """Write limits ``[axis, 4]``, and the tolerances ``[axis]`` of the fit rule, as a whole file or not at all.
 
     Args:
@@ -56,7 +58,7 @@ def write_limits(path: Path, limits: AnyLimits, provenance: Mapping[str, Any], a
     write_rows(path, FIT_VERSION, axes, columns, provenance, rule="fit")
 
 
-def read_limits(path: Path, axes: Sequence[str] = AXES) -> tuple[AnyLimits, dict[str, Any]]:
+def read_limits(path: Path | str, axes: Sequence[str] = AXES) -> tuple[AnyLimits, dict[str, Any]]:
     """Limits of some axes, by name, and their provenance: GradientThresholds, or FitLimits of a file of the fit rule.
 
     Raises:
@@ -75,7 +77,7 @@ def read_limits(path: Path, axes: Sequence[str] = AXES) -> tuple[AnyLimits, dict
     return found, provenance
 
 
-def has_tolerances(path: Path) -> bool:
+def has_tolerances(path: Path | str) -> bool:
     """Whether a file of limits is for the fit rule.
 
     Raises:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import rcbht_jax
 from rcbht_jax._util.atomic import atomic_write
 from rcbht_jax._util.untrusted import checked_number, load_json
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax._util.values import positive
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
@@ -129,18 +130,18 @@ COLUMNS = {FORMAT_VERSION: LIMITS, FIT_VERSION: (*LIMITS, TOLERANCE)}
 
 
 def write_thresholds(
-    path: Path, thresholds: GradientThresholds, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
+    path: Path | str, thresholds: Any, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
 ) -> None:
     """Write thresholds ``[axis, 4]``, in units of the axes per second, as a whole file or not at all.
 
     Args:
         path: file to write; an existing one is replaced.
-        thresholds: what to write.
+        thresholds: GradientThresholds, or limits ``[axis, 4]``.
         provenance: how they were found; JSON values.
         axes: their names.
 
     Raises:
-        InputError: wrong shape, not in order, or the folder does not exist.
+        InputError: wrong shape, not in order, limits of the fit rule, or the folder does not exist.
 
     Example:
         >>> import tempfile
@@ -149,13 +150,15 @@ def write_thresholds(
         ...     read_thresholds(Path(folder) / "hiro.json")[1]
         {'from': 'the authors'}
     """
-    limits = np.asarray(thresholds.limits, np.float64)
+    if hasattr(thresholds, "tolerance"):
+        raise InputError("These limits have tolerances; write them with rcbht_jax.encoding.limit_files.write_limits.")
+    limits = np.asarray(limits_of(thresholds), np.float64)
     check_rows(limits, path, axes)
     write_rows(path, FORMAT_VERSION, axes, dict(zip(LIMITS, limits.T, strict=True)), provenance)
 
 
 def write_rows(
-    path: Path,
+    path: Path | str,
     version: int,
     axes: Sequence[str],
     columns: Mapping[str, NDArray[np.float64]],
@@ -167,6 +170,7 @@ def write_rows(
     Raises:
         InputError: the folder does not exist.
     """
+    path = as_path(path)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; make it, or choose another file.")
     lists = {name: values.tolist() for name, values in columns.items()}
@@ -185,7 +189,7 @@ def write_rows(
         draft.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:
+def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:
     """Thresholds ``[axis, 4]`` of some axes, by name, and their provenance.
 
     Raises:
@@ -207,14 +211,14 @@ def read_thresholds(path: Path, axes: Sequence[str] = AXES) -> tuple[GradientThr
     return GradientThresholds(limits), provenance
 
 
-def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
+def read_rows(path: Path | str, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[np.float64]], dict[str, Any]]:
     """Version, numbers ``[axis]`` by name, and provenance of a file of thresholds.
 
     Raises:
         InputError: not such a file, it has nothing for one of the axes, or something that is no number.
     """
     try:
-        content = load_json(path)
+        content = load_json(as_path(path))
         version = content["format_version"]
         if content["format"] != FORMAT or version not in COLUMNS:
             raise InputError(f"{path} is not a file of thresholds of version {' or '.join(map(str, COLUMNS))}.")
@@ -231,11 +235,11 @@ def read_rows(path: Path, axes: Sequence[str]) -> tuple[int, dict[str, NDArray[n
     return version, columns, provenance
 
 
-def _number(path: Path, rows: Mapping[str, Any], axis: str, name: str) -> float:
+def _number(path: Path | str, rows: Mapping[str, Any], axis: str, name: str) -> float:
     return checked_number(f"{path}: {name} of {axis}", rows[axis][name])
 
 
-def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path, axes: Sequence[str]) -> None:
+def check_rows(limits: np.ndarray[Any, np.dtype[np.float64]], path: Path | str, axes: Sequence[str]) -> None:
     """Refuse limits ``[axis, 4]`` of a file that are of another shape or out of order.
 
     Raises:

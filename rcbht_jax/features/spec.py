@@ -158,11 +158,13 @@ def interval_features(
             compare names of features, so name axes only where no model is stored.
 
     Raises:
-        InputError: an interval is empty or points outside the recordings.
+        InputError: an interval is empty or points outside the recordings, or the labels are of a single one.
     """
-    axes = tuple(axes) or axis_names(int(np.asarray(tracks.primitive.label).shape[1]))
-    recordings = int(np.asarray(tracks.primitive.label).shape[0])
-    _check(intervals, recordings)
+    shape = np.shape(tracks.primitive.label)
+    if len(shape) != 3:
+        raise InputError(f"Labels have the shape {shape}; expected [recording, axis, slot], as of tracks.take(0).")
+    axes = tuple(axes) or axis_names(shape[1])
+    _check(intervals, shape[0])
     blocks = [block for layer in spec.layers for block in _layer(getattr(tracks, layer), intervals, layer, spec, axes)]
     seconds = ((intervals.end - intervals.start) * intervals.dt).astype(np.float32)[:, None]
     if "duration" in spec.families:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import rcbht_jax
 from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.encoding.rules import (
     AnyConfig,
     AnyLimits,
@@ -158,7 +159,7 @@ class IntrospectionModel:
         return checked_limits(self.encoder, self.limits)
 
 
-def save(path: Path, model: IntrospectionModel) -> None:
+def save(path: Path | str, model: IntrospectionModel) -> None:
     """Write a model to ``path`` (a single file, any suffix), whole or not at all.
 
     Raises:
@@ -177,12 +178,13 @@ def save(path: Path, model: IntrospectionModel) -> None:
     write_archive(path, {"format": FORMAT, "encoder": config_fields(model.encoder), "heads": heads, **rest}, arrays)
 
 
-def load(path: Path) -> IntrospectionModel:
+def load(path: Path | str) -> IntrospectionModel:
     """Read a file written by :func:`save`.
 
     Raises:
         InputError: the file is missing, damaged, or not a model of this format.
     """
+    path = as_path(path)
     with reading(path, FORMAT) as (meta, archive):
         config = config_from(meta["encoder"])
         limits = limits_from(config, archive)

@@ -20,9 +20,11 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.signals import read_signal
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold
 from rcbht_jax.introspection.neighbours import Bank, distances, make_bank, nearest
+from rcbht_jax.learning.estimators import keep_names
 
 with needs_extra("learn"):
     from sklearn.base import BaseEstimator
@@ -48,6 +50,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
     Attributes:
         n_features_in_: axes of a recording.
+        feature_names_in_: their names ``[axis]``, only where pandas or xarray gave them to ``fit``.
         peaks_: largest scores ``[recording]`` of the nominal recordings that set the threshold.
     """
 
@@ -62,21 +65,25 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         """Learn from nominal recordings of one skill, each from the beginning of the skill.
 
         Args:
-            X: recordings ``[time, axis]`` of any lengths, all nominal.
+            X: recordings ``[time, axis]`` of any lengths, all nominal; NumPy, JAX, pandas or xarray, read as by
+                :func:`rcbht_jax.encode`.
             y: not used.
             groups: day or session of each; the score is made insensitive to what differs between groups, and the
                 threshold covers it. None = each recording is a group of its own.
 
         Raises:
-            InputError: fewer than three recordings, wrong shapes, values that are not finite, or bad parameters.
+            InputError: fewer than three recordings, wrong shapes, other axes in some, values that are not finite, a
+                time that disagrees with the rate, or bad parameters.
         """
         if self.calibration not in CALIBRATIONS:
             raise InputError(f"calibration is {self.calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
         self._check()
-        series = [_series(part) for part in X]
-        if len(series) < 3 or len({part.shape[1] for part in series}) > 1:
+        read = [_series(part, self.rate) for part in X]
+        series = [part for part, _ in read]
+        if len(series) < 3 or len({(part.shape[1], names) for part, names in read}) > 1:
             raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
         self.n_features_in_ = series[0].shape[1]
+        keep_names(self, read[0][1])
         names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
         if names.shape != (len(series),):
             raise InputError(f"There are {len(names)} groups for {len(series)} recordings.")
@@ -215,9 +222,14 @@ class MonitorStream:
         """Scores at new samples ``[time, axis]``; 0 before the first score.
 
         Raises:
-            InputError: other axes than those learned, or values that are not finite.
+            InputError: other axes than those learned, values that are not finite, or a time that disagrees with the
+                rate.
         """
-        monitor, new = self._monitor, _series(samples, least=0)
+        monitor = self._monitor
+        new, names = _series(samples, monitor.rate, least=0)
+        known = tuple(getattr(monitor, "feature_names_in_", names or ()))
+        if names and names != known:
+            raise InputError(f"The samples have the axes {', '.join(names)}; the monitor learned {', '.join(known)}.")
         if new.shape[1] != monitor.n_features_in_:
             raise InputError(f"The samples have {new.shape[1]} axes; the monitor learned {monitor.n_features_in_}.")
         waiting, step = len(self._samples), monitor._step
@@ -324,6 +336,8 @@ class NominalMonitor(Monitor):
         return np.concatenate([changes, values], 1)
 
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
+        if not set(self.levels) <= set(range(self.n_features_in_)):
+            raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {self.n_features_in_ - 1}.")
         first = self._count(self.baseline)
         described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
         slack = self.slack * self.rate / self._step
@@ -337,13 +351,17 @@ class NominalMonitor(Monitor):
         return np.log1p(ratio**2 / FREEDOM).mean(1)
 
 
-def _series(values: ArrayLike, least: int = 1) -> Float[np.ndarray, "time axis"]:
-    series = np.asarray(values, np.float64)
+def _series(
+    values: ArrayLike, rate: float, least: int = 1
+) -> tuple[Float[np.ndarray, "time axis"], tuple[str, ...] | None]:
+    """A recording, and the names of its axes, where it has some."""
+    read, names = read_signal(values, 1 / rate)
+    series = np.asarray(read, np.float64)
     if series.ndim != 2 or series.shape[1] < 1 or len(series) < least:
         raise InputError(f"A recording has the shape {series.shape}; expected [time, axis] with samples.")
     if not np.isfinite(series).all():
         raise InputError("A recording holds values that are not finite.")
-    return series
+    return series, names
 
 
 def _blocks(series: Float[np.ndarray, "time axis"], step: int) -> Float[np.ndarray, "_ axis"]:

@@ -10,6 +10,7 @@ import numpy as np
 
 import rcbht_jax
 from rcbht_jax._util.untrusted import checked_texts
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.neighbours import Bank
 from rcbht_jax.introspection.nominal import NominalMonitor
@@ -30,7 +31,7 @@ class MonitorFile:
     units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
 
 
-def save(path: Path, file: MonitorFile) -> None:
+def save(path: Path | str, file: MonitorFile) -> None:
     """Write a fitted monitor.
 
     Raises:
@@ -49,12 +50,13 @@ def save(path: Path, file: MonitorFile) -> None:
     write_archive(path, meta, {"peaks": file.monitor.peaks_, **{name: getattr(bank, name) for name in _ARRAYS}})
 
 
-def load(path: Path) -> MonitorFile:
+def load(path: Path | str) -> MonitorFile:
     """Read what :func:`save` wrote.
 
     Raises:
         InputError: missing, damaged, or not a monitor.
     """
+    path = as_path(path)
     with reading(path, FORMAT, gaps=("described",)) as (meta, archive):
         arrays: dict[str, Any] = {name: archive[name] for name in _ARRAYS}
         numbers: dict[str, Any] = {name: meta[name] for name in _NUMBERS}

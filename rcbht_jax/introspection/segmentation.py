@@ -61,6 +61,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
 
     Attributes:
         classes_: sorted class indices.
+        axes_: names of the axes and their units.
         thresholds_: gradient thresholds of the words.
         tolerance_: tolerances ``[axis]`` of the words; None by the paper's rule.
 
@@ -99,6 +100,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         self.classes_ = np.setdiff1d(np.concatenate(y), [UNKNOWN])
         if len(self.classes_) < 2:
             raise InputError(f"There are {len(self.classes_)} classes in {len(y)} recordings; two are needed.")
+        self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
         self.thresholds_ = auto_thresholds(recordings, self.window)
         config = config_of(self.rule, self.window, recordings.dt)
         self._limits = limits_for(config, self.thresholds_, self.tolerance, recordings.wrench, recordings.length)
@@ -115,8 +117,18 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         return self
 
     def predict_proba(self, recordings: Recordings) -> Tables:
-        """Probability of each class ``[sample, class]`` of each recording."""
+        """Probability of each class ``[sample, class]`` of each recording.
+
+        Raises:
+            InputError: recordings of other axes, units or another rate than in :meth:`fit`.
+        """
         check_is_fitted(self, "second_")
+        if (recordings.axes, recordings.units) != self.axes_ or not np.isclose(recordings.dt, self._dt):
+            raise InputError(
+                f"The recordings have {', '.join(recordings.axes)} in {', '.join(recordings.units)} at "
+                f"{1 / recordings.dt:g} Hz; the segmenter learned {', '.join(self.axes_[0])} in "
+                f"{', '.join(self.axes_[1])} at {1 / self._dt:g} Hz."
+            )
         every = _every(recordings.dt)
         out = []
         for table, length in zip(self._tables(recordings), recordings.length.tolist(), strict=True):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, store_v2
 from rcbht_jax.io import zarr as zarr_io
@@ -29,7 +30,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def write_tracks(
-    path: Path, name: str, tracks: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
+    path: Path | str, name: str, tracks: LabelTracks, attrs: Mapping[str, Any], *, created: str | None = None
 ) -> None:
     """Add a set of label tracks to a store, atomically.
 
@@ -49,6 +50,7 @@ def write_tracks(
         InputError: ``path`` is not a store, the name is malformed or taken, a shape or dtype is wrong, or ``attrs``
             is not JSON.
     """
+    path = as_path(path)
     count = count_recordings(path)
     for layer in LAYERS:
         label_parts.checked(getattr(tracks, layer), layer, count)
@@ -96,7 +98,7 @@ def write_batches(
     zarr_io.consolidate(path)
 
 
-def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
+def read_tracks(path: Path | str, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     """Read a set of label tracks ``[recording, axis, slot]`` and its attributes.
 
     >>> tracks, attrs = read_tracks(Path("trials.zarr"), "online-W5")
@@ -106,6 +108,7 @@ def read_tracks(path: Path, name: str) -> tuple[LabelTracks, dict[str, Any]]:
     Raises:
         InputError: ``path`` is not a store, has no such tracks, or they are damaged.
     """
+    path = as_path(path)
     attrs = read_tracks_attrs(path, name)
     count = count_recordings(path)
     [tracks] = read_batches(path, name, [count])
@@ -196,12 +199,13 @@ def part_sizes(count: int) -> list[int]:
     return [min(label_parts.PART, count - first) for first in range(0, count, label_parts.PART)]
 
 
-def choose_tracks(path: Path, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
+def choose_tracks(path: Path | str, name: str = "") -> tuple[str, LabelTracks, dict[str, Any]]:
     """Name, label tracks and attributes of the tracks ``name``; without a name, of the only ones in the store.
 
     Raises:
         InputError: there are none, none of that name, or several and no name is given.
     """
+    path = as_path(path)
     chosen = choose_name(path, name)
     return (chosen, *read_tracks(path, chosen))
 
@@ -224,12 +228,13 @@ def choose_name(path: Path, name: str = "") -> str:
     return name or names[0]
 
 
-def list_tracks(path: Path) -> list[str]:
+def list_tracks(path: Path | str) -> list[str]:
     """Names of the label tracks in a store, sorted; also of damaged ones, which reading them shows.
 
     Raises:
         InputError: ``path`` is not a store.
     """
+    path = as_path(path)
     open_store(path)
     return sorted(name for name in zarr_io.subfolders(path / LABELS) if NAME.fullmatch(name))
 

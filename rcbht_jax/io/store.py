@@ -67,7 +67,7 @@ def check_target(path: Path, overwrite: bool) -> None:
 
 
 def write_recordings(
-    path: Path,
+    path: Path | str,
     recordings: Recordings,
     attrs: Mapping[str, Any],
     overwrite: bool = False,
@@ -93,6 +93,7 @@ def write_recordings(
     Raises:
         InputError: the recordings contradict themselves, ``path`` exists, or ``attrs`` is not JSON.
     """
+    path = as_path(path)
     check_target(path, overwrite)
     validate(recordings)
     for name, values in (simulation or {}).items():

@@ -17,6 +17,7 @@ from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.values import positive, usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
@@ -98,10 +99,13 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         """Learn the number of axes and, by the fit rule, the tolerance; check the parameters.
 
         Raises:
-            InputError: wrong shapes, an unknown layout, robot or rule, thresholds or tolerances that do not fit the
-                axes, or a tolerance or configuration of the other rule.
+            InputError: wrong shapes, values that are not finite, an unknown layout, robot or rule, features that are no
+                FeatureSpec, thresholds or tolerances that do not fit the axes, or a tolerance or configuration of the
+                other rule.
         """
         wrench, length, names = self._read(X)
+        if not usable(wrench):
+            raise InputError("Recordings hold values that are not finite numbers; remove or interpolate them.")
         axes = wrench.shape[2]
         fitted = isinstance(self.thresholds, FitLimits)
         self.thresholds_ = _limits(self.thresholds.gradients if fitted else self.thresholds, names or axis_names(axes))
@@ -110,7 +114,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
         described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features, names or ())
         self.n_features_in_ = axes
-        _keep_names(self, names)
+        keep_names(self, names)
         self._names = np.array(described.names, object)
         self.feature_weight_ = described.weights(self.features or FeatureSpec())
         return self
@@ -165,7 +169,7 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return tags
 
 
-def _keep_names(estimator: Any, names: tuple[str, ...] | None) -> None:
+def keep_names(estimator: Any, names: tuple[str, ...] | None) -> None:
     """Names of axes as scikit-learn has names of features: an attribute where there are some."""
     vars(estimator).pop("feature_names_in_", None)
     if names:
@@ -184,9 +188,9 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     return limits
 
 
-def _describe(
-    tracks: LabelTracks, length: NDArray[Any], dt: float, spec: FeatureSpec | None, names: tuple[str, ...] = ()
-) -> Features:
+def _describe(tracks: LabelTracks, length: NDArray[Any], dt: float, spec: Any, names: tuple[str, ...] = ()) -> Features:
+    if not isinstance(spec, FeatureSpec | None):
+        raise InputError(f'features is {spec!r}; expected a FeatureSpec, such as FeatureSpec(("histogram",)).')
     rows = np.arange(len(length))
     return interval_features(tracks, Intervals(rows, np.zeros_like(rows), length, dt), spec or FeatureSpec(), names)
 
@@ -252,7 +256,8 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
                 sample is a trial of its own.
 
         Raises:
-            InputError: fewer than two classes, bad parameters, or too few groups for probabilities.
+            InputError: fewer than two classes, bad parameters, weights of features that are not positive or not one for
+                each, or too few groups for probabilities.
         """
         X, y = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(y)
@@ -264,6 +269,8 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         )
         names = [str(name) for name in self.classes_]
         weight = None if self.feature_weight is None else np.asarray(self.feature_weight, np.float64)
+        if weight is not None and not (weight.shape == (X.shape[1],) and positive(weight)):
+            raise InputError(f"feature_weight has the shape {weight.shape}; expected {X.shape[1]} positive numbers.")
         if self.probability:
             machine = fit_probabilistic(X, code, groups, names, spec, self.random_state, self.cv, weight)
             self.model_, self.sigmoid_ = machine.svm, machine.sigmoid
@@ -352,7 +359,7 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
         self.features_ = WrenchFeatures(**described).fit(X)
         self.n_features_in_ = self.features_.n_features_in_
-        _keep_names(self, tuple(getattr(self.features_, "feature_names_in_", ())))
+        keep_names(self, tuple(getattr(self.features_, "feature_names_in_", ())))
         self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
         if self.features_.feature_weight_ is not None:
             self.classifier_.set_params(feature_weight=self.features_.feature_weight_)

@@ -85,7 +85,10 @@ Grammars = Mapping[str, Mapping[str, LabelTracks] | TrackBatches]
 
 
 def candidates(
-    tracks: LabelTracks | Grammars, items: LabelledIntervals, features: FeatureSpec | Mapping[str, FeatureSpec]
+    tracks: LabelTracks | Grammars,
+    items: LabelledIntervals,
+    features: FeatureSpec | Mapping[str, FeatureSpec],
+    count: int | None = None,
 ) -> dict[str, tuple[Features, Weight]]:
     """Features of all labels by all specifications, in the order given, with the weights of their columns, by name."""
     grammars = {"": tracks} if isinstance(tracks, LabelTracks) else tracks
@@ -93,7 +96,7 @@ def candidates(
     described: dict[str, tuple[Features, Weight]] = {}
     for grammar, labels in grammars.items():
         for name, spec in specs.items():
-            part = extract_features(labels, items, spec)
+            part = extract_features(labels, items, spec, count)
             described[" ".join(filter(None, (grammar, name)))] = part, part.weights(spec)
     return described
 
@@ -123,8 +126,8 @@ def evaluate(
         facts: of the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: unknown sessions, too few trials for the folds, fewer than two classes, or a splitter that divides
-            a trial.
+        InputError: unknown sessions, too few trials for the folds, fewer than two classes, a splitter that divides a
+            trial, or labels of more or fewer recordings.
 
     Example:
         >>> import rcbht_jax as rj
@@ -137,7 +140,7 @@ def evaluate(
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = labelled_intervals(recordings, task)
-    described = candidates(tracks, items, features)
+    described = candidates(tracks, items, features, len(recordings))
     facts = facts or WrenchFacts.of(recordings)
     provenance = {
         "version": rcbht_jax.__version__,
@@ -261,7 +264,7 @@ def train(
         facts: of the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: fewer than two classes, or a class with a single trial.
+        InputError: fewer than two classes, a class with a single trial, or labels of more or fewer recordings.
 
     Example:
         >>> import rcbht_jax as rj
@@ -273,7 +276,7 @@ def train(
     """
     items = labelled_intervals(recordings, task)
     facts = facts or WrenchFacts.of(recordings)
-    described = candidates(tracks, items, features)
+    described = candidates(tracks, items, features, len(recordings))
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
     chosen = select(matrices, items.y, items.trial, grid or Grid(), seed, weights, progress)

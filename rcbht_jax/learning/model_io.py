@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import rcbht_jax
 from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts, parse_json, read_arrays
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.scaling import KNOTS
@@ -52,7 +53,7 @@ class TrainedModel:
     digests: NDArray[np.uint8] = field(default_factory=lambda: _NO_DIGESTS)  # [recording, byte] that taught
 
 
-def save(path: Path, model: TrainedModel) -> None:
+def save(path: Path | str, model: TrainedModel) -> None:
     """Write ``model`` to ``path`` (a single file, any suffix).
 
     Raises:
@@ -68,12 +69,13 @@ def save(path: Path, model: TrainedModel) -> None:
     write_archive(path, meta, {**arrays, "digests": model.digests})
 
 
-def load(path: Path) -> TrainedModel:
+def load(path: Path | str) -> TrainedModel:
     """Read a file written by ``save``.
 
     Raises:
         InputError: the file is missing, damaged, or not a model of this format.
     """
+    path = as_path(path)
     with reading(path, FORMAT) as (meta, archive):
         names = checked_texts("its features", meta["feature_names"])
         check_objects(meta, "task", "encoder", "extra")
@@ -123,13 +125,14 @@ def read_svm(
     return svm
 
 
-def write_archive(path: Path, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_archive(path: Path | str, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write a JSON text and arrays as one compressed archive, whole or not at all.
 
     Raises:
         InputError: the folder does not exist, or ``meta`` is not JSON.
         OSError: the disk is full.
     """
+    path = as_path(path)
     try:
         text = json.dumps(meta, allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -156,7 +156,7 @@ def classify(
             or "no trial passes the filters"
         )
         raise InputError(f"there is no sentence to classify ({why}).")
-    features = extract_features(tracks, items, model.feature_spec)
+    features = extract_features(tracks, items, model.feature_spec, len(recordings))
     if features.names != model.feature_names:
         raise InputError(
             f"the labels give {len(features.names)} features and the model of version {model.version} reads "

@@ -195,6 +195,7 @@ def extract_features(
     tracks: LabelTracks | Mapping[str, LabelTracks] | TrackBatches,
     items: LabelledIntervals | UnlabelledIntervals,
     spec: FeatureSpec,
+    count: int | None = None,
 ) -> Features:
     """Features of every item, both arms side by side where the task has two.
 
@@ -202,6 +203,10 @@ def extract_features(
         tracks: labels, or those of several encoders by name, which are put side by side; or batches of such.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
+        count: recordings that the items were found in; labels of more or fewer are refused.
+
+    Raises:
+        InputError: labels of other recordings than those of the items, as far as their numbers tell.
 
     Example:
         >>> import rcbht_jax as rj
@@ -212,12 +217,15 @@ def extract_features(
         ((2, 96), 'histogram.llb.Fx.time.FX')
     """
     if isinstance(tracks, TrackBatches):
-        return extract_batched_features(tracks.read(), items, spec)
-    return extract_batched_features([tracks if isinstance(tracks, Mapping) else {"": tracks}], items, spec)
+        return extract_batched_features(tracks.read(), items, spec, count)
+    return extract_batched_features([tracks if isinstance(tracks, Mapping) else {"": tracks}], items, spec, count)
 
 
 def extract_batched_features(
-    batches: Iterable[Mapping[str, LabelTracks]], items: LabelledIntervals | UnlabelledIntervals, spec: FeatureSpec
+    batches: Iterable[Mapping[str, LabelTracks]],
+    items: LabelledIntervals | UnlabelledIntervals,
+    spec: FeatureSpec,
+    count: int | None = None,
 ) -> Features:
     """As :func:`extract_features`, of label tracks that come in batches: the features alone are kept.
 
@@ -225,13 +233,14 @@ def extract_batched_features(
         batches: label tracks by name, of consecutive recordings from the first on.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
+        count: recordings that the items were found in.
     """
     found: dict[tuple[str, int], tuple[list[NDArray[np.int64]], list[Features]]] = {}
     first = 0
     for batch in batches:
-        count = len(next(iter(batch.values())).llb.label)
+        size = len(next(iter(batch.values())).llb.label)
         for arm, intervals in enumerate(items.intervals):
-            mine = np.flatnonzero((intervals.recording >= first) & (intervals.recording < first + count))
+            mine = np.flatnonzero((intervals.recording >= first) & (intervals.recording < first + size))
             part = intervals.take(mine)
             part = replace(part, recording=part.recording - first)
             for name, tracks in batch.items():
@@ -239,7 +248,10 @@ def extract_batched_features(
                 if len(mine) or not features:
                     places.append(mine)
                     features.append(interval_features(tracks, part, spec))
-        first += count
+        first += size
+    last = max((int(intervals.recording.max(initial=-1)) for intervals in items.intervals), default=-1)
+    if first <= last or first != (first if count is None else count):
+        raise InputError(f"The labels are of {first} recordings, the intervals of {count or last + 1}; take the same.")
     by_name: dict[str, list[Features]] = {}
     for (name, _), (places, features) in found.items():
         order = np.argsort(np.concatenate(places), kind="stable")

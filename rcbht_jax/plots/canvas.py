@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.printable import printable
+from rcbht_jax._util.url_path import as_path
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 from rcbht_jax.types import LabelTracks, Recordings
@@ -102,7 +103,7 @@ def check_suffix(path: Path) -> str:
     return suffix
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
 
     >>> save(new_figure((4.0, 3.0), 100), Path("empty.png"))
@@ -111,6 +112,7 @@ def save(figure: Figure, path: Path) -> None:
         InputError: the suffix is unknown, the folder does not exist, or the file cannot be written.
         OSError: the disk is full.
     """
+    path = as_path(path)
     suffix = check_suffix(path)
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")

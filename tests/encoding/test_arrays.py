@@ -98,6 +98,46 @@ def test_xarray_names_its_coordinates() -> None:
     np.testing.assert_array_equal(data.llb_label, EXPECTED.llb.label)
 
 
+def test_recordings_are_taken_with_their_names() -> None:
+    source = xr.DataArray(WRENCH, dims=("trial", "time", "axis"), coords={"trial": ["a", "b", "c"], "axis": NAMES})
+    tracks = rj.encode(source)
+    taken = tracks.take([2, 0])
+    assert taken.words("Fy", recording="c") == taken.words("Fy", recording=0) == tracks.words("Fy", recording=2)
+    assert taken.to_xarray().recording.values.tolist() == ["c", "a"]
+    mask = tracks.take(np.array([False, True, False])).to_frame()
+    assert mask.equals(tracks.to_frame().query("recording == 'b'").reset_index(drop=True))
+    assert tracks.take(1).words("Fx") == tracks.words("Fx", recording=1)
+    with pytest.raises(InputError, match="no recording 'd'; there are a, b, c"):
+        tracks.words("Fx", recording="d")
+
+
+def test_arrays_that_were_cut_are_not_called_by_other_names() -> None:
+    tracks = rj.encode(WRENCH)
+    assert jax.tree.map(lambda leaf: leaf[1:], tracks).to_xarray().sizes["recording"] == 2
+    some = jax.tree.map(lambda leaf: leaf[1, 2:4], tracks)
+    assert repr(some).startswith("LabelTracks(1 recording, 2 axes")
+    assert set(some.to_frame()["axis"]) == {"axis0", "axis1"}
+
+
+def test_missing_values_of_masked_arrays_and_pandas_are_seen() -> None:
+    frame, expected = pd.DataFrame(WRENCH[1], columns=NAMES), rj.encode(WRENCH[1]).to_frame()
+    for dtype in ("Float32", "float[pyarrow]"):
+        assert rj.encode(frame.astype(dtype)).to_frame().equals(expected)
+    counts = rj.encode(frame.round().astype("Int64")).to_frame()
+    assert counts.equals(rj.encode(WRENCH[1].round()).to_frame())
+    high = float(WRENCH[1].max())
+    for form in (np.ma.masked_equal(WRENCH[1], high), frame.mask(frame == high).astype("Float32")):
+        with pytest.raises(InputError, match="not finite"):
+            rj.encode(form)
+
+
+def test_whole_numbers_keep_their_digits_in_double_precision() -> None:
+    counts = np.cumsum(RNG.integers(-9, 10, (300, 1)), 0)
+    with jax.enable_x64(True):
+        near, far = (rj.encode(counts + offset).primitive for offset in (0, 2**31))
+    np.testing.assert_array_equal(near.label, far.label)
+
+
 def test_repr_is_short_and_the_picture_shows_every_word() -> None:
     tracks = rj.encode(WRENCH[0])
     assert repr(tracks).startswith("LabelTracks(1 recording, 6 axes at 200 Hz: ")
@@ -119,6 +159,9 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
         (lambda: rj.Encoder(rj.EncoderConfig(), rj.preset()).push(np.full((50, 6), 3e38)), "beyond 1e"),
         (lambda: rj.encode(WRENCH[0], rate=0), "rate"),
         (lambda: rj.encode(WRENCH[0], window=1), "window"),
+        (lambda: rj.encode(WRENCH[0], 1000, config=rj.EncoderConfig()), "rate is 1000, in the config 200"),
+        (lambda: rj.encode(WRENCH[0], window=7, config=rj.EncoderConfig()), "window is 7, in the config 5"),
+        (lambda: rj.encode(WRENCH[0], rule="fit", config=rj.EncoderConfig()), "rule is fit, in the config paper"),
         (lambda: rj.encode(WRENCH[0], thresholds="r2d2"), "r2d2"),
         (lambda: rj.encode(WRENCH[0], thresholds=np.ones((2, 4))), "shape"),
         (lambda: rj.encode(WRENCH[0], thresholds=rj.GradientThresholds(np.tile([1.0, 2, 3, 4], (6, 1)))), "ordered"),

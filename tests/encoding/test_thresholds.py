@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,9 @@ from hypothesis.extra.numpy import arrays
 
 from rcbht_jax import labels
 from rcbht_jax.encoding import thresholds
+from rcbht_jax.encoding.limit_files import read_limits, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from tests.support import oracle
 
@@ -70,6 +74,18 @@ def test_free_parameters_round_trip() -> None:
 def test_bad_thresholds_are_refused(limits: np.ndarray) -> None:
     with pytest.raises(InputError):
         thresholds.validate(limits)
+
+
+def test_a_file_takes_a_name_and_what_encoders_take(tmp_path: Path) -> None:
+    path, limits = str(tmp_path / "limits.json"), thresholds.preset().limits
+    for form in (limits, GradientThresholds(limits)):
+        thresholds.write_thresholds(path, form, {})
+        np.testing.assert_array_equal(thresholds.read_thresholds(path)[0].limits, limits)
+    fitted = FitLimits(limits, np.ones(6))
+    with pytest.raises(InputError, match="write_limits"):
+        thresholds.write_thresholds(path, fitted, {})
+    write_limits(path, fitted, {})
+    assert isinstance(read_limits(path)[0], FitLimits)
 
 
 def test_unknown_robot_is_refused() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from numpy.typing import NDArray
 from sklearn.base import clone
 
@@ -212,6 +214,22 @@ def test_alarms_are_judged_by_the_onset() -> None:
 def test_bad_input_is_one_sentence(monitor: Monitor, series: list[NDArray[np.float64]], words: str) -> None:
     with pytest.raises(InputError, match=words):
         monitor.fit(series)
+
+
+@every_monitor
+def test_a_time_is_no_axis_and_names_of_axes_are_compared(monitor: Monitor) -> None:
+    plain = pushes(8, 0)
+    frames = [pd.DataFrame(part, columns=["Fz", "My"]).assign(time=np.arange(len(part)) / 20) for part in plain]
+    fitted = clone(monitor).fit(frames)
+    assert fitted.feature_names_in_.tolist() == ["Fz", "My"]
+    expected = clone(monitor).fit(plain).scores(plain[0])
+    for form in (frames[0], plain[0], xr.DataArray(plain[0].T, {"axis": ["Fz", "My"]}, ("axis", "time"))):
+        np.testing.assert_array_equal(fitted.scores(form), expected)
+    with pytest.raises(InputError, match="axes My, Fz; the monitor learned Fz, My"):
+        fitted.scores(frames[0][["My", "Fz"]])
+    with pytest.raises(InputError, match="40 samples per second"):
+        fitted.scores(frames[0].assign(time=np.arange(len(plain[0])) / 40))
+    assert not hasattr(fitted.fit(plain), "feature_names_in_")
 
 
 def test_a_gaussian_process_finds_course_and_noise() -> None:

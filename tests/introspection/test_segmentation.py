@@ -94,6 +94,14 @@ def test_nonsense_is_not_learnt():
     assert result.score.accuracy < 0.85
 
 
+def test_recordings_of_another_sensor_are_refused():
+    recordings = made(3)
+    segmenter = WrenchSegmenter(**TREES).fit(recordings, [np.arange(n) // 20 % 2 for n in recordings.length.tolist()])
+    for other in ({"axes": ("Fx", "Fz")}, {"units": ("N", "mN")}, {"dt": 1 / 20}):
+        with pytest.raises(InputError, match="learned Fz, Fx in N, N at 40 Hz"):
+            segmenter.predict(replace(recordings, **other))
+
+
 def test_a_label_does_not_depend_on_later_samples():
     data = made()
     y = [data.annotations.of_samples(i, "phase", n, data.dt) for i, n in enumerate(data.length.tolist())]

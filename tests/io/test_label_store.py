@@ -50,9 +50,10 @@ def same_tracks(one: LabelTracks, two: LabelTracks) -> None:
 @given(seed=st.integers(0, 99), slots=st.integers(1, 9))
 def test_tracks_round_trip(seed: int, slots: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "x.zarr"
+        path = f"{folder}/x.zarr"  # text serves as well as a Path
         store.write_recordings(path, simple(), {})
         label_store.write_tracks(path, "online-W5", label_tracks(seed, slots=slots), {"window": 5})
+        assert label_store.choose_tracks(path)[0] == "online-W5"
         got, attrs = label_store.read_tracks(path, "online-W5")
         same_tracks(got, label_tracks(seed, slots=slots))
         assert attrs["window"] == 5

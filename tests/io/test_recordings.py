@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,3 +41,21 @@ def test_sets_of_other_sampling_periods_and_no_sets_cannot_be_joined() -> None:
         Recordings.join([simple(), replace(simple(), dt=0.01)])
     with pytest.raises(InputError, match="none"):
         Recordings.join([])
+
+
+def test_tables_and_named_arrays_are_read_by_their_names() -> None:
+    """A column of time is no axis, axes of xarray may stand anywhere, and what is masked is missing."""
+    values, names = np.random.default_rng(0).normal(size=(2, 30, 2)).astype(np.float32), ["grip", "Fz"]
+    frames = [pd.DataFrame(part, columns=names).assign(time=np.arange(30) / 100) for part in values]
+    turned = xr.DataArray(values.swapaxes(1, 2), {"axis": names}, ("trial", "axis", "time"))
+    for form in (frames, turned, list(turned)):
+        recordings = Recordings.from_arrays(form, rate=100)
+        np.testing.assert_array_equal(recordings.wrench, values)
+        assert recordings.axes == ("grip", "Fz")
+        assert recordings.units == ("", "N")
+    assert Recordings.from_arrays(frames, rate=100, axes=["a", "b"]).axes == ("a", "b")
+    assert np.isnan(Recordings.from_arrays([np.ma.masked_greater(values[0], 0)]).wrench).any()
+    for wrenches, rate, why in ((frames, 200, "100 samples per second"), (values, 0, "rate is 0"),
+                                ([frames[0], frames[1][["Fz", "grip"]]], 100, "different axes")):  # fmt: skip
+        with pytest.raises(InputError, match=why):
+            Recordings.from_arrays(wrenches, rate=rate)

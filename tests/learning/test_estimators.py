@@ -151,6 +151,8 @@ def test_thresholds_of_any_form(form):
         ({"thresholds": np.ones((3, 4))}, np.zeros((1, 9, 6)), r"expected \[6, 4\]"),
         ({"thresholds": (1, 2, 3, 4)}, np.zeros((1, 9, 6)), "ordered"),
         ({"rate": 0}, np.zeros((1, 9, 6)), "rate"),
+        ({"rule": "fit"}, np.full((1, 9, 6), np.nan), "not finite"),
+        ({"features": ("histogram",)}, np.zeros((1, 9, 6)), "expected a FeatureSpec"),
         ({"window": 1}, np.zeros((1, 9, 6)), "window"),
         ({"rule": "best"}, np.zeros((1, 9, 6)), "no rule 'best'"),
         ({"tolerance": 1.0}, np.zeros((1, 9, 6)), "belongs to the fit rule"),
@@ -233,6 +235,12 @@ def test_the_classifier_equals_the_projects_machine(classes):
     np.testing.assert_array_equal(machine.predict(x), fit(x, code, names.tolist(), spec).predict(x))
     decision = machine.decision_function(x)
     assert decision.shape == ((120,) if classes == 2 else (120, 3))
+
+
+@pytest.mark.parametrize("weight", [[1.0, 2.0], [1.0, 0.0, 1.0], 1.0])
+def test_weights_that_are_not_one_for_each_feature_are_refused(weight):
+    with pytest.raises(InputError, match="expected 3 positive numbers"):
+        SvmClassifier(feature_weight=weight).fit(np.eye(3), [0, 1, 1])
 
 
 def test_groups_and_splitters_decide_which_samples_fit_the_sigmoids():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 from sklearn.model_selection import GroupShuffleSplit, KFold, LeaveOneGroupOut
@@ -15,6 +16,7 @@ from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import model_io
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate, score, train
 from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.learning.predict import classify
 from rcbht_jax.learning.svm import Grid, grouped_folds
 from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
 from rcbht_jax.learning.validation import cross_validate, forest, majority, nested_svm, repeated_folds
@@ -303,6 +305,26 @@ def test_bad_protocols_and_filters_are_refused(recordings):
     alike = replace(recordings, outcome=np.where(recordings.session == "A", "success", recordings.outcome))
     with pytest.raises(InputError, match="only one class"):
         evaluate(alike, tracks, TaskSpec("outcome"), spec, only_one)
+
+
+def test_labels_of_other_recordings_are_refused(recordings):
+    """Their rows would be those of other trials."""
+    tracks, task, spec = make_tracks(recordings), TaskSpec("outcome"), FeatureSpec(("histogram",))
+    model = train(recordings, tracks, task, spec, Grid(("linear",), (1.0,), inner=2))
+    rows = np.arange(len(recordings))
+    for fewer, labels in ((rows[1:], tracks), (rows, tracks.take(rows[1:]))):
+        some = recordings.take(fewer)
+        with pytest.raises(InputError, match="The labels are of"):
+            evaluate(some, labels, task, spec, EvaluationProtocol(folds=2, repeats=1))
+        with pytest.raises(InputError, match="The labels are of"):
+            train(some, labels, task, spec)
+        with pytest.raises(InputError, match="The labels are of"):
+            classify(model, some, {"": labels}, task)
+    with pytest.raises(InputError, match="labels are of 3 recordings"):
+        extract_features(tracks.take(rows[:3]), labelled_intervals(recordings, task), spec)
+    single = jax.tree.map(lambda leaf: leaf[0], tracks)
+    with pytest.raises(InputError, match=r"expected \[recording, axis, slot\]"):
+        extract_features(single, labelled_intervals(recordings, task), spec)
 
 
 def test_a_trained_model_is_saved_and_says_the_same(recordings, tmp_path):

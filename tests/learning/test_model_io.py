@@ -38,7 +38,7 @@ def model() -> TrainedModel:
 
 
 def test_round_trip_keeps_everything(model, tmp_path):
-    path = tmp_path / "states.model"
+    path = str(tmp_path / "states.model")
     save(path, model)
     back = load(path)
     x = np.random.default_rng(1).normal(size=(50, 4))

@@ -1,0 +1,139 @@
+"""Signals as people have them, NumPy, JAX, pandas or xarray: values, names of axes, and a time to be checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcbht_jax.errors import InputError
+
+RATE_TOLERANCE = 0.01  # share by which the rate of a time coordinate may differ from the one that was given
+LONGEST_STEP = 5  # samples; a longer one is a gap, as for an import, and would be read as a steep line
+
+
+def period(rate: float) -> float:
+    """Seconds between samples.
+
+    Raises:
+        InputError: the rate is no positive, finite number.
+    """
+    if not 0 < rate < float("inf"):
+        raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
+    return 1 / rate
+
+
+def read_parts(
+    recordings: Any, dt: float, axis_first: bool = False
+) -> tuple[list[NDArray[np.float32]], tuple[str, ...] | None]:
+    """Recordings of an array or of several, each as :func:`read_signal` does, and the names that they share.
+
+    Raises:
+        InputError: recordings of different axes, or a time that disagrees or has a gap.
+    """
+    if is_frame(recordings) or is_xarray(recordings):
+        values, names = read_signal(recordings, dt, axis_first)
+        read = [(value, names) for value in values]
+    else:
+        read = [read_signal(recording, dt, axis_first) for recording in recordings]
+    named = list({names for _, names in read if names})
+    if len(named) > 1:
+        raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
+    return [np.asarray(values, np.float32) for values, _ in read], next(iter(named), None)
+
+
+def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
+    """Values ``[..., time, axis]`` of any type, and names of the axes; None = they have none.
+
+    Args:
+        wrench: NumPy, JAX, pandas or xarray.
+        dt: s per sample, with which a column, an index or a coordinate of time must agree.
+        axis_first: values whose dimensions have no names are ``[..., axis, time]``.
+
+    Raises:
+        InputError: a time that disagrees, has a gap or is none, or an xarray Dataset.
+    """
+    if is_frame(wrench):
+        index = getattr(wrench, "index", None)
+        if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
+            _check_time(index, dt)
+        if "time" in wrench.columns:
+            _check_time(wrench["time"], dt)
+            wrench = wrench.drop(columns="time")
+        return _frame_values(wrench), tuple(map(str, wrench.columns))
+    if is_xarray(wrench):
+        if hasattr(wrench, "data_vars"):
+            raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
+        wrench = ordered(wrench, axis_first)
+        if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
+            _check_time(wrench.coords["time"], dt)
+        return wrench.to_numpy(), _coordinate_names(wrench)
+    values = np.ma.filled(wrench.astype(np.float64), np.nan) if np.ma.isMaskedArray(wrench) else np.asarray(wrench)
+    return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def _frame_values(frame: Any) -> NDArray[Any]:
+    """Values ``[time, axis]``; numbers that may be missing, as pandas' own types have them, are NaN where they are."""
+    values = frame.to_numpy()
+    if values.dtype == object and all(getattr(dtype, "kind", "O") in "fiub" for dtype in frame.dtypes):
+        return np.asarray(frame.to_numpy(np.float64, na_value=np.nan))
+    return np.asarray(values)
+
+
+def is_frame(wrench: Any) -> bool:
+    """A data frame, as of pandas."""
+    return hasattr(wrench, "columns") and hasattr(wrench, "to_numpy")
+
+
+def is_xarray(wrench: Any) -> bool:
+    """An array or a data set of xarray."""
+    return hasattr(wrench, "dims") and hasattr(wrench, "coords")
+
+
+def ordered(wrench: Any, axis_first: bool = False) -> Any:
+    """An xarray with time and axis last: the dimensions of these names, or else the last ones."""
+    dims = list(wrench.dims)
+    if len(dims) < 2:
+        return wrench
+    others = [dim for dim in dims if dim not in ("time", "axis")]
+    axis = "axis" if "axis" in dims else others.pop(-2 if axis_first and "time" not in dims else -1)
+    time = "time" if "time" in dims else others.pop()
+    return wrench.transpose(*others, time, axis)
+
+
+def _coordinate_names(wrench: Any) -> tuple[str, ...] | None:
+    """Names of the axes, the last dimension; numbers are no names unless the dimension is called axis."""
+    axis = wrench.dims[-1] if wrench.dims else ""
+    if axis not in wrench.coords or (axis != "axis" and wrench.coords[axis].dtype.kind in "fiub"):
+        return None
+    return tuple(map(str, wrench.coords[axis].to_numpy()))
+
+
+def _check_time(time: Any, dt: float) -> None:
+    """Refuse a time ``[..., sample]`` of another rate, or with a gap."""
+    seconds = _seconds(time)
+    steps = np.diff(seconds)
+    if not steps.size:
+        return
+    step = float(np.median(steps))
+    if not abs(step - dt) <= RATE_TOLERANCE * dt:
+        raise InputError(f"The time says {1 / step if step else 0:g} samples per second, the rate {1 / dt:g}.")
+    wrong = np.argwhere((steps > LONGEST_STEP * dt) | (steps < 0))
+    if len(wrong):
+        place = tuple(wrong[0])
+        raise InputError(
+            f"The time jumps by {steps[place]:g} s after {seconds[place] - seconds[..., 0].min():g} s, at a rate of "
+            f'{1 / dt:g} samples per second; fill the gap, or import the recording with "rcbht import".'
+        )
+
+
+def _seconds(time: Any) -> NDArray[np.float64]:
+    """Numbers are seconds; dates and durations are counted from the first."""
+    kind = time.dtype.kind
+    if kind in "fiu":
+        return np.asarray(time, np.float64)
+    if kind not in "mM":
+        raise InputError(f"The time is {time.dtype}; expected seconds or dates.")
+    stamps = np.asarray(time, f"{'timedelta' if kind == 'm' else 'datetime'}64[ns]")
+    return np.asarray((stamps - stamps[..., :1]) / np.timedelta64(1, "s"), np.float64)
