@@ -118,8 +118,11 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     """What is simulated of an assembly on a robot.
 
     Raises:
-        InputError: it names some of its marks as tabs, not all.
+        InputError: it names some of its marks as tabs, not all, or two of its phases alike.
     """
+    states = tuple(phase.name for phase in assembly.phases)
+    if len(set(states)) < max(len(states), 1):
+        raise InputError(f"The phases of {assembly.name} are {', '.join(states) or 'none'}; each has its own name.")
     if assembly.tabs and len(assembly.tabs) != len(assembly.marks):
         raise InputError(
             f"{assembly.name} names {len(assembly.tabs)} tabs and {len(assembly.marks)} marks; expected a tab for each "
@@ -132,7 +135,7 @@ def pair(assembly: Assembly, robot: Robot) -> Scenario:
     names += [("", "hand"), ("", "timeout"), ("sensor", "noise"), ("sensor", "bias")]
     return Scenario(
         pairing, ("R",), partial(scene.scene, assembly, robot), draw.sample_batch, tuple(names), assembly.name,
-        robot.name, tuple(phase.name for phase in assembly.phases), assembly.variation, assembly.tabs,
+        robot.name, states, assembly.variation, assembly.tabs,
     )  # fmt: skip
 
 
@@ -164,12 +167,16 @@ def _module(path: str) -> Any:
     assert spec.loader is not None
     module = module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
+    folder = str(file.absolute().parent)
+    sys.path.append(folder)  # it may import its neighbours
     try:
         spec.loader.exec_module(module)
     except InputError:  # says itself what is wrong
         raise
     except Exception as error:
         raise InputError(f"{path} cannot be imported: {error}.") from error
+    finally:
+        sys.path.remove(folder)
     return module
 
 

@@ -210,7 +210,7 @@ def _fields(axes: int, real: str) -> dict[str, Field]:
 
 
 def _fields_in(group: zarr.Group) -> dict[str, Field]:
-    with zarr_io.reading(Path(str(group.store_path))):
+    with zarr_io.reading(zarr_io.path_of(group)):
         sample = [zarr_io.subgroup(group, layer) for layer in LAYERS][-1]["avg"]
         return _fields(sample.shape[1], str(sample.dtype))  # type: ignore[union-attr]
 

@@ -259,6 +259,6 @@ def _read_old(folder: Path, attrs: Mapping[str, Any], count: int) -> LabelTracks
 def _read_layer(group: zarr.Group, layer: str) -> LabelTrack:
     sub = group[layer]
     if not isinstance(sub, zarr.Group):
-        raise InputError(f"{group.store_path} has no layer {layer}; it is incomplete. Encode again.")
+        raise InputError(f"{zarr_io.path_of(group)} has no layer {layer}; it is incomplete. Encode again.")
     dtypes = {name: None if dtype == "float" else dtype for name, dtype in label_parts.FIELDS.items()}
     return LabelTrack(**{name: zarr_io.read_array(sub, name, dtype) for name, dtype in dtypes.items()})

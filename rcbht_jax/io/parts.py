@@ -86,7 +86,7 @@ def layout_of(group: zarr.Group) -> Layout:
     layout = Layout(int(group.attrs["rows"]), int(group.attrs["part_rows"]))  # type: ignore[arg-type]
     if layout.rows < 0 or layout.part < 1 or zarr_io.member(group, DIGESTS).shape != (len(layout), _DIGEST):
         raise InputError(
-            f"{group.store_path} says that it has {layout.rows} rows in parts of {layout.part}; it has not."
+            f"{zarr_io.path_of(group)} says that it has {layout.rows} rows in parts of {layout.part}; it has not."
         )
     return layout
 
@@ -213,14 +213,15 @@ def read(
     array = zarr_io.member(group, name)
     found = "string" if array.dtype.kind in "TUO" else str(array.dtype)
     if found != made.dtype:
-        raise InputError(f"{group.store_path}: {name} is {found}; expected {made.dtype}.")
+        raise InputError(f"{zarr_io.path_of(group)}: {name} is {found}; expected {made.dtype}.")
     within = [slice(None)] * (array.ndim - 1)
     if (axis := made.grows) is not None and width is not None:
         within[axis - 1] = slice(0, width)
     values = np.asarray(array[(rows, *within)] if isinstance(rows, slice) else array.oindex[(rows, *within)])
     wanted = len(range(*rows.indices(rows.stop))) if isinstance(rows, slice) and rows != slice(None) else len(values)
     if len(values) != wanted:
-        raise InputError(f"{group.store_path}: {name} has {len(values)} of {wanted} rows; import or copy it again.")
+        where = zarr_io.path_of(group)
+        raise InputError(f"{where}: {name} has {len(values)} of {wanted} rows; import or copy it again.")
     return np.array(values.tolist(), np.str_).reshape(values.shape) if made.dtype == "string" else values
 
 
@@ -274,7 +275,7 @@ def write_array(
 ) -> None:  # fmt: skip
     """Write a part of one array, as far as the values reach along the dimension that grows."""
     chunk, shard = _chunks(layout, made)
-    folder = Path(str(group.store_path).removeprefix("file://")) / name / "c"
+    folder = zarr_io.path_of(group) / name / "c"
     if made.dtype == "string":
         zarr_io.member(group, name)[layout.span(number)] = values.astype(np.dtypes.StringDType())
     elif shard is None:

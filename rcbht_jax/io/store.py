@@ -275,6 +275,7 @@ def verify(path: Path) -> None:
         store_reader.check_simulation(stored)
     for number in range(len(stored.schema.layout)):
         store_reader.check_part(stored, number)
+    zarr_io.check_collected(path)
 
 
 def is_finished(path: Path) -> bool:

@@ -71,7 +71,8 @@ class Stored:
     def rows(self) -> NDArray[np.int64]:
         """The row of each recording."""
         self.check_finished()
-        return np.delete(np.arange(self.schema.layout.rows), self.group.attrs[GAPS])  # type: ignore[arg-type]
+        with zarr_io.reading(self.path):
+            return np.delete(np.arange(self.schema.layout.rows), self.group.attrs[GAPS])  # type: ignore[arg-type]
 
     def damaged(self, what: str) -> InputError:
         """The error that says what does not match its checksum."""
@@ -206,7 +207,7 @@ def read_small(stored: Stored, number: int) -> Arrays:
 
 
 def check_whole(stored: Stored) -> None:
-    """Check that the parts are those of which the digest of the store is made.
+    """Check that the parts are those of which the digest of the store is made, and its times of its rate.
 
     Raises:
         InputError: they are not, or the store is not finished.
@@ -214,6 +215,9 @@ def check_whole(stored: Stored) -> None:
     stored.check_finished()
     with zarr_io.reading(stored.path):
         _check_sealed(stored, stored.group, stored.schema.header, "its content")
+        dt, time = (zarr_io.read_array(stored.group, name, "float64") for name in ("dt", "time"))
+        if dt != stored.schema.dt or not np.array_equal(time, np.arange(len(time)) * stored.schema.dt):
+            raise InputError(f"{stored.path} is damaged: its times are not those of its rate. Import or copy it again.")
 
 
 def check_part(stored: Stored, number: int) -> None:

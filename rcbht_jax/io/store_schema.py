@@ -104,13 +104,13 @@ def schema_in(group: zarr.Group) -> Schema:
     Raises:
         InputError: it is damaged.
     """
-    with zarr_io.reading(Path(str(group.store_path))):
+    with zarr_io.reading(zarr_io.path_of(group)):
         attrs: dict[str, Any] = dict(group.attrs)
         columns = parts.fields_in(zarr_io.subgroup(group, COLUMNS))
         zarr_io.subgroup(group, ANNOTATIONS)
         sub = group.get(SIMULATION)
         return Schema(
-            parts.layout_of(group), checked_number(f"{group.store_path}: dt", attrs["dt"]),
+            parts.layout_of(group), checked_number(f"{zarr_io.path_of(group)}: dt", attrs["dt"]),
             tuple(zarr_io.read_array(group, "axis", "string").tolist()), tuple(map(str, attrs["axis_units"])),
             {track: tuple(map(str, names)) for track, names in attrs["annotation_labels"].items()},
             {name: made.dtype for name, made in columns.items()},

@@ -35,7 +35,7 @@ def read(group: zarr.Group) -> tuple[Recordings, str]:
     try:
         marks = Annotations.from_table(intervals, dict(group.attrs["annotation_labels"]))  # type: ignore[arg-type]
     except InputError as error:
-        raise InputError(f"{group.store_path} is damaged: {error} Import or copy it again.") from error
+        raise InputError(f"{zarr_io.path_of(group)} is damaged: {error} Import or copy it again.") from error
     recordings = Recordings(
         dt=float(zarr_io.read_array(group, "dt", "float64")[()]),
         annotations=marks,

@@ -155,5 +155,5 @@ def seal_whole(group: zarr.Group, header: Any, attrs: Mapping[str, Any] | None =
     found = parts.digests(group)
     there = [digest for digest in found if digest is not None]
     if len(there) < len(found):
-        raise InputError(f"{len(found) - len(there)} of {len(found)} parts of {group.store_path} are missing.")
+        raise InputError(f"{len(found) - len(there)} of {len(found)} parts of {zarr_io.path_of(group)} are missing.")
     group.update_attributes({**(attrs or {}), HASH: parts.whole_digest(header, there)})

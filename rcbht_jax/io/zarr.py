@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.atomic import uninterrupted
 from rcbht_jax._util.optional import MissingPackage, needs_extra, require
-from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES
+from rcbht_jax._util.untrusted import MAX_BYTES, MAX_JSON_BYTES, load_json
 from rcbht_jax._util.url_path import url_of
 from rcbht_jax.errors import InputError
 
@@ -30,6 +30,9 @@ with needs_extra("store"):
 
     from rcbht_jax.io.bounded_chunks import bounded
     from rcbht_jax.io.chunk_files import LEVEL
+
+
+META = "zarr.json"  # of a group or an array
 
 
 def check_target(path: Path, kind: str, overwrite: bool) -> None:
@@ -102,6 +105,11 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r", *, collected: bool = 
         raise
     except Exception as error:  # a foreign folder can fail in any way inside zarr
         raise InputError(f'{path} is not a Zarr group; expected a store made by "rcbht import".') from error
+
+
+def path_of(member: zarr.Group | zarr.Array[Any]) -> Path:
+    """Where a group or an array is, as it was named."""
+    return Path(str(member.store_path).removeprefix("file://"))
 
 
 def subfolders(path: Path) -> list[str]:
@@ -233,7 +241,7 @@ def member(group: zarr.Group, name: str) -> zarr.Array[Any]:
     """
     array = group.get(name)
     if not isinstance(array, zarr.Array):
-        raise InputError(f"{group.store_path} has no array {name}; it is incomplete. Import or copy it again.")
+        raise InputError(f"{path_of(group)} has no array {name}; it is incomplete. Import or copy it again.")
     return bounded(array)
 
 
@@ -248,7 +256,7 @@ def read_array(group: zarr.Group, name: str, dtype: str | None) -> NDArray[Any]:
     if dtype == "string":
         return np.array(values.tolist(), np.str_)
     if dtype is not None and values.dtype != dtype:
-        raise InputError(f"{group.store_path}: {name} is {values.dtype}; expected {dtype}.")
+        raise InputError(f"{path_of(group)}: {name} is {values.dtype}; expected {dtype}.")
     return values
 
 
@@ -260,7 +268,7 @@ def subgroup(group: zarr.Group, name: str) -> zarr.Group:
     """
     sub = group.get(name)
     if not isinstance(sub, zarr.Group):
-        raise InputError(f"{group.store_path} has no group {name}; it is incomplete. Import or copy it again.")
+        raise InputError(f"{path_of(group)} has no group {name}; it is incomplete. Import or copy it again.")
     return sub
 
 
@@ -271,3 +279,21 @@ def consolidate(path: Path) -> None:
         # Consolidated metadata is an extension of Zarr v3; readers without it ignore it.
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path, zarr_format=3)
+
+
+def check_collected(path: Path) -> None:
+    """Compare the metadata of all members with what :func:`consolidate` collected of them, which xarray reads.
+
+    Raises:
+        InputError: they differ. Of a URL, only what was collected is read.
+    """
+    if url_of(path) is not None:
+        return
+    with reading(path):
+        collected = load_json(path / META).get("consolidated_metadata") or {"metadata": {}}
+        for name, found in collected["metadata"].items():
+            if not (path / name / META).exists():  # its readers miss it, or it is a label track that was deleted
+                continue
+            own = load_json(path / name / META)
+            if {**found, "consolidated_metadata": None} != {**own, "consolidated_metadata": None}:
+                raise InputError(f"{path} is damaged: {name}/{META} is not what {META} says. Import or copy it again.")

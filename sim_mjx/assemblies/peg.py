@@ -138,7 +138,7 @@ def _tight(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -
 
 
 def _rough(trial: AssemblyTrial, spec: PegVariation, rng: np.random.Generator) -> AssemblyTrial:
-    """Peg and hole are rough: search and insertion take longer, and end in the hole all the same."""
+    """Peg and hole are rough: search and insertion take longer; a square peg may jam."""
     return with_mount(trial, friction=uniform(rng, spec.jam))
 
 

@@ -54,6 +54,21 @@ def scene(
 
 
 def _spec(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
+    """The scene's elements, which compile.
+
+    Raises:
+        InputError: MuJoCo cannot make a model of robot and parts.
+    """
+    try:
+        spec = _elements(assembly, robot)
+        spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).removeprefix("Error: ").split())
+        raise InputError(f"MuJoCo makes no model of {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
+    return spec
+
+
+def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
     spec = equipped(robot)
     hand = spec.body(HAND)
     hand.add_site(name=TIP, pos=(0.0, 0.0, assembly.reach))

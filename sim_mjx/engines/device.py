@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from mujoco import mjx
 from numpy.typing import NDArray
 
 from rcbht_jax.types import Array
@@ -27,6 +26,7 @@ from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines.common import SETTLING, collect
+from sim_mjx.engines.quiet import mjx
 
 LANES = 16
 STRETCH = 100  # control periods that run without asking which trials have ended

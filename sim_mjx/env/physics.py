@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
-from mujoco import mjx
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
@@ -22,6 +21,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import device, native
 from sim_mjx.engines.common import SETTLING
 from sim_mjx.engines.device import Body, Layout
+from sim_mjx.engines.quiet import mjx
 
 Fields = dict[str, Array]
 

@@ -179,7 +179,8 @@ def _read(part: Callable[[], Any], damage: list[str]) -> Any:
     try:
         return part()
     except InputError as error:
-        damage.append(str(error))
+        if str(error) not in damage:  # several readers may meet the same
+            damage.append(str(error))
         return None
 
 

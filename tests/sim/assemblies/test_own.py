@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,3 +100,21 @@ def test_mistakes_in_own_files_are_one_sentence(tmp_path: Path, monkeypatch: pyt
         get_scenario("clip@nofile.py:ARM")
     with pytest.raises(InputError, match=r"key.py has no assembly named LOCK"):
         get_scenario("key.py:LOCK@panda")
+    for name, old, new, sentence in (
+        ("touch", 'touch(spec, f"CORNER_{i}"', 'touch(spec, f"NONE_{i}"', "no model of key on panda: geom 'NONE_0'"),
+        ("twice", 'box(body, "FLOOR"', 'box(body, "WALL_0"', "no model of key on panda: repeated name 'WALL_0'"),
+        ("phases", 'Phase("insertion"', 'Phase("rest"', "phases of key are approach, rest, rest; each has"),
+    ):
+        (tmp_path / f"{name}.py").write_text(blocks()["key.py"].replace(old, new))
+        with pytest.raises(InputError, match=sentence):
+            get_scenario(f"{name}.py:KEY@panda").scene()
+
+
+def test_a_file_may_import_its_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "arm_of_mine.py").write_text(blocks()["arm.py"])
+    (tmp_path / "lab" / "cell.py").write_text("from arm_of_mine import ARM\n")
+    before = list(sys.path)
+    assert get_scenario("clip@lab/cell.py:ARM").robot == "mine"
+    assert sys.path == before

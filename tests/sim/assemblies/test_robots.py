@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from sim_mjx.assemblies import ASSEMBLIES
+from sim_mjx.registry import pair
 from sim_mjx.robots import ROBOTS, Robot, from_mjcf, get_robot
 from sim_mjx.robots.chain import about, jacobian, pose, rotation_vector, serial_chain
 from sim_mjx.robots.robot import FORCE, HAND, equipped
@@ -91,6 +93,11 @@ def test_anybodys_arm(tmp_path: Path) -> None:
     path.write_text("<mujoco><worldbody>")
     with pytest.raises(InputError, match="cannot be read as MJCF"):
         from_mjcf(path, site="hand", home=(), place=(0.5, 0.0, 0.1))
+    meshed = ARM.replace("<worldbody>", '<asset><mesh name="link" file="link.stl"/></asset><worldbody>')
+    path.write_text(meshed.replace('<geom size="0.05"/>', '<geom type="mesh" mesh="link"/>', 1))
+    robot = from_mjcf(path, site="wrist", home=(0.0, 0.1, 0.2, 0.3), place=(0.5, 0.0, 0.1))
+    with pytest.raises(InputError, match=r"no model of clip on mine: Error opening file 'link.stl'"):
+        pair(ASSEMBLIES["clip"], robot).scene()
     with pytest.raises(InputError, match=r"no robot 'pr2'; expected one of panda, ur5e"):
         get_robot("pr2")
     sliding = mujoco.MjModel.from_xml_string(ARM.replace('name="d"', 'name="d" type="slide"'))

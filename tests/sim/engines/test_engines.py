@@ -209,3 +209,10 @@ def test_a_larger_impratio_makes_contacts_creep_less_in_mjx_too() -> None:
     assert native_often == pytest.approx(10 * native_seldom, rel=0.01)
     assert mjx_often == pytest.approx(native_often, rel=0.01)
     assert mjx_seldom == pytest.approx(native_seldom, rel=0.1)  # a hundredth of a millimetre in single precision
+
+
+def test_mjx_prints_nothing_where_results_are_printed() -> None:
+    """Without Warp, MJX says so on standard output as it is imported."""
+    code = "import sys; sys.modules['warp'] = None; import sim_mjx.env; import sim_mjx.engines.device"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == ""

@@ -96,6 +96,33 @@ def test_damage_is_found_told_and_made_good(
         assert tree(copy) == tree(made)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("dt/c", b"\x28\xb5\x2f\xfd", b"\x29\xb5\x2f\xfd"),  # what begins a packed chunk
+        ("time/c/0", b"\x28\xb5\x2f\xfd", b"\x29\xb5\x2f\xfd"),
+        ("time/zarr.json", b'"s"', b'"r"'),  # its unit
+        ("labels/online-W5/mc/emit/zarr.json", b"configuration", b"bonfiguration"),
+        ("zarr.json", b'"units": "s"', b'"units": "r"'),  # what is collected of the others
+        ("zarr.json", b'"gaps"', b'"gapr"'),
+    ],
+)
+def test_damage_of_what_others_read_is_found(
+    file: str, old: bytes, new: bytes, copy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = (copy / file).read_bytes()
+    assert old in content
+    (copy / file).write_bytes(content.replace(old, new, 1))
+    monkeypatch.chdir(copy.parent)
+    assert doctor(capsys, 2, copy.name)["damage"][0].startswith(f"{copy.name} is damaged")
+
+
+def test_a_track_that_was_deleted_is_no_damage(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["encode", str(copy), "--window", "10", "--robot", "hiro", "--name", "mine"]) == 0
+    shutil.rmtree(copy / "labels" / "mine")
+    assert doctor(capsys, 0, str(copy))["damage"] == []
+
+
 def test_what_a_repair_does_not_make_again_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["encode", str(copy), "--window", "10", "--robot", "hiro", "--name", "mine"]) == 0
     flip(copy / "wrench")
