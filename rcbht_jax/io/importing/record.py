@@ -134,8 +134,11 @@ def _check(table: Table, mapping: Mapping) -> None:
 
 
 def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row) -> Record:
-    stamps = _stamps(table, mapping, rows)
     raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
+    held = int(np.flatnonzero(~np.isnan(raw).all(1)).max(initial=-1)) + 1 or len(rows)
+    padded = [f"padded:{len(rows) - held}"] if held < len(rows) else []
+    rows, raw = rows[:held], raw[:held]
+    stamps = _stamps(table, mapping, rows)
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
     first = stamps.min() if len(stamps) else 0.0
     time, values, notes = conform.tidy(stamps - first, values)
@@ -152,9 +155,19 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
             order = np.argsort(stamps, kind="stable")
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
+    zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
+    notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     return Record(
-        name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
+        name,
+        time,
+        values,
+        mapping.axes,
+        mapping.units,
+        columns,
+        intervals,
+        [*table.notes, *notes],
+        float(first),
     )
 
 

@@ -13,8 +13,19 @@ from numpy.typing import NDArray
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
 
-RATE_NAMES = ("rate", "fs", "fps", "sampling_rate", "sample_rate", "frequency")
+RATE_NAMES = (
+    "rate",
+    "fs",
+    "fps",
+    "sr",
+    "sampling_rate",
+    "sample_rate",
+    "samplerate",
+    "frequency",
+    "sampling_frequency",
+)
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
+LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
 Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
 
@@ -43,7 +54,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 
     Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
     ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
-    ``[recording]`` beside it are facts. Scalars called dt or rate state the sampling, other scalars are facts.
+    ``[recording]`` beside it are facts; one called lengths says where the padding begins.
+    Scalars called dt or rate state the sampling, other scalars are facts.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
     >>> list(table.columns), table.rate
@@ -73,6 +85,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
             }
             own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
             place = f"{part}#{number}" if part else str(number)
+            ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
+            cut = {key: array[: ends[0]] if ends else array for key, array in cut.items()}
             yield Table(f"{name}#{number}", _columns(path, cut), rate, facts={**facts, **own}, part=place)
         return
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
@@ -118,7 +132,7 @@ def _columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArra
 
 def plain(array: NDArray[Any]) -> NDArray[Any]:
     """A column ``[row]`` as float64 or text."""
-    if array.dtype.kind in "fiub":
+    if array.dtype.kind in "fiu":
         return array.astype(np.float64)
     if array.dtype.kind == "S":
         return np.array([text.decode("utf-8", "replace") for text in array.tolist()], np.str_)
@@ -136,6 +150,10 @@ def _scalars(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[st
         else:
             facts[key] = fact
     return rate, facts
+
+
+def _number(fact: str | float) -> float:
+    return fact if isinstance(fact, float) and fact.is_integer() else 0.0
 
 
 def _fact(value: Any) -> str | float:

@@ -249,6 +249,26 @@ def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> No
     assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
 
 
+@pytest.mark.parametrize(("name", "true"), [("result", "success"), ("anomaly", "failure")])
+def test_the_column_of_the_outcome_may_have_any_name(tmp_path: Path, name: str, true: str) -> None:
+    write(tmp_path / "runs" / "a.csv", noise(0), **{name: "True"})
+    write(tmp_path / "runs" / "b.csv", noise(1), **{name: "False"})
+    store = tmp_path / "x.zarr"
+    assert main(["import", "csv", str(tmp_path / "runs"), str(store), "--outcome", name]) == 0
+    assert read_recordings(store).outcome.tolist() == sorted(["success", "failure"], key=lambda word: word != true)
+
+
+def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
+    cube = np.random.default_rng(0).normal(size=(3, 80, 2))
+    cube[1, 50:], cube[2, 60:] = np.nan, 0
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT)
+    imported = read_source(tmp_path)
+    assert imported.recordings.length.tolist() == [80, 50, 80]
+    assert imported.recordings.note.tolist() == ["", "padded:30", "zeros:20"]
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT, lengths=[80, 50, 60])
+    assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]
+
+
 def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> None:
     rows = [f"{k * DT},{arm},{force}" for k in range(50) for arm, force in (("left", k), ("right", -k))]
     (tmp_path / "a.csv").write_text("\n".join(["t,arm,Fz", *rows]))
