@@ -59,6 +59,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
         InputError: no column is a channel, there are too many, or nothing states the time or the rate.
     """
     base = base or Mapping()
+    if not table.columns:
+        raise InputError(f"{table.name} holds no array of at least two rows [time] or [time, axis].")
     free = [name for name in table.columns if name not in _used(base)]
     mapping = base
     if not base.time and base.source_rate is None:
@@ -84,7 +86,8 @@ def _used(mapping: Mapping) -> set[str]:
 
 def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     parsed = {name: names.base_and_unit(name) for name in free}
-    bases = {base: name for name, (base, _) in reversed(parsed.items())}
+    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
+    bases |= {base: name for name, (base, _) in reversed(parsed.items())}
     # Where several columns could be it, the order of the list decides.
     for candidate in (bases[base] for base in names.TIMES if base in bases):
         base, unit = parsed[candidate]
@@ -98,7 +101,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         return mapping
     # A column in s that grows is a time in any language, such as an index that pandas wrote.
     stated = {name: table.units.get(name) or parsed[name][1] for name in free}
-    timed = (name for name in free if stated[name] in SECONDS and _grows(table.columns[name]))
+    timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
     if index := next(timed, ""):
         return replace(mapping, time=index, time_unit=stated[index])
     first = next(iter(table.columns), "")
@@ -107,8 +110,9 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     return mapping
 
 
-def _grows(values: NDArray[Any]) -> bool:
+def _grows(table: Table, name: str) -> bool:
     """Whether numbers grow, but where a recording ends and another begins."""
+    values = table.columns[name]
     steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
     return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)
 
@@ -152,6 +156,11 @@ def _group(table: Table, time: str, free: list[str]) -> str:
         values = table.columns[bases[base]] if base in bases else np.empty(0)
         if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
             return bases[base]
+    for base in names.WEAK_GROUPS:
+        name = bases.get(base, "")
+        if name and 1 < (distinct := len(_distinct(table.columns[name]))) <= len(table.columns[name]) / 10:
+            if (table.columns[name][1:] != table.columns[name][:-1]).sum() == distinct - 1:
+                return name
     if time and table.columns[time].dtype.kind != "U" and (back := np.diff(table.columns[time]) < 0).any():
         # What changes where the time starts anew, each time to a new value, names the recordings.
         for name in (name for name in free if not _is_label(name)):

@@ -24,7 +24,7 @@ from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
-from rcbht_jax.io.importing.record import Record, bounded, records
+from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.io.importing.text import read_csv
@@ -170,24 +170,35 @@ def _read(
                 if item.kind == "csv" and marks.is_intervals(table.columns):
                     beside.append(table)
                     continue
-                mapping, understood = guess(table, base)
-                more = "" if base.channels else more_wrenches(table, mapping)
-                if more and more not in report.remarks:
-                    report.remarks.append(more)
-                row = rows.get(table.file)
-                if base.table and row is None:
-                    report.warnings.append((table.name, f"{base.table} has no row for it."))
-                for record in records(table, mapping, row):
-                    if isinstance(record, tuple):
-                        report.skipped.append(record)
-                        continue
-                    if "changes:outcome" in record.notes:
-                        report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
-                    found.append((record, item))
-                    used[record.name] = mapping, understood
+                try:
+                    for record, meaning in _understood(table, base, rows, report):
+                        found.append((record, item))
+                        used[record.name] = meaning
+                except InputError as error:  # the other tables of the file may be sound
+                    report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
     return found, used, beside
+
+
+def _understood(
+    table: Table, base: Mapping, rows: dict[str, Row], report: ImportReport
+) -> Iterator[tuple[Record, tuple[Mapping, list[Understood]]]]:
+    """The recordings of a table, and what its columns were taken for."""
+    mapping, understood = guess(table, base)
+    more = "" if base.channels else more_wrenches(table, mapping)
+    if more and more not in report.remarks:
+        report.remarks.append(more)
+    row = rows.get(table.file)
+    if base.table and row is None:
+        report.warnings.append((table.name, f"{base.table} has no row for it."))
+    for record in records(table, mapping, row):
+        if isinstance(record, tuple):
+            report.skipped.append(record)
+            continue
+        if "changes:outcome" in record.notes:
+            report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
+        yield record, (mapping, understood)
 
 
 def _reason(error: InputError, source: Path) -> str:

@@ -26,6 +26,7 @@ COUNTERS = (
 GROUPS = (
     "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment",
 )  # fmt: skip
+WEAK_GROUPS = ("sample", "cycle", "file", "filename", "file_name", "id")  # if each value holds for many rows in a row
 LABELS = (
     "label", "labels", "label_name", "state", "phase", "class", "skill", "primitive", "mode", "subtask", "stage",
     "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state", "action", "anomaly",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.families import families
 
 RATE_NAMES = (
     "rate",
@@ -55,6 +57,7 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
     ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
     ``[recording]`` beside it are facts; one called lengths says where the padding begins.
+    Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
     Scalars called dt or rate state the sampling, other scalars are facts.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
@@ -70,6 +73,10 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
+    if several := families(arrays):
+        for which, those in several.items():
+            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
+        return
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
@@ -92,6 +99,9 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
     lengths = [len(array) for array in flat.values() if len(array) > 1]
+    if not lengths and part:
+        yield Table(name, {}, part=part)
+        return
     if not lengths:
         raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
     rows = max(set(lengths), key=lambda length: (lengths.count(length), length))
@@ -144,7 +154,7 @@ def _scalars(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[st
     for key, value in scalars.items():
         if not _usable(value):
             continue
-        short, fact = key.rsplit("/", 1)[-1].lower(), _fact(value[()])
+        short, fact = re.split("[./]", key)[-1].lower(), _fact(value[()])
         if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
             rate = fact if short in RATE_NAMES else 1 / fact
         else:
