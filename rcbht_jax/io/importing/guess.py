@@ -36,6 +36,15 @@ def outcome_words(column: str) -> dict[str, str]:
     return OUTCOMES | turned if _BAD.search(column) else OUTCOMES
 
 
+def is_outcome(name: str, values: Iterable[Any]) -> bool:
+    """Whether a column of that name and with these values states the outcome.
+
+    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
+    (True, False)
+    """
+    return name in ("success", "outcome") and {record.text(value).lower() for value in values} <= set(OUTCOMES)
+
+
 @dataclass(frozen=True)
 class Understood:
     """What a column was taken for."""
@@ -156,11 +165,11 @@ def _group(table: Table, time: str, free: list[str]) -> str:
         values = table.columns[bases[base]] if base in bases else np.empty(0)
         if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
             return bases[base]
-    for base in names.WEAK_GROUPS:
-        name = bases.get(base, "")
-        if name and 1 < (distinct := len(_distinct(table.columns[name]))) <= len(table.columns[name]) / 10:
-            if (table.columns[name][1:] != table.columns[name][:-1]).sum() == distinct - 1:
-                return name
+    for name in (bases[base] for base in names.WEAK_GROUPS if base in bases):
+        values = table.columns[name]
+        stretches = (values[1:] != values[:-1]).sum() + 1
+        if 1 < len(_distinct(values)) == stretches <= len(values) / 10:
+            return name
     if time and table.columns[time].dtype.kind != "U" and (back := np.diff(table.columns[time]) < 0).any():
         # What changes where the time starts anew, each time to a new value, names the recordings.
         for name in (name for name in free if not _is_label(name)):
@@ -187,8 +196,7 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
         # An outcome that changes is a mistake, not a track, which would take its place in every recording.
         if short == "outcome" or all(_constant(values[rows], short in names.LABELS) for rows in groups):
-            known = {record.text(value).lower() for value in _distinct(values)} <= set(OUTCOMES)
-            if short in ("success", "outcome") and known:
+            if is_outcome(short, _distinct(values).tolist()):
                 columns.setdefault("outcome", Value(name, words=OUTCOMES))
             columns.setdefault(target, Value(name))
         elif not text:

@@ -26,7 +26,7 @@ from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
 from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
-from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import Recordings
 
@@ -157,6 +157,8 @@ def _read(
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
+    if not base.table and source.is_dir():
+        base = marks.with_table(source, base, items, report.remarks)
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = marks.rows_of(source, base, files, report.warnings)
@@ -189,13 +191,12 @@ def _understood(
     more = "" if base.channels else more_wrenches(table, mapping)
     if more and more not in report.remarks:
         report.remarks.append(more)
-    row = rows.get(table.file)
-    if base.table and row is None:
-        report.warnings.append((table.name, f"{base.table} has no row for it."))
-    for record in records(table, mapping, row):
+    for record in records(table, mapping, rows):
         if isinstance(record, tuple):
             report.skipped.append(record)
             continue
+        if base.table and not record.listed:
+            report.warnings.append((record.name, f"{base.table} has no row for it."))
         if "changes:outcome" in record.notes:
             report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
         yield record, (mapping, understood)
@@ -235,13 +236,21 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
         for word, interval in rows:
             if len(meant[word]) == 1:
-                found[min(meant[word])].intervals.append(interval)
+                record = found[min(meant[word])]
+                record.intervals.append(_from_start(record, interval))
         twofold = [word or own for word, places in meant.items() if len(places) > 1]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
         if not any(meant.values()):
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
+
+
+def _from_start(record: Record, interval: Interval) -> Interval:
+    """An interval in s from the first sample, also where it is on the recording's clock and can be nothing else."""
+    track, label, start, end = interval
+    late = record.end <= start and record.origin - 1e-6 <= start < record.origin + record.end
+    return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 
 def _bounded(record: Record, report: ImportReport) -> Record:

@@ -38,6 +38,7 @@ class Record:
     notes: list[str] = field(default_factory=list)
     origin: float = 0.0  # s, of the first sample on the source's clock
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
+    listed: bool = False  # in the table of recordings
 
     @property
     def file(self) -> str:
@@ -61,7 +62,9 @@ class Record:
         return float(self.time[-1] + (self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
-def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[Record | tuple[str, str]]:
+def records(
+    table: Table, mapping: Mapping, rows: AnyMapping[str, Row] | None = None
+) -> Iterator[Record | tuple[str, str]]:
     """The recordings of one table; for one that cannot be used its name and the reason.
 
     >>> table = Table("a.csv", {"t": np.arange(4) * 0.1, "Fz": np.ones(4), "id": np.array([1.0, 1, 2, 2])})
@@ -73,14 +76,14 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
     Args:
         table: as read.
         mapping: names its columns.
-        row: of the table of recordings, for the columns that come from there.
+        rows: of the table of recordings, for the columns that come from there, by FILE#PART, part or file.
 
     Raises:
         InputError: a column of the mapping is missing, or is text where numbers are needed.
     """
     _check(table, mapping)
-    rows = len(next(iter(table.columns.values())))
-    parts: dict[str, NDArray[Any]] = {"": np.arange(rows)}
+    count = len(next(iter(table.columns.values())))
+    parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     if mapping.group:
         group = table.columns[mapping.group]
         if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
@@ -96,10 +99,12 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
         parts = {text(value): part for value, part in pairs if text(value)}
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
+        place = "#".join(filter(None, [table.part, value]))
+        row = next((rows[key] for key in (name, place, table.file) if key in rows), None) if rows else None
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
                 record = _record(table, mapping, part, name, row or {})
-            yield replace(record, part="#".join(filter(None, [table.part, value])))
+            yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
 

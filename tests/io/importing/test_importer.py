@@ -225,6 +225,42 @@ def test_facts_from_a_table_of_recordings(tmp_path: Path) -> None:
     assert imported.report.warnings == [("runs/c.csv", "facts.json has no row for it.")]
 
 
+def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        write(tmp_path / "runs" / "day 1" / f"{name}.csv", noise(ord(name)), phase="free")
+    (tmp_path / "runs" / "trials.csv").write_text("Versuch;result;operator\na;OK;Ann\nb.csv;NOK;Bob\nz;OK;Ann\n")
+    imported = read_source(tmp_path / "runs")
+    assert imported.recordings.columns["operator"].tolist() == ["Ann", "Bob", ""]
+    assert imported.recordings.outcome.tolist() == ["unknown"] * 3
+    assert not imported.report.skipped
+    assert imported.report.warnings == [("day 1/c.csv", "trials.csv has no row for it.")]
+    again = read_source(tmp_path / "runs", mapping=imported.mapping)
+    assert again.recordings.columns["result"].tolist() == ["OK", "NOK", ""]
+    command = ["import", "csv", str(tmp_path / "runs"), str(tmp_path / "x.zarr"), "--outcome", "result"]
+    assert main(command) == 0
+    assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
+
+
+def test_a_table_of_recordings_may_name_groups(tmp_path: Path) -> None:
+    rows = [f"{k % 50 * DT},T{k // 50},{k}" for k in range(150)]
+    (tmp_path / "all.csv").write_text("\n".join(["t,trial,Fz", *rows]))
+    (tmp_path / "facts.csv").write_text("trial,part\nT0,peg\nT2,plug\n")
+    mapping = Mapping(table="facts.csv", key="trial", columns={"part": Value(table="part")})
+    imported = read_source(tmp_path, mapping=mapping)
+    assert imported.recordings.columns["part"].tolist() == ["peg", "", "plug"]
+    assert imported.report.warnings == [("all.csv#T1", "facts.csv has no row for it.")]
+
+
+def test_annotations_may_be_on_the_clock_of_the_recordings(tmp_path: Path) -> None:
+    time = 1.7e9 + np.arange(100) * 0.01
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{t:.3f},{k}" for k, t in enumerate(time))]))
+    (tmp_path / "a_labels.csv").write_text("label,start,end\npush,1700000000.25,1700000000.5\nrest,2000000000,\n")
+    imported = read_source(tmp_path)
+    np.testing.assert_allclose(imported.recordings.annotations.start, [0.25], atol=1e-6)
+    np.testing.assert_allclose(imported.recordings.annotations.end, [0.5], atol=1e-6)
+    assert len(imported.report.warnings) == 1
+
+
 def test_a_table_outside_the_source_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "in" / "a.csv", noise(0))
     (tmp_path / "facts.csv").write_text("file,x\na,1\n")
