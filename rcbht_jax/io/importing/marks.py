@@ -217,7 +217,7 @@ def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: l
         items: all files.
         remarks: gets what was found.
     """
-    names = Names((item.name, "") for item in items)
+    names = Names((item.name, "") for item in items if item.name)
     found = [(item.name, *listing) for item in items if item.kind == "csv" and (listing := _listing(item.path, names))]
     if len(found) != 1:
         return mapping

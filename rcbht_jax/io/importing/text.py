@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.names import split_unit
 from rcbht_jax.io.importing.table import Table
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
@@ -30,8 +31,9 @@ _PLAIN = b"0123456789+-.eE,;\t \r\n"
 def read_csv(path: Path, name: str) -> Iterator[Table]:
     """The table of a text file.
 
-    Names are those of the first line; columns without one are called c0, c1, ... by their place. Empty cells are
-    missing values. A file that is not UTF-8 is read as Windows-1252, which spreadsheets write in Western Europe.
+    Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
+    their place. Empty cells are missing values. A file that is not UTF-8 is read as Windows-1252, which spreadsheets
+    write in Western Europe.
 
     >>> Path("/tmp/a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -52,8 +54,12 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             delimiter = _delimiter(head)
             cells = _cells(head, delimiter, encoding)
             titled = comment or not all(_is_number(cell) for cell in cells if cell)
-            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
             body = file.tell() if titled else file.tell() - len(head)
+            below = _units(_cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)) if titled else []
+            if cells and len(below) == len(cells):
+                body = file.tell()
+                cells = [f"{cell} [{unit}]" if unit else cell for cell, unit in zip(cells, below, strict=True)]
+            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
             columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
@@ -100,7 +106,8 @@ def _line_of_names(lines: list[bytes]) -> int:
     first = max((at + 1 for at, row in enumerate(cells) if len(row) != width), default=0)
     if not 0 < first < len(cells) - 1 or any(len(row) > width for row in cells[:first]):
         return 0
-    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, cells[first + 1])) >= width
+    below = cells[min(first + 1 + bool(_units(cells[first + 1])), len(cells) - 1)]
+    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, below)) >= width
     comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
     return filled[first] if named and not comments else 0
 
@@ -121,6 +128,14 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
                 return comment, True
             return line, False
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _units(cells: list[str]) -> list[str]:
+    """The units in a line below that of names, none where a cell has none; [] = it is no such line."""
+    bare = [cell.strip("[]() ") for cell in cells]
+    known = [split_unit(f"x [{unit}]")[1] for unit in bare]
+    numbers = any(map(_is_number, filter(None, bare)))
+    return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []
 
 
 def _delimiter(line: bytes) -> str:

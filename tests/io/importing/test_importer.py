@@ -305,6 +305,16 @@ def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
     assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]
 
 
+def test_a_sensor_that_is_slower_than_the_log_has_its_own_rate(tmp_path: Path) -> None:
+    rows = [f"{k / 1000},{k},{k if k % 10 == 0 else ''},{'' if k < 500 else 'push'}" for k in range(1000)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,joint,Fz,phase", *rows]))
+    mapping = Mapping((Channel("Fz"),), annotations=(Track("phase", "phase"),))
+    recordings = read_source(tmp_path, mapping=mapping).recordings
+    assert (recordings.dt, recordings.note.tolist()) == (0.01, ["padded:9;between:891"])
+    np.testing.assert_array_equal(recordings.wrench[0, :, 0], np.arange(0, 1000, 10))
+    np.testing.assert_allclose(recordings.starts("phase"), [[0.5]])
+
+
 def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> None:
     rows = [f"{k * DT},{arm},{force}" for k in range(50) for arm, force in (("left", k), ("right", -k))]
     (tmp_path / "a.csv").write_text("\n".join(["t,arm,Fz", *rows]))

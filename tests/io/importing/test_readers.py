@@ -99,6 +99,16 @@ def test_a_table_of_a_spreadsheet_need_not_be_utf8(tmp_path: Path) -> None:
     assert table.notes == ("cp1252",)
 
 
+@pytest.mark.parametrize("before", ["", "Logger 7\nSerial;12\n"])
+def test_a_line_of_units_below_the_names(tmp_path: Path, before: str) -> None:
+    rows = ["Zeit;Kraft_x;Kraft_y;Kraft_z;Takt", "[ms];[N];[N];[N];", *(f"{5 * k};{k},5;0;1;{k % 3}" for k in range(9))]
+    (tmp_path / "a.csv").write_text(before + "\n".join(rows))
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.recordings.units) == (("Fx", "Fy", "Fz"), ("N",) * 3)
+    assert imported.recordings.dt == 0.005
+    np.testing.assert_array_equal(imported.recordings.wrench[0, :, 0], np.arange(9) + 0.5)
+
+
 def test_decimal_commas_between_tabs(tmp_path: Path) -> None:
     rows = ["\t".join(repr(float(v)).replace(".", ",") for v in [t, *row]) for t, row in zip(TIME, WRENCH, strict=True)]
     (tmp_path / "run.tsv").write_text("\n".join(["\t".join(["time", *AXES]), *rows]))
