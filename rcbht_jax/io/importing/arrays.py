@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from rcbht_jax._util.untrusted import (
     read_arrays,
 )
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.names import GROUPS
 from rcbht_jax.io.importing.table import Table, tables_of
 
 
@@ -136,11 +138,21 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 
 
 def _like(group: Any, h5py: Any) -> Any:
-    """The outermost group whose sub-groups (two or more) hold the same names; None = there is none."""
-    children = [child for _, child in _groups(group, h5py)]
-    if len(children) > 1 and len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]):
+    """The outermost group whose sub-groups (two or more) hold the same names, or are trial_0, trial_1, ...; or None."""
+    keys, children = zip(*_groups(group, h5py), strict=True) if _groups(group, h5py) else ((), ())
+    alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
+    if len(children) > 1 and (alike or _named(keys)):
         return group
-    return _like(children[0], h5py) if len(children) == 1 else None
+    if len(children) == 1:
+        return _like(children[0], h5py)
+    # Beside a group of recordings there may be one of splits.
+    found = (_like(child, h5py) for child in children)
+    return next((one for one in found if one is not None and _named(one)), None)
+
+
+def _named(keys: Iterable[str]) -> bool:
+    """Whether names are trial_0, trial_1, ... or the like."""
+    return all(numbered(key.rstrip("0123456789")) in GROUPS for key in keys)
 
 
 def _pandas(found: dict[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ def families(arrays: Arrays) -> dict[str, dict[str, NDArray[Any]]]:
     for place, number in enumerate(numbers):
         own = {key: np.asarray(one[place]) if one.shape == (len(numbers),) else one for key, one in rest.items()}
         for head, parts in chosen.items():
-            stem = "values" if _word(head) in ("", *GROUPS) else head.strip("_./ ")
+            stem = "values" if numbered(head) in ("", *GROUPS) else head.strip("_./ ")
             for name, array in parts.get(number, {}).items():
                 own[name if name and len(chosen) == 1 else "/".join(filter(None, (stem, name)))] = array
         found[number] = own
@@ -54,9 +54,13 @@ def _recordings(head: str, parts: Mapping[str, Arrays]) -> bool:
     lengths = [{len(own[name]) for own in parts.values() if name in own and own[name].size > 1} for name in names]
     signals = any(length and max(length) > 1 for length in lengths)
     timed = any(base_and_unit(name)[0] in TIMES for name in names)
-    return signals and (_word(head) in GROUPS or timed or any(len(length) > 1 for length in lengths))
+    return signals and (numbered(head) in GROUPS or timed or any(len(length) > 1 for length in lengths))
 
 
-def _word(head: str) -> str:
-    """The last word of what stands before a number, in the singular."""
+def numbered(head: str) -> str:
+    """The last word of what stands before a number, in the singular.
+
+    >>> numbered("data/Trials_")
+    'trial'
+    """
     return group_base(re.split(r"[./]", head.strip("_./ "))[-1]).removesuffix("s")

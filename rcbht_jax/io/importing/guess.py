@@ -114,7 +114,7 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     if index := next(timed, ""):
         return replace(mapping, time=index, time_unit=stated[index])
     first = next(iter(table.columns), "")
-    if first in free and parsed[first][0] in ("c0", "unnamed: 0") and _clocklike(table.columns[first]):
+    if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
     return mapping
 

@@ -24,7 +24,8 @@ COUNTERS = (
     "field.header.seq", "task_index", "next.done",
 )  # fmt: skip
 GROUPS = (
-    "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment",
+    "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment", "traj",
+    "trajectory",
 )  # fmt: skip
 WEAK_GROUPS = ("sample", "cycle", "file", "filename", "file_name", "id")  # if each value holds for many rows in a row
 LABELS = (

@@ -199,7 +199,11 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
     """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
-    if source.table:
+    if source.folder:
+        folders = PurePosixPath(table.file).parent.parts
+        place = source.folder - (source.folder > 0)
+        found = folders[place] if -len(folders) <= place < len(folders) else ""
+    elif source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:
         values = {text(value) for value in np.unique(table.columns[source.column][rows])} - {""}

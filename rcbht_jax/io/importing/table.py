@@ -80,6 +80,8 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
+    if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
+        cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
     if cubes:
         count, rows = next(iter(cubes.values())).shape[:2]
         for number in range(count):

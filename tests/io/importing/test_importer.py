@@ -13,7 +13,7 @@ from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import DataSet, export
 from rcbht_jax.io.importing.importer import import_source, read_source
-from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.mapping import Channel, Mapping, Track, Value, read_mapping, write_mapping
 from rcbht_jax.io.store import read_attrs, read_recordings
 from rcbht_jax.types import Recordings
 
@@ -239,6 +239,18 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
     command = ["import", "csv", str(tmp_path / "runs"), str(tmp_path / "x.zarr"), "--outcome", "result"]
     assert main(command) == 0
     assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
+
+
+def test_a_column_from_the_names_of_folders_if_a_map_says_so(tmp_path: Path) -> None:
+    for number, folder in enumerate(("bad/day 1", "good/day 1", ".")):
+        write(tmp_path / "runs" / folder / "a.csv", noise(number))
+    text = '[columns.outcome]\nfolder = 1\nwords = {"good" = "success"}\n[columns.day]\nfolder = -1\n'
+    (tmp_path / "a.toml").write_text(text)
+    imported = read_source(tmp_path / "runs", mapping=read_mapping(tmp_path / "a.toml"))
+    assert imported.recordings.outcome.tolist() == ["unknown", "bad", "success"]
+    assert imported.recordings.columns["day"].tolist() == ["", "day 1", "day 1"]
+    write_mapping(tmp_path / "b.toml", imported.mapping)
+    assert read_mapping(tmp_path / "b.toml") == imported.mapping
 
 
 def test_a_table_of_recordings_may_name_groups(tmp_path: Path) -> None:

@@ -226,6 +226,30 @@ def test_matlab_arrays_structures_and_version_7_3(tmp_path: Path) -> None:
     assert read_source(tmp_path / "new.mat").recordings.wrench.shape == (1, N, 6)
 
 
+def test_hdf5_groups_of_recordings_beside_one_of_splits_need_not_be_alike(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+        for number in range(3):
+            demo = file.create_group(f"data/demo_{number}")
+            demo["obs/ft"], demo.attrs["dt"], demo.attrs["success"] = WRENCH + number, DT, number < 2
+            if number:
+                demo["rewards"] = np.zeros(N)
+        file["mask/train"] = np.array(["demo_0"], "S")
+    recordings = read_source(tmp_path / "demos.hdf5").recordings
+    assert recordings.trial.tolist() == [f"demos-demo_{number}" for number in range(3)]
+    assert recordings.columns["success"].tolist() == [1, 1, 0]
+
+
+def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Path) -> None:
+    np.save(tmp_path / "run.npy", np.column_stack([TIME, WRENCH]))
+    recordings = read_source(tmp_path / "run.npy").recordings
+    assert (recordings.dt, len(recordings.axes)) == (DT, 6)
+    cube = np.random.default_rng(0).normal(size=(4, 2, 80))
+    np.savez(tmp_path / "cube.npz", X=cube, y=[0, 1, 0, 1], dt=DT)
+    recordings = read_source(tmp_path / "cube.npz").recordings
+    np.testing.assert_allclose(recordings.wrench, cube.swapaxes(1, 2), rtol=1e-6)
+
+
 def test_hdf5_tables_of_pandas_and_of_records_keep_the_names_of_columns(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     names = ["time", *AXES]
