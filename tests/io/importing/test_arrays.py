@@ -109,3 +109,14 @@ def test_arrays_that_number_columns_are_one_recording_and_a_broken_one_leaves_th
     np.savez(tmp_path / "b.npz", dt=DT, trial_0=WRENCH, trial_1=np.zeros((0, 6)), trial_2=WRENCH + 1)
     imported = read_source(tmp_path / "b.npz")
     assert (imported.report.imported, len(imported.report.skipped)) == (["b.npz#0", "b.npz#2"], 1)
+
+
+def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
+    cube = np.random.default_rng(0).normal(size=(3, 80, 2))
+    cube[1, 50:], cube[2, 60:] = np.nan, 0
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT)
+    imported = read_source(tmp_path)
+    assert imported.recordings.length.tolist() == [80, 50, 80]
+    assert imported.recordings.note.tolist() == ["", "padded:30", "zeros:20"]
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT, lengths=[80, 50, 60])
+    assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]

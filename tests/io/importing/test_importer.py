@@ -231,17 +231,6 @@ def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> No
     assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
 
 
-def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
-    cube = np.random.default_rng(0).normal(size=(3, 80, 2))
-    cube[1, 50:], cube[2, 60:] = np.nan, 0
-    np.savez(tmp_path / "a.npz", x=cube, dt=DT)
-    imported = read_source(tmp_path)
-    assert imported.recordings.length.tolist() == [80, 50, 80]
-    assert imported.recordings.note.tolist() == ["", "padded:30", "zeros:20"]
-    np.savez(tmp_path / "a.npz", x=cube, dt=DT, lengths=[80, 50, 60])
-    assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]
-
-
 def test_a_sensor_that_is_slower_than_the_log_has_its_own_rate(tmp_path: Path) -> None:
     rows = [f"{k / 1000},{k},{k if k % 10 == 0 else ''},{'' if k < 500 else 'push'}" for k in range(1000)]
     (tmp_path / "a.csv").write_text("\n".join(["t,joint,Fz,phase", *rows]))
