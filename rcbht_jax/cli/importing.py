@@ -75,6 +75,7 @@ class Import(Command):
 
     def _mapping(self) -> Mapping:
         """The mapping file with the options in place of what it says."""
+        from rcbht_jax.io.importing.guess import outcome_words
         from rcbht_jax.io.importing.mapping import Mapping, Track, Value, read_mapping
 
         mapping = read_mapping(self.map) if self.map else Mapping()
@@ -83,7 +84,9 @@ class Import(Command):
         if self.labels:
             mapping = replace(mapping, annotations=(Track(self.labels, self.labels),))
         if self.outcome:
-            mapping = replace(mapping, columns={**mapping.columns, "outcome": Value(self.outcome)})
+            mapping = replace(
+                mapping, columns={**mapping.columns, "outcome": Value(self.outcome, words=outcome_words(self.outcome))}
+            )
         return mapping
 
     def text(self, result: dict[str, Any]) -> str:

@@ -64,7 +64,7 @@ def _first_second(items: LabelledIntervals, facts: WrenchFacts) -> str:
         return ""
     return (
         f"The mean of the first second predicts the classes with a balanced accuracy of {score:.0%} (chance "
-        f"{chance:.0%}), before anything can have happened: bias, tool or pose differ."
+        f"{chance:.0%}); if nothing happens that early, bias, tool or pose differ."
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from rcbht_jax._util.untrusted import (
     read_arrays,
 )
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.families import numbered
 from rcbht_jax.io.importing.isolated import isolated
+from rcbht_jax.io.importing.names import GROUPS
 from rcbht_jax.io.importing.table import Table, tables_of
 
 
@@ -72,7 +74,8 @@ def read_npz(path: Path, name: str) -> Iterator[Table]:
 def read_hdf5(path: Path, name: str) -> Iterator[Table]:
     """Tables of an HDF5 file: sub-groups of like content are a recording each, else the whole file is one.
 
-    Arrays below a group are its columns, by their path in it; attributes are facts (dt, rate: the sampling).
+    Arrays below a group are its columns, by their path in it, as are fields of compound arrays and the columns of a
+    table that pandas wrote; attributes are facts (dt, rate: the sampling).
 
     >>> [table.columns["Fz"].shape for table in read_hdf5(Path("run.h5"), "run.h5")]
     [(400,)]
@@ -122,7 +125,8 @@ def hdf5_tables(path: Path, name: str, turned: bool = False) -> Iterator[Table]:
             arrays: dict[str, Any] = {
                 key: np.asarray(value) for key, value in [*file.attrs.items(), *node.attrs.items()]
             }
-            arrays |= {key: _array(one, turned) for key, one in found.items()}
+            for key, one in _pandas(found).items() if not turned else found.items():
+                arrays |= _arrays(file, key, one, turned, len(found) == 1)
             usable = {key: one for key, one in arrays.items() if one is not None and one.dtype.kind in "fiubUS"}
             yield from tables_of(path, f"{name}#{part}" if part else name, usable, part)
 
@@ -134,15 +138,70 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 
 
 def _like(group: Any, h5py: Any) -> Any:
-    """The outermost group whose sub-groups (two or more) hold the same names; None = there is none."""
-    children = [child for _, child in _groups(group, h5py)]
-    if len(children) > 1 and len({tuple(sorted(child)) for child in children}) == 1 and len(children[0]):
+    """The outermost group whose sub-groups (two or more) hold the same names, or are trial_0, trial_1, ...; or None."""
+    keys, children = zip(*_groups(group, h5py), strict=True) if _groups(group, h5py) else ((), ())
+    alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
+    if len(children) > 1 and (alike or _named(keys)):
         return group
-    return _like(children[0], h5py) if len(children) == 1 else None
+    if len(children) == 1:
+        return _like(children[0], h5py)
+    # Beside a group of recordings there may be one of splits.
+    found = (_like(child, h5py) for child in children)
+    return next((one for one in found if one is not None and _named(one)), None)
+
+
+def _named(keys: Iterable[str]) -> bool:
+    """Whether names are trial_0, trial_1, ... or the like."""
+    return all(numbered(key.rstrip("0123456789")) in GROUPS for key in keys)
+
+
+def _pandas(found: dict[str, Any]) -> dict[str, Any]:
+    """Data sets with the columns of a table that pandas wrote (``DataFrame.to_hdf``) by their names."""
+    blocks = [key.removesuffix("_items") for key in found if key.endswith("_items") and "block" in key]
+    taken = {f"{block}_{ending}" for block in blocks for ending in ("items", "values")}
+    columns: dict[str, Any] = {}
+    for block in blocks:
+        values = found.get(f"{block}_values")
+        titles = [
+            text.decode("utf-8", "replace") for text in np.asarray(found[f"{block}_items"][()]).astype("S").tolist()
+        ]
+        if values is not None and values.ndim == 2 and values.shape[1] == len(titles):
+            content = values[()]
+            columns |= {title: content[:, number] for number, title in enumerate(titles)}
+    folders = {block.rpartition("/")[0] for block in blocks}
+    taken |= {f"{folder}/{axis}".lstrip("/") for folder in folders for axis in ("axis0", "axis1")}
+    return {key: one for key, one in found.items() if key not in taken} | columns
+
+
+def _arrays(file: Any, key: str, item: Any, turned: bool, alone: bool) -> dict[str, NDArray[Any] | None]:
+    """The arrays of a data set: its fields, what it refers to (as MATLAB keeps structures and cells), or itself."""
+    if isinstance(item, np.ndarray):
+        return {key: item}
+    if item.dtype.names:
+        content = item[()]
+        return {field if alone else f"{key}.{field}": content[field] for field in item.dtype.names}
+    if not turned or item.dtype.kind != "O" or not item.size:
+        return {} if turned and key.startswith(("#refs#", "#subsystem#")) else {key: _array(item, turned)}
+    head, _, field = key.rpartition("/")
+    targets = [file[reference] for reference in item[()].ravel() if reference]
+    values = [_array(target, turned) for target in targets if hasattr(target, "dtype")]
+    if all(value is not None and value.dtype.kind == "U" and value.ndim == 0 for value in values) and head == "":
+        return {key: np.array([str(value) for value in values])}
+    struct = head and _kind(item.parent) == "struct"
+    names = (f"{head}.{k}.{field}" if struct else f"{key}.{k}" for k in range(len(values)))
+    return dict(zip(names, values, strict=True))
+
+
+def _kind(item: Any) -> str:
+    """Class of a MATLAB variable."""
+    kind = item.attrs.get("MATLAB_class", b"")
+    return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
 
 
 def _array(item: Any, turned: bool) -> NDArray[Any] | None:
     """A data set of numbers or text; None for anything else."""
+    if turned and _kind(item) == "char":
+        return np.array("".join(map(chr, np.asarray(item[()]).ravel().tolist())))
     if item.dtype.kind in "fiub":
         return np.asarray(item[()]).T if turned else np.asarray(item[()])
     if item.dtype.kind in "OS" and item.size and isinstance(np.asarray(item[()]).flat[0], bytes | str):
@@ -218,13 +277,19 @@ def _unpacked(path: Path, head: bytes) -> int:
 
 
 def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth: int = 0) -> None:
-    """Fields of structures as arrays of their own, STRUCT.FIELD."""
-    if len(into) > MAX_MEMBERS or depth > 8:
+    """Fields of structures and elements of cells as arrays alone: STRUCT.FIELD, STRUCT.NUMBER.FIELD, CELL.NUMBER.
+
+    Raises:
+        InputError: there are too many.
+    """
+    if len(into) > MAX_MEMBERS:
+        raise InputError(f"it holds more than {MAX_MEMBERS} arrays; split it.")
+    if depth > 8:
         return
     if value.dtype.names:
         records = value.reshape(-1)
         for field in value.dtype.names:
-            for number, record in enumerate(records[:1000]):
+            for number, record in enumerate(records):
                 name = f"{key}.{field}" if len(records) == 1 else f"{key}.{number}.{field}"
                 _flatten(name, np.asarray(record[field]), into, depth + 1)
     elif value.dtype.kind == "O":
@@ -232,5 +297,8 @@ def _flatten(key: str, value: NDArray[Any], into: dict[str, NDArray[Any]], depth
             into[key] = value.astype(np.str_)
         elif value.ndim == 0:
             _flatten(key, np.asarray(value.item()), into, depth + 1)
+        else:
+            for number, item in enumerate(value.flat):
+                _flatten(f"{key}.{number}", np.asarray(item), into, depth + 1)
     else:
         into[key] = value

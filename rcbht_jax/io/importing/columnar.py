@@ -96,9 +96,9 @@ def _kind(pa: Any, kind: Any) -> str:
     """ "number", "text", "time" or "list"; "" = nothing that can be imported."""
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
         return "number"
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_boolean(kind):
         return "text"
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return "time"
@@ -110,7 +110,7 @@ def _array(pa: Any, column: Any, kind: str) -> NDArray[Any]:
     if pa.types.is_dictionary(column.type):
         column = column.dictionary_decode()
     if kind == "text":
-        return np.array(["" if value is None else value for value in column.to_pylist()], np.str_)
+        return np.array(["" if value is None else str(value) for value in column.to_pylist()], np.str_)
     if kind == "time":
         scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
         return np.asarray(column.cast(pa.int64()).to_numpy(zero_copy_only=False), np.float64) * scale

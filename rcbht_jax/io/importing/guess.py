@@ -19,11 +19,30 @@ from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
-OUTCOMES = {
-    "1": "success", "true": "success", "ok": "success", "pass": "success", "0": "failure", "false": "failure",
-    "nok": "failure", "fail": "failure",
-}  # fmt: skip
+OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed"), "success") | dict.fromkeys(
+    ("failure", "0", "false", "nok", "fail", "failed"), "failure"
+)
+_BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
+
+
+def outcome_words(column: str) -> dict[str, str]:
+    """What texts in a column of that name say of the outcome: an anomaly that is true is a failure.
+
+    >>> outcome_words("result")["true"], outcome_words("anomaly")["true"], outcome_words("anomaly")["ok"]
+    ('success', 'failure', 'success')
+    """
+    turned = {"1": "failure", "true": "failure", "0": "success", "false": "success"}
+    return OUTCOMES | turned if _BAD.search(column) else OUTCOMES
+
+
+def is_outcome(name: str, values: Iterable[Any]) -> bool:
+    """Whether a column of that name and with these values states the outcome.
+
+    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
+    (True, False)
+    """
+    return name in ("success", "outcome") and {record.text(value).lower() for value in values} <= set(OUTCOMES)
 
 
 @dataclass(frozen=True)
@@ -49,6 +68,8 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
         InputError: no column is a channel, there are too many, or nothing states the time or the rate.
     """
     base = base or Mapping()
+    if not table.columns:
+        raise InputError(f"{table.name} holds no array of at least two rows [time] or [time, axis].")
     free = [name for name in table.columns if name not in _used(base)]
     mapping = base
     if not base.time and base.source_rate is None:
@@ -57,7 +78,7 @@ def guess(table: Table, base: Mapping | None = None) -> tuple[Mapping, list[Unde
     if base.channels:
         return mapping, _table(table, mapping)
     if not base.group:
-        mapping = replace(mapping, group=_group(table, free))
+        mapping = replace(mapping, group=_group(table, mapping.time, free))
         free = [name for name in free if name != mapping.group]
     if names.base_and_unit(mapping.group)[0] == "arm":
         mapping = replace(mapping, columns={"arm": Value(mapping.group), **mapping.columns})
@@ -74,7 +95,8 @@ def _used(mapping: Mapping) -> set[str]:
 
 def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     parsed = {name: names.base_and_unit(name) for name in free}
-    bases = {base: name for name, (base, _) in reversed(parsed.items())}
+    bases = {re.split(r"[./]", base)[-1]: name for name, (base, _) in reversed(parsed.items()) if _grows(table, name)}
+    bases |= {base: name for name, (base, _) in reversed(parsed.items())}
     # Where several columns could be it, the order of the list decides.
     for candidate in (bases[base] for base in names.TIMES if base in bases):
         base, unit = parsed[candidate]
@@ -86,14 +108,22 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         return replace(mapping, time=candidate, time_unit=unit, nanoseconds=rest)
     if table.rate is not None:
         return mapping
-    # A column whose type is a time, such as an index that pandas wrote, has its unit from the file.
-    typed = (name for name in free if table.units.get(name) == "s" and (np.diff(table.columns[name]) > 0).any())
-    if index := next(typed, ""):
-        return replace(mapping, time=index)
+    # A column in s that grows is a time in any language, such as an index that pandas wrote.
+    stated = {name: table.units.get(name) or parsed[name][1] for name in free}
+    timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
+    if index := next(timed, ""):
+        return replace(mapping, time=index, time_unit=stated[index])
     first = next(iter(table.columns), "")
-    if first in free and parsed[first][0] in ("c0", "unnamed: 0") and _clocklike(table.columns[first]):
+    if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
     return mapping
+
+
+def _grows(table: Table, name: str) -> bool:
+    """Whether numbers grow, but where a recording ends and another begins."""
+    values = table.columns[name]
+    steps = np.diff(values) if values.dtype.kind != "U" else np.zeros(1)
+    return bool((steps > 0).any() and (steps >= 0).mean() > 0.9)
 
 
 def _dates(values: NDArray[Any]) -> bool:
@@ -129,11 +159,23 @@ def _clocklike(values: NDArray[Any]) -> bool:
     )
 
 
-def _group(table: Table, free: list[str]) -> str:
-    bases = {names.base_and_unit(name)[0]: name for name in free}
+def _group(table: Table, time: str, free: list[str]) -> str:
+    bases = {names.group_base(name): name for name in free} | {names.base_and_unit(name)[0]: name for name in free}
     for base in names.GROUPS:
-        if base in bases and len(_distinct(table.columns[bases[base]])) > 1:
+        values = table.columns[bases[base]] if base in bases else np.empty(0)
+        if len(_distinct(values)) > 1 and (values.dtype.kind == "U" or _integers(values)):
             return bases[base]
+    for name in (bases[base] for base in names.WEAK_GROUPS if base in bases):
+        values = table.columns[name]
+        stretches = (values[1:] != values[:-1]).sum() + 1
+        if 1 < len(_distinct(values)) == stretches <= len(values) / 10:
+            return name
+    if time and table.columns[time].dtype.kind != "U" and (back := np.diff(table.columns[time]) < 0).any():
+        # What changes where the time starts anew, each time to a new value, names the recordings.
+        for name in (name for name in free if not _is_label(name)):
+            values = table.columns[name]
+            if np.array_equal(values[1:] != values[:-1], back) and len(_distinct(values)) == back.sum() + 1:
+                return name
     arm = bases.get("arm", "")
     return arm if arm and table.columns[arm].dtype.kind == "U" and len(_distinct(table.columns[arm])) > 1 else ""
 
@@ -142,19 +184,19 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     """Columns of the data set and annotations, from columns of text and of labels."""
     columns, tracks = dict(mapping.columns), list(mapping.annotations)
     groups = _groups(table, mapping.group)
+    facts = _facts(table, mapping.group, free)
     numbers: list[str] = []
     for name in free:
         values, base = table.columns[name], names.base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
         stamps = text and base in names.TIMES and _dates(values)  # that --source-rate replaces
-        if base in names.COUNTERS or stamps or not (text or (_is_label(name) and _integers(values))):
+        if base in names.COUNTERS or stamps or not (text or name in facts or (_is_label(name) and _integers(values))):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
         # An outcome that changes is a mistake, not a track, which would take its place in every recording.
         if short == "outcome" or all(_constant(values[rows], short in names.LABELS) for rows in groups):
-            known = {record.text(value).lower() for value in _distinct(values)} <= set(OUTCOMES)
-            if short in ("success", "outcome") and known:
+            if is_outcome(short, _distinct(values).tolist()):
                 columns.setdefault("outcome", Value(name, words=OUTCOMES))
             columns.setdefault(target, Value(name))
         elif not text:
@@ -168,6 +210,19 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
             if len(_distinct(table.columns[name])) <= MAX_LABELS
         ]
     return replace(mapping, columns=columns, annotations=tuple(tracks))
+
+
+def _facts(table: Table, group: str, free: list[str]) -> set[str]:
+    """Numbers that change only from one recording of a table to the next: they describe these, and are no signal."""
+    if not group:
+        return set()
+    border = table.columns[group][1:] != table.columns[group][:-1]
+    if border.sum() + 1 != len(_distinct(table.columns[group])):
+        return set()
+    axes = {column for wrench in names.wrenches(free) for column in wrench.values()}
+    numbers = (name for name in free if table.columns[name].dtype.kind != "U" and name not in axes)
+    steps = ((name, np.diff(table.columns[name])) for name in numbers)
+    return {name for name, step in steps if len(step[~border]) and not step[~border].any() and step.any()}
 
 
 def _groups(table: Table, group: str) -> list[NDArray[np.bool_]]:
@@ -205,8 +260,8 @@ def _channels(table: Table, free: list[str]) -> tuple[Channel, ...]:
     if found:
         best = max(found, key=len)
         return tuple(Channel(column, axis, _unit_of(table, column)) for axis, column in best.items())
-    other = (*names.COUNTERS, *names.GROUPS, *names.TIMES, *names.NANOSECONDS)
-    rest = [name for name in numeric if names.base_and_unit(name)[0] not in other]
+    other = {*names.COUNTERS, *names.GROUPS, *names.TIMES, *names.NANOSECONDS}
+    rest = [name for name in numeric if not other & {names.base_and_unit(name)[0], names.group_base(name)}]
     rest = [name for name in rest if not (_is_label(name) and _integers(table.columns[name]))]
     rest = [name for name in rest if name != "c0" or not (np.diff(table.columns[name]) == 1).all()]
     if not rest:

@@ -2,7 +2,9 @@
 
 Notes (semicolon-separated in ``Recordings.note``): ``uneven`` (interpolated at its own rate), ``resampled:RATE`` (from
 that rate), ``filtered`` (before that), ``gap:SECONDS`` (the longest), ``gaps:COUNT``, ``saturated:AXIS``,
-``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT`` (samples), ``changes:COLUMN`` (one that should be constant),
+``missing:COUNT``, ``repeated:COUNT``, ``unordered:COUNT``, ``padded:COUNT``, ``between:COUNT``,
+``zeros:COUNT`` (samples), ``cp1252``,
+``changes:COLUMN`` (one that should be constant),
 ``beginning-of:OTHER``, ``copy-of:OTHER``, ``contradictory-duplicate:OTHER``, ``the-bag-ends-early``.
 """
 
@@ -23,9 +25,9 @@ from rcbht_jax.io.importing.exported import read_export
 from rcbht_jax.io.importing.find import Item, find
 from rcbht_jax.io.importing.guess import Understood, guess, more_wrenches
 from rcbht_jax.io.importing.mapping import Mapping, Track, check
-from rcbht_jax.io.importing.record import Record, bounded, records
+from rcbht_jax.io.importing.record import Record, Row, bounded, records
 from rcbht_jax.io.importing.report import ImportReport, most_common, without_copies
-from rcbht_jax.io.importing.table import Table
+from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import Recordings
 
@@ -156,6 +158,8 @@ def _read(
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
+    if not base.table and source.is_dir():
+        base = marks.with_table(source, base, items, report.remarks)
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
     rows = marks.rows_of(source, base, files, report.warnings)
@@ -169,24 +173,34 @@ def _read(
                 if item.kind == "csv" and marks.is_intervals(table.columns):
                     beside.append(table)
                     continue
-                mapping, understood = guess(table, base)
-                more = "" if base.channels else more_wrenches(table, mapping)
-                if more and more not in report.remarks:
-                    report.remarks.append(more)
-                row = rows.get(table.file)
-                if base.table and row is None:
-                    report.warnings.append((table.name, f"{base.table} has no row for it."))
-                for record in records(table, mapping, row):
-                    if isinstance(record, tuple):
-                        report.skipped.append(record)
-                        continue
-                    if "changes:outcome" in record.notes:
-                        report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
-                    found.append((record, item))
-                    used[record.name] = mapping, understood
+                try:
+                    for record, meaning in _understood(table, base, rows, report):
+                        found.append((record, item))
+                        used[record.name] = meaning
+                except InputError as error:  # the other tables of the file may be sound
+                    report.skipped.append((table.name, _reason(error, source)))
         except InputError as error:
             report.skipped.append((item.name or spelled(item.path.name), _reason(error, source)))
     return found, used, beside
+
+
+def _understood(
+    table: Table, base: Mapping, rows: dict[str, Row], report: ImportReport
+) -> Iterator[tuple[Record, tuple[Mapping, list[Understood]]]]:
+    """The recordings of a table, and what its columns were taken for."""
+    mapping, understood = guess(table, base)
+    more = "" if base.channels else more_wrenches(table, mapping)
+    if more and more not in report.remarks:
+        report.remarks.append(more)
+    for record in records(table, mapping, rows):
+        if isinstance(record, tuple):
+            report.skipped.append(record)
+            continue
+        if base.table and not record.listed:
+            report.warnings.append((record.name, f"{base.table} has no row for it."))
+        if "changes:outcome" in record.notes:
+            report.warnings.append((record.name, "states several outcomes; its outcome is unknown."))
+        yield record, (mapping, understood)
 
 
 def _reason(error: InputError, source: Path) -> str:
@@ -223,13 +237,21 @@ def _attach(found: list[Record], tables: list[Table], names: marks.Names, report
         meant = {word: names.meant(word if marks.is_naming(table.columns) else own) for word, _ in rows}
         for word, interval in rows:
             if len(meant[word]) == 1:
-                found[min(meant[word])].intervals.append(interval)
+                record = found[min(meant[word])]
+                record.intervals.append(_from_start(record, interval))
         twofold = [word or own for word, places in meant.items() if len(places) > 1]
         report.warnings += [(table.name, marks.ambiguous(word)) for word in twofold]
         if not any(meant.values()):
             report.warnings.append(
                 (table.name, "is a table of annotations, and no recording is named in it or like it.")
             )
+
+
+def _from_start(record: Record, interval: Interval) -> Interval:
+    """An interval in s from the first sample, also where it is on the recording's clock and can be nothing else."""
+    track, label, start, end = interval
+    late = record.end <= start and record.origin - 1e-6 <= start < record.origin + record.end
+    return (track, label, max(start - record.origin, 0.0), end - record.origin) if late else interval
 
 
 def _bounded(record: Record, report: ImportReport) -> Record:

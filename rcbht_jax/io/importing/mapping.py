@@ -48,11 +48,12 @@ class Track:
 
 @dataclass(frozen=True)
 class Value:
-    """Where a column of the data set comes from; exactly one of three."""
+    """Where a column of the data set comes from; exactly one of four."""
 
     column: str = ""  # of the recording, constant in it
     table: str = ""  # of the table of recordings
     value: str = ""  # the same for all
+    folder: int = 0  # name of a folder of the file below the source: 1 = the outermost, -1 = the innermost
     words: AnyMapping[str, str] = field(default_factory=dict)  # text in the file -> text
 
 
@@ -177,7 +178,7 @@ def _toml(value: Any) -> str:
     # A string of JSON is one of TOML, but for the delete character.
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(float(value))
+    return repr(value if isinstance(value, int) else float(value))
 
 
 def _mapping(content: dict[str, Any]) -> Mapping:
@@ -218,6 +219,10 @@ def _typed(kind: str, value: Any) -> Any:
     """A value as the field of that type holds it."""
     if kind == "str":
         if not isinstance(value, str):
+            raise TypeError
+        return value
+    if kind == "int":
+        if isinstance(value, bool) or not isinstance(value, int):
             raise TypeError
         return value
     if kind.startswith("float"):
@@ -266,8 +271,8 @@ def check(mapping: Mapping) -> Mapping:
         if track.clock not in ("start", "stamps"):
             raise InputError(f"the clock of track {track.track} is {track.clock!r}; expected start or stamps.")
     for name, value in mapping.columns.items():
-        if [bool(value.column), bool(value.table), bool(value.value)].count(True) != 1:
-            raise InputError(f"columns.{name} needs a column, a table or a value; one of them.")
+        if [bool(value.column), bool(value.table), bool(value.value), bool(value.folder)].count(True) != 1:
+            raise InputError(f"columns.{name} needs a column, a table, a value or a folder; one of them.")
         if value.table and not mapping.table:
             raise InputError(f'columns.{name} is in a table, and the mapping names none; add table = "FILE.csv".')
     return mapping

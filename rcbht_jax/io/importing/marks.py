@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes, read_json
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing.mapping import Mapping, Track
+from rcbht_jax.io.importing.find import Item
+from rcbht_jax.io.importing.guess import OUTCOMES, is_outcome
+from rcbht_jax.io.importing.mapping import Mapping, Track, Value
+from rcbht_jax.io.importing.names import column_name
 from rcbht_jax.io.importing.record import Row, text
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
+from rcbht_jax.types import STANDARD_COLUMNS
 
+HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
 MAX_ROWS = 1_000_000
 _NAMES = ("recording", "file", "trial", "name")
 
@@ -199,6 +206,54 @@ def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tup
             warnings.append((mapping.table, f"has several rows for {file}; the last one counts."))
         found[file] = row
     return found
+
+
+def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: list[str]) -> Mapping:
+    """The mapping with the one CSV of a folder that lists its recordings, a row for each; as it is if there is none.
+
+    Args:
+        source: a folder.
+        mapping: names no table.
+        items: all files.
+        remarks: gets what was found.
+    """
+    names = Names((item.name, "") for item in items if item.name)
+    found = [(item.name, *listing) for item in items if item.kind == "csv" and (listing := _listing(item.path, names))]
+    if len(found) != 1:
+        return mapping
+    [(file, key, table)] = found
+    columns = dict(mapping.columns)
+    for title, values in table.columns.items():
+        name = column_name(title.lower() if title.lower() in STANDARD_COLUMNS else title)
+        if title != key and name not in ("trial", "note"):
+            columns.setdefault(name, Value(table=title))
+        if is_outcome(title.lower(), np.unique(values).tolist()):
+            columns["outcome"] = mapping.columns.get("outcome", Value(table=title, words=OUTCOMES))
+    for name, value in mapping.columns.items():
+        if value.column in table.columns:
+            columns[name] = replace(value, column="", table=value.column)
+    remarks.append(f"{file} lists the recordings, named in its column {key!r}; its other columns describe them.")
+    return replace(mapping, table=file, key=key, columns=columns)
+
+
+def _listing(path: Path, names: Names) -> tuple[str, Table] | None:
+    """The column of a table that names a recording in each row, nearly, and the table; None = there is none."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+        words = re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))
+        if not any(names.meant(word.strip(' "')) for word in words):
+            return None
+        [table] = read_csv(path, path.name)
+    except (OSError, InputError):  # reported where it is read as a recording
+        return None
+    if is_intervals(table.columns):
+        return None
+    for key, values in table.columns.items():
+        texts = [text(value) for value in values]
+        if len(set(texts)) == len(texts) and 2 * sum(len(names.meant(word)) == 1 for word in texts) >= len(texts):
+            return key, table
+    return None
 
 
 def _word(value: object) -> str:

@@ -24,17 +24,24 @@ COUNTERS = (
     "field.header.seq", "task_index", "next.done",
 )  # fmt: skip
 GROUPS = (
-    "instance", "episode", "episode_index", "recording", "series", "series_id", "run", "demo", "sequence", "trial",
+    "instance", "episode", "recording", "series", "run", "demo", "sequence", "trial", "experiment", "traj",
+    "trajectory",
 )  # fmt: skip
+WEAK_GROUPS = ("sample", "cycle", "file", "filename", "file_name", "id")  # if each value holds for many rows in a row
 LABELS = (
     "label", "labels", "label_name", "state", "phase", "class", "skill", "primitive", "mode", "subtask", "stage",
-    "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state",
+    "sub_task", "segment", "annotation", "state_index", "action_label", "contact_state", "action", "anomaly",
+    "category", "fault",
 )  # fmt: skip
 
 _PRODUCT = re.compile(r"(?<=[a-z])[ .*·⋅-](?=[a-z])")  # N-m, N·mm, lbf in
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
-_AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)[._/ \-]*([xyz])$")
-_ELEMENT = re.compile(r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|force|f|torque|moment|t|m)_([0-5])$")
+FORCES, MOMENTS = ("N", "mN", "kN", "kgf", "lbf"), ("Nm", "mNm", "Nmm", "Ncm", "kNm", "lbf in", "lbf ft")
+_AXIS = re.compile(r"^(|.*[._/ \-])(force|f|torque|moment|t|m)(?:_?ext)?[._/ \-]*([xyz])$")
+_WORD = re.compile(r"^(|.*[._/ \-])([^\W\d_]+)[._/ \-]*([xyz])$")  # in any language, where a unit says what it is
+_ELEMENT = re.compile(
+    r"^(|.*[._/ \-])(wrench|force_torque|forcetorque|ft|f_ext_hat_k|force|f|torque|moment|t|m)(?:_|\[)([0-5])\]?$"
+)
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -67,20 +74,22 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
 
     >>> wrenches(["a.force.x", "a.force.y", "a.force.z", "speed"])
     [{'Fx': 'a.force.x', 'Fy': 'a.force.y', 'Fz': 'a.force.z'}]
+    >>> wrenches(["Kraft_x [N]", "Kraft_y [N]", "Kraft_z [N]"])
+    [{'Fx': 'Kraft_x [N]', 'Fy': 'Kraft_y [N]', 'Fz': 'Kraft_z [N]'}]
     """
     found: dict[str, dict[str, str]] = {}
     rows: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
-        base = base_and_unit(name)[0]
-        if match := _AXIS.match(base):
-            kind = "F" if match[2] in ("force", "f") else "M"
+        base, unit = base_and_unit(name)
+        if match := _AXIS.match(base) or (_WORD.match(base) if unit in (*FORCES, *MOMENTS) else None):
+            kind = "F" if unit in FORCES or match[2] in ("force", "f") else "M"
             found.setdefault(match[1], {}).setdefault(kind + match[3], name)
         elif match := _ELEMENT.match(base):
             rows.setdefault((match[1], match[2]), {})[int(match[3])] = name
     for (prefix, kind), elements in rows.items():
         if set(elements) == set(range(6)) and not kind.startswith(("t", "m")):
             found.setdefault(f"{prefix}{kind}_", {}).update(zip(AXES, (elements[n] for n in range(6)), strict=True))
-        elif set(elements) == {0, 1, 2} and kind not in ("wrench", "force_torque", "forcetorque", "ft"):
+        elif set(elements) == {0, 1, 2} and kind in ("force", "f", "torque", "moment", "t", "m"):
             letter = "F" if kind in ("force", "f") else "M"
             for number, axis in enumerate("xyz"):
                 found.setdefault(prefix, {}).setdefault(letter + axis, elements[number])
@@ -90,6 +99,15 @@ def wrenches(names: Iterable[str]) -> list[dict[str, str]]:
             chosen = AXES if set(AXES) <= set(axes) else AXES[:3]
             complete.append({axis: axes[axis] for axis in chosen})
     return complete
+
+
+def group_base(name: str) -> str:
+    """The lower-case name of a column that may number recordings, without what says that it does.
+
+    >>> group_base("Trial_ID"), group_base("sample_nr")
+    ('trial', 'sample')
+    """
+    return re.sub(r"[ _.]?(id|nr|no|num|number|index|idx)$", "", base_and_unit(name)[0])
 
 
 def column_name(text: str) -> str:

@@ -38,6 +38,7 @@ class Record:
     notes: list[str] = field(default_factory=list)
     origin: float = 0.0  # s, of the first sample on the source's clock
     part: str = ""  # of the file, as the name ends with it; "" = the whole file
+    listed: bool = False  # in the table of recordings
 
     @property
     def file(self) -> str:
@@ -61,7 +62,9 @@ class Record:
         return float(self.time[-1] + (self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
-def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[Record | tuple[str, str]]:
+def records(
+    table: Table, mapping: Mapping, rows: AnyMapping[str, Row] | None = None
+) -> Iterator[Record | tuple[str, str]]:
     """The recordings of one table; for one that cannot be used its name and the reason.
 
     >>> table = Table("a.csv", {"t": np.arange(4) * 0.1, "Fz": np.ones(4), "id": np.array([1.0, 1, 2, 2])})
@@ -73,14 +76,14 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
     Args:
         table: as read.
         mapping: names its columns.
-        row: of the table of recordings, for the columns that come from there.
+        rows: of the table of recordings, for the columns that come from there, by FILE#PART, part or file.
 
     Raises:
         InputError: a column of the mapping is missing, or is text where numbers are needed.
     """
     _check(table, mapping)
-    rows = len(next(iter(table.columns.values())))
-    parts: dict[str, NDArray[Any]] = {"": np.arange(rows)}
+    count = len(next(iter(table.columns.values())))
+    parts: dict[str, NDArray[Any]] = {"": np.arange(count)}
     if mapping.group:
         group = table.columns[mapping.group]
         if ((group == "") if group.dtype.kind == "U" else ~np.isfinite(group)).any():
@@ -96,10 +99,12 @@ def records(table: Table, mapping: Mapping, row: Row | None = None) -> Iterator[
         parts = {text(value): part for value, part in pairs if text(value)}
     for value, part in parts.items():
         name = f"{table.name}#{value}" if value else table.name
+        place = "#".join(filter(None, [table.part, value]))
+        row = next((rows[key] for key in (name, place, table.file) if key in rows), None) if rows else None
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
                 record = _record(table, mapping, part, name, row or {})
-            yield replace(record, part="#".join(filter(None, [table.part, value])))
+            yield replace(record, part=place, listed=row is not None)
         except InputError as error:
             yield name, str(error)
 
@@ -134,8 +139,16 @@ def _check(table: Table, mapping: Mapping) -> None:
 
 
 def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: Row) -> Record:
-    stamps = _stamps(table, mapping, rows)
     raw = np.stack([table.columns[channel.column][rows] for channel in mapping.channels], 1)
+    known = ~np.isnan(raw).all(1)
+    held = int(np.flatnonzero(known).max(initial=-1)) + 1 or len(rows)
+    padded = [f"padded:{len(rows) - held}"] if held < len(rows) else []
+    if 1 < (few := int(known.sum())) < held / 2 and mapping.time:  # a log in the steps of something faster
+        padded.append(f"between:{held - few}")
+    else:
+        known = np.arange(len(rows)) < held
+    rows, raw = rows[known], raw[known]
+    stamps = _stamps(table, mapping, rows)
     values = raw * [channel.scale for channel in mapping.channels] + [channel.offset for channel in mapping.channels]
     first = stamps.min() if len(stamps) else 0.0
     time, values, notes = conform.tidy(stamps - first, values)
@@ -152,9 +165,19 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
             order = np.argsort(stamps, kind="stable")
             intervals += stretches(track, stamps[order] - first, table.columns[track.column][rows][order])
     notes += [f"saturated:{mapping.axes[axis]}" for axis in conform.saturated(values)]  # a rotation would hide it
+    zeros = len(raw) - int(np.flatnonzero(raw.any(1)).max(initial=-1)) - 1
+    notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     return Record(
-        name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
+        name,
+        time,
+        values,
+        mapping.axes,
+        mapping.units,
+        columns,
+        intervals,
+        [*table.notes, *notes],
+        float(first),
     )
 
 
@@ -176,7 +199,11 @@ def _value(table: Table, source: Value, rows: NDArray[Any], row: Row) -> str | f
     """A column's value for a recording, empty cells aside; None = it changes within it."""
     if source.value:
         return source.value
-    if source.table:
+    if source.folder:
+        folders = PurePosixPath(table.file).parent.parts
+        place = source.folder - (source.folder > 0)
+        found = folders[place] if -len(folders) <= place < len(folders) else ""
+    elif source.table:
         found = row.get(source.table, "")
     elif source.column in table.columns:
         values = {text(value) for value in np.unique(table.columns[source.column][rows])} - {""}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +13,21 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.families import families
 
-RATE_NAMES = ("rate", "fs", "fps", "sampling_rate", "sample_rate", "frequency")
+RATE_NAMES = (
+    "rate",
+    "fs",
+    "fps",
+    "sr",
+    "sampling_rate",
+    "sample_rate",
+    "samplerate",
+    "frequency",
+    "sampling_frequency",
+)
 PERIOD_NAMES = ("dt", "ts", "period", "sampling_period")
+LENGTH_NAMES = ("length", "lengths", "n_samples", "num_samples", "n_steps", "num_steps", "seq_len", "seq_lengths")
 
 Interval = tuple[str, str, float, float]  # track, label, start, end (NaN = unknown) in s from the first sample
 
@@ -43,7 +56,9 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
 
     Arrays ``[row]`` and ``[row, element]`` of the most frequent length are columns (elements are ``name_0``,
     ``name_1``, ...); an array ``[recording, row, element]`` makes a table of each recording, and arrays
-    ``[recording]`` beside it are facts. Scalars called dt or rate state the sampling, other scalars are facts.
+    ``[recording]`` beside it are facts; one called lengths says where the padding begins.
+    Where names number recordings (:func:`~rcbht_jax.io.importing.families.families`), each makes tables of its own.
+    Scalars called dt or rate state the sampling, other scalars are facts.
 
     >>> [table] = tables_of(Path("a.npz"), "a.npz", {"wrench": np.zeros((9, 2)), "dt": np.array(0.01)})
     >>> list(table.columns), table.rate
@@ -58,9 +73,15 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
     Raises:
         InputError: no array has at least two rows, or there are too many columns.
     """
+    if several := families(arrays):
+        for which, those in several.items():
+            yield from tables_of(path, f"{name}#{which}", those, f"{part}#{which}" if part else which)
+        return
     arrays = {key: array.reshape(()) if array.size == 1 else array for key, array in arrays.items() if array.size}
     rate, facts = _scalars({key: array for key, array in arrays.items() if array.ndim == 0})
     cubes = {key: array for key, array in arrays.items() if array.ndim == 3 and array.dtype.kind in "fiub"}
+    if all(cube.shape[2] > 10 * cube.shape[1] for cube in cubes.values()):  # rows are time, as in _upright
+        cubes = {key: cube.swapaxes(1, 2) for key, cube in cubes.items()}
     if cubes:
         count, rows = next(iter(cubes.values())).shape[:2]
         for number in range(count):
@@ -73,11 +94,16 @@ def tables_of(path: Path, name: str, arrays: Mapping[str, NDArray[Any]], part: s
             }
             own = {key: _fact(array[number]) for key, array in arrays.items() if array.shape == (count,)}
             place = f"{part}#{number}" if part else str(number)
+            ends = [int(own[key]) for key in own if key.lower() in LENGTH_NAMES and 1 < _number(own[key]) <= rows]
+            cut = {key: array[: ends[0]] if ends else array for key, array in cut.items()}
             yield Table(f"{name}#{number}", _columns(path, cut), rate, facts={**facts, **own}, part=place)
         return
     vectors = {array.size for array in arrays.values() if array.ndim in (1, 2) and array.size in array.shape}
     flat = {key: _upright(array, vectors) for key, array in arrays.items() if array.ndim in (1, 2) and _usable(array)}
     lengths = [len(array) for array in flat.values() if len(array) > 1]
+    if not lengths and part:
+        yield Table(name, {}, part=part)
+        return
     if not lengths:
         raise InputError(f"{path} holds no array of at least two rows [time] or [time, axis].")
     rows = max(set(lengths), key=lambda length: (lengths.count(length), length))
@@ -118,7 +144,7 @@ def _columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArra
 
 def plain(array: NDArray[Any]) -> NDArray[Any]:
     """A column ``[row]`` as float64 or text."""
-    if array.dtype.kind in "fiub":
+    if array.dtype.kind in "fiu":
         return array.astype(np.float64)
     if array.dtype.kind == "S":
         return np.array([text.decode("utf-8", "replace") for text in array.tolist()], np.str_)
@@ -130,12 +156,16 @@ def _scalars(scalars: Mapping[str, NDArray[Any]]) -> tuple[float | None, dict[st
     for key, value in scalars.items():
         if not _usable(value):
             continue
-        short, fact = key.rsplit("/", 1)[-1].lower(), _fact(value[()])
+        short, fact = re.split("[./]", key)[-1].lower(), _fact(value[()])
         if isinstance(fact, float) and fact > 0 and np.isfinite(fact) and short in (*RATE_NAMES, *PERIOD_NAMES):
             rate = fact if short in RATE_NAMES else 1 / fact
         else:
             facts[key] = fact
     return rate, facts
+
+
+def _number(fact: str | float) -> float:
+    return fact if isinstance(fact, float) and fact.is_integer() else 0.0
 
 
 def _fact(value: Any) -> str | float:

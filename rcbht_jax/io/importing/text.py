@@ -5,6 +5,7 @@ Data loggers write lines about the device before the names of the columns; those
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax._util.untrusted import MAX_COLUMNS, MAX_TABLE_LINE, MAX_TEXT_BYTES, check_file
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.names import split_unit
 from rcbht_jax.io.importing.table import Table
 
 PREAMBLE, PREAMBLE_LINE = 64, 2**14  # lines at most before the names of the columns, and bytes of one
@@ -29,8 +31,9 @@ _PLAIN = b"0123456789+-.eE,;\t \r\n"
 def read_csv(path: Path, name: str) -> Iterator[Table]:
     """The table of a text file.
 
-    Names are those of the first line; columns without one are called c0, c1, ... by their place. Empty cells are
-    missing values.
+    Names are those of the first line, and a line of units may follow. Columns without one are called c0, c1, ... by
+    their place. Empty cells are missing values. A file that is not UTF-8 is read as Windows-1252, which spreadsheets
+    write in Western Europe.
 
     >>> Path("/tmp/a.csv").write_text("t,Fz,phase\\n0,1.5,free\\n0.1,2,touch\\n")
     34
@@ -45,18 +48,36 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
     check_file(path, MAX_TEXT_BYTES)
     try:
         with path.open("rb") as file:
+            encoding = _encoding(file)
             before = _preamble(file)
             head, comment = _head(file, path)
             delimiter = _delimiter(head)
-            cells = _cells(head, delimiter)
+            cells = _cells(head, delimiter, encoding)
             titled = comment or not all(_is_number(cell) for cell in cells if cell)
-            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
             body = file.tell() if titled else file.tell() - len(head)
-            columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names)
+            below = _units(_cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)) if titled else []
+            if cells and len(below) == len(cells):
+                body = file.tell()
+                cells = [f"{cell} [{unit}]" if unit else cell for cell, unit in zip(cells, below, strict=True)]
+            names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
+            columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    notes = (f"preamble:{before}",) if before else ()
+    notes = ((f"preamble:{before}",) if before else ()) + (("cp1252",) if encoding == "cp1252" else ())
     yield Table(name, dict(zip(names, columns, strict=True)), notes=notes)
+
+
+def _encoding(file: BinaryIO) -> str:
+    """That of the whole file, which is not moved."""
+    decoder, encoding = codecs.getincrementaldecoder("utf-8-sig")(), "utf-8-sig"
+    try:
+        while block := file.read(MAX_TABLE_LINE):
+            decoder.decode(block)
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        encoding = "cp1252"
+    file.seek(0)
+    return encoding
 
 
 def _preamble(file: BinaryIO) -> int:
@@ -85,7 +106,8 @@ def _line_of_names(lines: list[bytes]) -> int:
     first = max((at + 1 for at, row in enumerate(cells) if len(row) != width), default=0)
     if not 0 < first < len(cells) - 1 or any(len(row) > width for row in cells[:first]):
         return 0
-    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, cells[first + 1])) >= width
+    below = cells[min(first + 1 + bool(_units(cells[first + 1])), len(cells) - 1)]
+    named = not any(map(_is_number, cells[first])) and 2 * sum(map(_is_number, below)) >= width
     comments = any(lines[number].startswith((b"#", b"%")) for number in filled[:first])
     return filled[first] if named and not comments else 0
 
@@ -108,6 +130,14 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
     raise InputError(f"{path} is empty; expected a table.")
 
 
+def _units(cells: list[str]) -> list[str]:
+    """The units in a line below that of names, none where a cell has none; [] = it is no such line."""
+    bare = [cell.strip("[]() ") for cell in cells]
+    known = [split_unit(f"x [{unit}]")[1] for unit in bare]
+    numbers = any(map(_is_number, filter(None, bare)))
+    return bare if any(known) and not numbers and 2 * sum(map(bool, known)) >= sum(map(bool, bare)) else []
+
+
 def _delimiter(line: bytes) -> str:
     for mark in ";\t":
         if mark.encode() in line and all(map(_is_number, _cells(line, mark))):
@@ -117,8 +147,8 @@ def _delimiter(line: bytes) -> str:
     return best if counts[best] else " "
 
 
-def _cells(line: bytes, delimiter: str) -> list[str]:
-    text = line.decode("utf-8-sig", "replace").strip("\r\n")
+def _cells(line: bytes, delimiter: str, encoding: str = "utf-8-sig") -> list[str]:
+    text = line.decode(encoding, "replace").strip("\r\n")
     if delimiter == " ":
         return text.split()
     try:
@@ -172,7 +202,9 @@ def _fast(file: BinaryIO, body: int, delimiter: str, width: int) -> list[NDArray
     return [np.ascontiguousarray(column) for column in table.T]
 
 
-def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str]) -> list[NDArray[np.generic]]:
+def _slow(
+    path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str], encoding: str
+) -> list[NDArray[np.generic]]:
     """Row by row: text columns, empty cells, and a message that names the first bad line."""
     file.seek(0)
     before = sum(1 for _ in iter(lambda: file.readline(MAX_TABLE_LINE) if file.tell() < body else b"", b""))
@@ -180,7 +212,7 @@ def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str
     columns = [_Column(path, name) for name in names]
     rows: list[list[str]] = []
     numbers: list[int] = []
-    for number, cells in _rows(path, file, delimiter, before):
+    for number, cells in _rows(path, file, delimiter, before, encoding):
         # A delimiter at the end of every line makes an empty cell more.
         if len(cells) == len(names) + 1 and not cells[-1]:
             cells = cells[:-1]
@@ -196,12 +228,12 @@ def _slow(path: Path, file: BinaryIO, body: int, delimiter: str, names: list[str
     return [column.array() for column in columns]
 
 
-def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, file: BinaryIO, delimiter: str, before: int, encoding: str) -> Iterator[tuple[int, list[str]]]:
     def lines() -> Iterator[str]:
         while raw := file.readline(MAX_TABLE_LINE):
             if len(raw) == MAX_TABLE_LINE and not raw.endswith(b"\n"):
                 raise InputError(f"{path} has a line of more than {MAX_TABLE_LINE} bytes; that is not a table.")
-            yield raw.decode("utf-8-sig")
+            yield raw.decode(encoding)
 
     blanks = (line.split() for line in lines())
     reader = blanks if delimiter == " " else csv.reader(lines(), delimiter=delimiter)
@@ -212,7 +244,7 @@ def _rows(path: Path, file: BinaryIO, delimiter: str, before: int) -> Iterator[t
         except StopIteration:
             return
         except (csv.Error, UnicodeDecodeError) as error:
-            reason = "it is not UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+            reason = "it is neither UTF-8 nor Windows-1252" if isinstance(error, UnicodeDecodeError) else str(error)
             raise InputError(f"{path}, line {number + 1} cannot be read: {reason}.") from None
         number += 1
         if any(cell.strip() for cell in cells):

@@ -40,6 +40,13 @@ def table(*names: str, **values: object) -> Table:
         ("position.x position.y position.z", "position.x position.y position.z", ",,"),
         ("tx ty tz px", "tx ty tz px", ",,,"),
         ("strain [mm]", "strain", "mm"),
+        ("q_0 " + " ".join(f"{frame}_F_ext_hat_K_{k}" for frame in "OK" for k in range(6)), "Fx Fy Fz Mx My Mz",
+         ",,,,,"),
+        ("wrench[0] wrench[1] wrench[2] wrench[3] wrench[4] wrench[5]", "Fx Fy Fz Mx My Mz", ",,,,,"),
+        ("F_ext_x F_ext_y F_ext_z q", "Fx Fy Fz", ",,"),
+        ("Kraft_x_N Kraft_y_N Kraft_z_N Drehmoment_x_Nm Drehmoment_y_Nm Drehmoment_z_Nm", "Fx Fy Fz Mx My Mz",
+         "N,N,N,Nm,Nm,Nm"),
+        ("Weg_x Weg_y Weg_z", "Weg_x Weg_y Weg_z", ",,"),
     ],
 )  # fmt: skip
 def test_channels(names: str, axes: str, units: str) -> None:
@@ -61,6 +68,7 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("%time", 1.5e12 + np.arange(N) * 10, "ms"),
         ("timestamp", 1.5e9 + np.arange(N) * 0.01, "s"),
         ("c0", np.arange(N) * 0.05, "s"),
+        ("Zeit [ms]", np.arange(N) * 5.0, "ms"),
         ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
     ],
 )
@@ -111,6 +119,21 @@ def test_a_group_separates_recordings_only_if_it_changes() -> None:
     assert set(mapping.columns) == {"class"}
     columns["instance"] = np.zeros(N)
     assert guess(Table("a.csv", columns))[0].group == ""
+
+
+@pytest.mark.parametrize("name", ["trial_id", "Sample", "Versuch"])
+def test_what_changes_where_the_time_starts_anew_separates_recordings(name: str) -> None:
+    """Numbers that change only there describe recordings: as channels, they would tell a classifier what they say."""
+    columns = {
+        "time": np.tile(np.arange(10) * 0.1, 3),
+        name: np.repeat([4.0, 2.0, 7.0], 10),
+        "load": np.arange(N) % 7.0,
+    }
+    columns |= {"anomaly": np.repeat([0.0, 1.0, 0.0], 10), "mass": np.repeat([0.5, 0.7, 0.7], 10), "dead": np.ones(N)}
+    mapping, _ = guess(Table("a.csv", columns))
+    assert mapping.group == name
+    assert mapping.axes == ("load", "dead")
+    assert set(mapping.columns) == {"anomaly", "mass"}
 
 
 def test_the_name_of_a_folder_says_nothing() -> None:

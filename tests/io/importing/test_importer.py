@@ -214,24 +214,6 @@ def test_a_word_that_changes_in_one_recording_is_a_track_in_all(tmp_path: Path) 
     assert not recordings.columns
 
 
-def test_facts_from_a_table_of_recordings(tmp_path: Path) -> None:
-    for name in ("a", "b", "c"):
-        write(tmp_path / "runs" / f"{name}.csv", noise(ord(name)))
-    (tmp_path / "facts.json").write_text(json.dumps([{"file": "runs/a.csv", "ok": True}, {"file": "b", "ok": False}]))
-    columns = {"outcome": Value(table="ok", words={"True": "success"}), "robot": Value(value="UR5")}
-    imported = read_source(tmp_path, mapping=Mapping(table="facts.json", columns=columns))
-    assert imported.recordings.outcome.tolist() == ["success", "False", "unknown"]
-    assert imported.recordings.columns["robot"].tolist() == ["UR5"] * 3
-    assert imported.report.warnings == [("runs/c.csv", "facts.json has no row for it.")]
-
-
-def test_a_table_outside_the_source_is_refused(tmp_path: Path) -> None:
-    write(tmp_path / "in" / "a.csv", noise(0))
-    (tmp_path / "facts.csv").write_text("file,x\na,1\n")
-    with pytest.raises(InputError, match="outside the source"):
-        read_source(tmp_path / "in", mapping=Mapping(table="../facts.csv", columns={"x": Value(table="x")}))
-
-
 def test_an_outcome_in_one_row_counts_and_one_that_changes_is_a_warning(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", noise(0), outcome=[""] * 199 + ["good"])
     write(tmp_path / "b.csv", noise(1), outcome=["good"] * 199 + ["bad"])
@@ -247,6 +229,16 @@ def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> No
     for number, word in enumerate(words):
         write(tmp_path / f"{number}.csv", noise(number), **{name: word})
     assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
+
+
+def test_a_sensor_that_is_slower_than_the_log_has_its_own_rate(tmp_path: Path) -> None:
+    rows = [f"{k / 1000},{k},{k if k % 10 == 0 else ''},{'' if k < 500 else 'push'}" for k in range(1000)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,joint,Fz,phase", *rows]))
+    mapping = Mapping((Channel("Fz"),), annotations=(Track("phase", "phase"),))
+    recordings = read_source(tmp_path, mapping=mapping).recordings
+    assert (recordings.dt, recordings.note.tolist()) == (0.01, ["padded:9;between:891"])
+    np.testing.assert_array_equal(recordings.wrench[0, :, 0], np.arange(0, 1000, 10))
+    np.testing.assert_allclose(recordings.starts("phase"), [[0.5]])
 
 
 def test_two_arms_in_one_table_are_two_recordings_of_a_trial(tmp_path: Path) -> None:

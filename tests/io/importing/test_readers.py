@@ -20,6 +20,7 @@ from rcbht_jax.cli.main import command_class
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import KINDS
 from rcbht_jax.io.importing.importer import Imported, read_source
+from rcbht_jax.io.importing.text import read_csv
 
 N, DT = 40, 0.01
 TIME = np.arange(N) * DT
@@ -87,6 +88,25 @@ def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
     same(read_source(tmp_path / "run.csv"))
     (tmp_path / "bare.csv").write_text("\n".join(rows))
     assert read_source(tmp_path / "bare.csv").recordings.wrench.shape == (1, N, 6)
+
+
+def test_a_table_of_a_spreadsheet_need_not_be_utf8(tmp_path: Path) -> None:
+    text = "Zeit [s];Temperatur [°C];Zustand\n0,0;20,5;Fügen\n0,1;21;Fügen\n"
+    (tmp_path / "a.csv").write_bytes(text.encode("cp1252"))
+    [table] = read_csv(tmp_path / "a.csv", "a.csv")
+    assert list(table.columns) == ["Zeit [s]", "Temperatur [°C]", "Zustand"]
+    assert table.columns["Zustand"].tolist() == ["Fügen"] * 2
+    assert table.notes == ("cp1252",)
+
+
+@pytest.mark.parametrize("before", ["", "Logger 7\nSerial;12\n"])
+def test_a_line_of_units_below_the_names(tmp_path: Path, before: str) -> None:
+    rows = ["Zeit;Kraft_x;Kraft_y;Kraft_z;Takt", "[ms];[N];[N];[N];", *(f"{5 * k};{k},5;0;1;{k % 3}" for k in range(9))]
+    (tmp_path / "a.csv").write_text(before + "\n".join(rows))
+    imported = read_source(tmp_path)
+    assert (imported.recordings.axes, imported.recordings.units) == (("Fx", "Fy", "Fz"), ("N",) * 3)
+    assert imported.recordings.dt == 0.005
+    np.testing.assert_array_equal(imported.recordings.wrench[0, :, 0], np.arange(9) + 0.5)
 
 
 def test_decimal_commas_between_tabs(tmp_path: Path) -> None:

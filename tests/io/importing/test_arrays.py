@@ -1,0 +1,122 @@
+"""Files of arrays in the layouts that people give them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from rcbht_jax.io.importing.importer import read_source
+from tests.io.importing.test_readers import AXES, DT, TIME, WRENCH, N, same
+
+
+def test_hdf5_groups_of_recordings_beside_one_of_splits_need_not_be_alike(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "demos.hdf5", "w") as file:
+        for number in range(3):
+            demo = file.create_group(f"data/demo_{number}")
+            demo["obs/ft"], demo.attrs["dt"], demo.attrs["success"] = WRENCH + number, DT, number < 2
+            if number:
+                demo["rewards"] = np.zeros(N)
+        file["mask/train"] = np.array(["demo_0"], "S")
+    recordings = read_source(tmp_path / "demos.hdf5").recordings
+    assert recordings.trial.tolist() == [f"demos-demo_{number}" for number in range(3)]
+    assert recordings.columns["success"].tolist() == [1, 1, 0]
+
+
+def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Path) -> None:
+    np.save(tmp_path / "run.npy", np.column_stack([TIME, WRENCH]))
+    recordings = read_source(tmp_path / "run.npy").recordings
+    assert (recordings.dt, len(recordings.axes)) == (DT, 6)
+    cube = np.random.default_rng(0).normal(size=(4, 2, 80))
+    np.savez(tmp_path / "cube.npz", X=cube, y=[0, 1, 0, 1], dt=DT)
+    recordings = read_source(tmp_path / "cube.npz").recordings
+    np.testing.assert_allclose(recordings.wrench, cube.swapaxes(1, 2), rtol=1e-6)
+
+
+def test_hdf5_tables_of_pandas_and_of_records_keep_the_names_of_columns(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    names = ["time", *AXES]
+    with h5py.File(tmp_path / "pandas.h5", "w") as file:  # as DataFrame.to_hdf writes it
+        frame = file.create_group("runs")
+        frame["axis0"], frame["axis1"] = np.array([*names, "trial"], "S"), np.arange(2 * N)
+        frame["block0_items"], frame["block1_items"] = np.array(names, "S"), np.array(["trial"], "S")
+        frame["block0_values"] = np.tile(np.column_stack([TIME, WRENCH]), (2, 1)) + np.repeat([[0], [0.5]], N, 0)
+        frame["block1_values"] = np.repeat([[3], [8]], N, 0)
+    imported = read_source(tmp_path / "pandas.h5")
+    assert imported.recordings.trial.tolist() == ["pandas-3", "pandas-8"]
+    np.testing.assert_allclose(imported.recordings.wrench[1], WRENCH + 0.5, atol=1e-6)
+    with h5py.File(tmp_path / "records.h5", "w") as file:
+        file["log"] = np.rec.fromarrays([TIME, *WRENCH.T], names=names)
+    same(read_source(tmp_path / "records.h5"))
+
+
+def numbered(kind: str, path: Path) -> None:
+    """A file of three recordings of different lengths, as people number them."""
+    parts = {k: (TIME[: N - 5 * k], WRENCH[: N - 5 * k] + k) for k in range(3)}
+    if kind == "npz":
+        np.savez(
+            path, **{f"trial_{k}/{key}": one for k in parts for key, one in zip(("t", "ft"), parts[k], strict=True)}
+        )
+    elif kind == "npz bare":
+        np.savez(path, dt=DT, **{f"x{k}": wrench for k, (_, wrench) in parts.items()})
+    elif kind == "matlab structures":
+        rows = np.zeros(3, [("time", "O"), ("ft", "O"), ("result", "O")])
+        for k, (time, wrench) in parts.items():
+            rows[k] = time, wrench, f"r{k}"
+        scipy.io.savemat(path, {"demos": rows})
+    elif kind == "matlab cells":
+        cells = np.empty((2, 3), object)
+        for k, (_, wrench) in parts.items():
+            cells[:, k] = wrench, f"r{k}"
+        scipy.io.savemat(path, {"ft": cells[0], "result": cells[1], "Ts": DT})
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w", userblock_size=512) as file:
+            demos = file.create_group("demos")
+            demos.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key in ("time", "ft", "result"):
+                rows = []
+                for k, (time, wrench) in parts.items():
+                    text = np.array([[ord(letter)] for letter in f"r{k}"], np.uint16)
+                    one = file.create_dataset(
+                        f"#refs#/{key}{k}", data={"time": time[None], "ft": wrench.T}.get(key, text)
+                    )
+                    one.attrs["MATLAB_class"] = np.bytes_("char" if key == "result" else "double")
+                    rows.append(one.ref)
+                demos.create_dataset(key, data=np.array(rows, object)[:, None], dtype=h5py.ref_dtype)
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("kind", ["npz", "npz bare", "matlab structures", "matlab cells", "matlab 7.3"])
+def test_arrays_that_are_numbered_are_recordings(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / ("a.npz" if kind.startswith("npz") else "a.mat")
+    numbered(kind, path)
+    recordings = read_source(path).recordings
+    assert recordings.trial.tolist() == ["a-0", "a-1", "a-2"]
+    assert recordings.length.tolist() == [N, N - 5, N - 10]
+    np.testing.assert_allclose(recordings.wrench[2, : N - 10], WRENCH[: N - 10] + 2, atol=1e-6)
+    if "matlab" in kind:
+        assert recordings.columns["result"].tolist() == ["r0", "r1", "r2"]
+
+
+def test_arrays_that_number_columns_are_one_recording_and_a_broken_one_leaves_the_others(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", t=TIME, **{f"joint{k}.torque": WRENCH[:, k] for k in range(3)})
+    assert len(read_source(tmp_path / "a.npz").recordings) == 1
+    np.savez(tmp_path / "b.npz", dt=DT, trial_0=WRENCH, trial_1=np.zeros((0, 6)), trial_2=WRENCH + 1)
+    imported = read_source(tmp_path / "b.npz")
+    assert (imported.report.imported, len(imported.report.skipped)) == (["b.npz#0", "b.npz#2"], 1)
+
+
+def test_rows_without_any_value_at_the_end_are_padding(tmp_path: Path) -> None:
+    cube = np.random.default_rng(0).normal(size=(3, 80, 2))
+    cube[1, 50:], cube[2, 60:] = np.nan, 0
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT)
+    imported = read_source(tmp_path)
+    assert imported.recordings.length.tolist() == [80, 50, 80]
+    assert imported.recordings.note.tolist() == ["", "padded:30", "zeros:20"]
+    np.savez(tmp_path / "a.npz", x=cube, dt=DT, lengths=[80, 50, 60])
+    assert read_source(tmp_path).recordings.length.tolist() == [80, 50, 60]

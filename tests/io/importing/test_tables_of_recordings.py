@@ -1,0 +1,91 @@
+"""What is known of whole recordings: from a table that lists them, from folders where a map says so."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.errors import InputError
+from rcbht_jax.io.importing.importer import read_source
+from rcbht_jax.io.importing.mapping import Mapping, Value, read_mapping, write_mapping
+from rcbht_jax.io.store import read_recordings
+from tests.io.importing.test_importer import DT, noise, write
+
+
+def test_facts_from_a_table_of_recordings(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        write(tmp_path / "runs" / f"{name}.csv", noise(ord(name)))
+    (tmp_path / "facts.json").write_text(json.dumps([{"file": "runs/a.csv", "ok": True}, {"file": "b", "ok": False}]))
+    columns = {"outcome": Value(table="ok", words={"True": "success"}), "robot": Value(value="UR5")}
+    imported = read_source(tmp_path, mapping=Mapping(table="facts.json", columns=columns))
+    assert imported.recordings.outcome.tolist() == ["success", "False", "unknown"]
+    assert imported.recordings.columns["robot"].tolist() == ["UR5"] * 3
+    assert imported.report.warnings == [("runs/c.csv", "facts.json has no row for it.")]
+
+
+def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        write(tmp_path / "runs" / "day 1" / f"{name}.csv", noise(ord(name)), phase="free")
+    (tmp_path / "runs" / "trials.csv").write_text("Versuch;result;operator\na;OK;Ann\nb.csv;NOK;Bob\nz;OK;Ann\n")
+    imported = read_source(tmp_path / "runs")
+    assert imported.recordings.columns["operator"].tolist() == ["Ann", "Bob", ""]
+    assert imported.recordings.outcome.tolist() == ["unknown"] * 3
+    assert not imported.report.skipped
+    assert imported.report.warnings == [("day 1/c.csv", "trials.csv has no row for it.")]
+    again = read_source(tmp_path / "runs", mapping=imported.mapping)
+    assert again.recordings.columns["result"].tolist() == ["OK", "NOK", ""]
+    command = ["import", "csv", str(tmp_path / "runs"), str(tmp_path / "x.zarr"), "--outcome", "result"]
+    assert main(command) == 0
+    assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
+
+
+def test_a_column_from_the_names_of_folders_if_a_map_says_so(tmp_path: Path) -> None:
+    for number, folder in enumerate(("bad/day 1", "good/day 1", ".")):
+        write(tmp_path / "runs" / folder / "a.csv", noise(number))
+    text = '[columns.outcome]\nfolder = 1\nwords = {"good" = "success"}\n[columns.day]\nfolder = -1\n'
+    (tmp_path / "a.toml").write_text(text)
+    imported = read_source(tmp_path / "runs", mapping=read_mapping(tmp_path / "a.toml"))
+    assert imported.recordings.outcome.tolist() == ["unknown", "bad", "success"]
+    assert imported.recordings.columns["day"].tolist() == ["", "day 1", "day 1"]
+    write_mapping(tmp_path / "b.toml", imported.mapping)
+    assert read_mapping(tmp_path / "b.toml") == imported.mapping
+
+
+def test_a_table_of_recordings_may_name_groups(tmp_path: Path) -> None:
+    rows = [f"{k % 50 * DT},T{k // 50},{k}" for k in range(150)]
+    (tmp_path / "all.csv").write_text("\n".join(["t,trial,Fz", *rows]))
+    (tmp_path / "facts.csv").write_text("trial,part\nT0,peg\nT2,plug\n")
+    mapping = Mapping(table="facts.csv", key="trial", columns={"part": Value(table="part")})
+    imported = read_source(tmp_path, mapping=mapping)
+    assert imported.recordings.columns["part"].tolist() == ["peg", "", "plug"]
+    assert imported.report.warnings == [("all.csv#T1", "facts.csv has no row for it.")]
+
+
+def test_annotations_may_be_on_the_clock_of_the_recordings(tmp_path: Path) -> None:
+    time = 1.7e9 + np.arange(100) * 0.01
+    (tmp_path / "a.csv").write_text("\n".join(["t,Fz", *(f"{t:.3f},{k}" for k, t in enumerate(time))]))
+    (tmp_path / "a_labels.csv").write_text("label,start,end\npush,1700000000.25,1700000000.5\nrest,2000000000,\n")
+    imported = read_source(tmp_path)
+    np.testing.assert_allclose(imported.recordings.annotations.start, [0.25], atol=1e-6)
+    np.testing.assert_allclose(imported.recordings.annotations.end, [0.5], atol=1e-6)
+    assert len(imported.report.warnings) == 1
+
+
+def test_a_table_outside_the_source_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "in" / "a.csv", noise(0))
+    (tmp_path / "facts.csv").write_text("file,x\na,1\n")
+    with pytest.raises(InputError, match="outside the source"):
+        read_source(tmp_path / "in", mapping=Mapping(table="../facts.csv", columns={"x": Value(table="x")}))
+
+
+@pytest.mark.parametrize(("name", "true"), [("result", "success"), ("anomaly", "failure")])
+def test_the_column_of_the_outcome_may_have_any_name(tmp_path: Path, name: str, true: str) -> None:
+    write(tmp_path / "runs" / "a.csv", noise(0), **{name: "True"})
+    write(tmp_path / "runs" / "b.csv", noise(1), **{name: "False"})
+    store = tmp_path / "x.zarr"
+    assert main(["import", "csv", str(tmp_path / "runs"), str(store), "--outcome", name]) == 0
+    assert read_recordings(store).outcome.tolist() == sorted(["success", "failure"], key=lambda word: word != true)
