@@ -41,12 +41,12 @@ class Tare:
     def __init__(self, samples: int) -> None:
         self.samples = samples
         self._held: list[list[Floats]] = [[]]  # [part][piece][time, axis]; a sub-task begins with each later part
-        self._count = 0  # samples that are held
+        self.count = 0  # samples that are held
         self._mean: Floats | None = None if samples else np.zeros(1, np.float32)
 
     def begins(self) -> bool:
         """Note that a sub-task begins with the next sample, if there are samples held before it."""
-        if self._mean is not None or not self._count:
+        if self._mean is not None or not self.count:
             return False
         self._held.append([])
         return True
@@ -56,16 +56,16 @@ class Tare:
         if self._mean is not None:
             return [samples - self._mean] if self.samples else [samples]
         self._held[-1].append(samples)
-        self._count += len(samples)
-        return self.release() if self._count >= self.samples else []
+        self.count += len(samples)
+        return self.release() if self.count >= self.samples else []
 
     def release(self) -> list[Floats]:
         """All samples that are held, in parts, by the mean of as many as there are."""
-        if self._mean is not None or not self._count:
+        if self._mean is not None or not self.count:
             return []
         none = self._held[0][0][:0]
         parts = [np.concatenate([none, *pieces]) for pieces in self._held]
-        self._mean, self._held = bias_of(np.concatenate(parts)[: self.samples]), [[]]
+        self._mean, self._held, self.count = bias_of(np.concatenate(parts)[: self.samples]), [[]], 0
         return [part - self._mean for part in parts]
 
 
@@ -107,6 +107,11 @@ class Session:
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
+
+    @property
+    def taken(self) -> int:
+        """Samples of this trial so far: those that the introspector has received, or that the tare holds."""
+        return self.introspector.received + self._tare.count
 
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
