@@ -38,6 +38,13 @@ class Event:
 
 
 @dataclass(frozen=True)
+class TrialStarted(Event):
+    """A trial began with the next sample, whose stamp is ``time``; what was before it is forgotten."""
+
+    trial: str  # its name; "" = it has none
+
+
+@dataclass(frozen=True)
 class SubtaskStarted(Event):
     """A sub-task began at ``begin``: announced by the controller, or detected."""
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.encoding.stream import MOST_SAMPLES
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, Notice
+from rcbht_jax.events import Event, Notice, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.together import Together
@@ -106,6 +106,7 @@ class Session:
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
+        self._reset: Reset | None = None  # of a trial without a sample so far
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
 
     @property
@@ -128,6 +129,7 @@ class Session:
             events = self.finish()
             self.introspector.reset()
             self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
+            self._reset = message
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
@@ -137,6 +139,9 @@ class Session:
         resampled, before = self._resampler.feed(sample), self.time
         self.time = resampled.time
         events: list[Event] = []
+        if self._reset is not None and len(resampled.samples):
+            events.append(TrialStarted(0, self.time, self._reset.trial))
+            self._reset = None
         if self._silent and len(resampled.samples):
             self._silent = False
             events.append(self._notice("resumed", "readings arrive again"))

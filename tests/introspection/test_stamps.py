@@ -1,4 +1,4 @@
-"""Time stamps of events: like all else that is said, they do not depend on how the samples were cut."""
+"""What all events say: when it was, which does not depend on how the samples were cut, and in which trial."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rcbht_jax.events import Belief, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.snaps import SnapDetector
 from rcbht_jax.introspection.together import Together
 from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Malformed, Reset
+from tests.io.test_stream_sources import samples_of
 from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
 
 WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
@@ -37,3 +41,16 @@ def test_events_are_the_same_however_the_samples_are_cut(cuts, start):
     assert {event["event"] for event in events} == {"Word", "Belief", "Snap"}
     assert events == said([], start)
     assert not any(repr(value) == "-0.0" for event in events for value in event.values())
+
+
+def test_events_say_which_trial_they_are_of():
+    """Those of several trials, one after the other, could not be told apart; a trial without a reading has none."""
+    session = Session(Introspector(model()))
+    messages = [Reset("one"), *samples_of(trial(0, 1, 40)), Reset("none"), Reset("two"), Malformed("x")]
+    events = list(session.run([*messages, *samples_of(trial(0, 2, 40))]))
+    started = [(k, event) for k, event in enumerate(events) if isinstance(event, TrialStarted)]
+    assert [event.to_json() for _, event in started] == [
+        {"event": "TrialStarted", "sample": 0, "time": 0.0, "trial": name} for name in ("one", "two")
+    ]
+    assert started[0][0] == 0
+    assert sum(isinstance(event, Belief) for event in events[: started[1][0]]) == 6

@@ -383,7 +383,7 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
     from_store = list(read_store(hiro_store, (name,)))
     from_folder = list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name))
-    assert isinstance(from_store.pop(0), Reset)
+    assert from_store.pop(0) == Reset(name)
     assert [type(m) for m in from_store] == [type(m) for m in from_folder]
     wrench = np.array([m.wrench for m in from_folder if isinstance(m, Sample)], np.float32)
     np.testing.assert_array_equal(wrench, hiro_recordings.wrench[row, : hiro_recordings.length[row]])
