@@ -148,8 +148,11 @@ class Frames:
         self._events: list[dict[str, Any]] = []
         self._beliefs: dict[str, Any] = {}
         self._received, self._sent, self._time = 0, 0, session.time  # samples, s
-        self._trial, self._begins = 0, True
-        self._base = 0.0  # s, time stamp that is shown as 0: of the trial's first sample where stamps are dates
+        self._trial, self._begins, self._base = (
+            0,
+            True,
+            0.0,
+        )  # base: stamp shown as 0, of the first sample where they are dates
         self._raised: set[str] = set()  # classifiers whose alarm stands
 
     def feed(self, message: Message) -> list[Event]:
@@ -326,8 +329,7 @@ class PageServer(ThreadingHTTPServer):
         self.about: dict[str, Any] = {}
         if session is not None:
             self.show(session)
-        six = ":" in host
-        self.address_family = socket.AF_INET6 if six else socket.AF_INET
+        self.address_family = socket.AF_INET6 if (six := ":" in host) else socket.AF_INET
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
