@@ -148,11 +148,7 @@ class Frames:
         self._events: list[dict[str, Any]] = []
         self._beliefs: dict[str, Any] = {}
         self._received, self._sent, self._time = 0, 0, session.time  # samples, s
-        self._trial, self._begins, self._base = (
-            0,
-            True,
-            0.0,
-        )  # base: stamp shown as 0, of the first sample where they are dates
+        self._trial, self._begins, self._base = 0, True, 0.0  # base: stamp shown as 0; not 0 for dates
         self._raised: set[str] = set()  # classifiers whose alarm stands
 
     def feed(self, message: Message) -> list[Event]:
