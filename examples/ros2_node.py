@@ -25,7 +25,7 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
-from rcbht_jax.introspection.opening import READINGS, live_thresholds, read_opening
+from rcbht_jax.introspection.opening import READINGS, duration, live_thresholds, read_opening
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample, Silence, sample_of
@@ -57,7 +57,7 @@ class Bridge:
     def __init__(self, parameters: dict[str, Any], publish: Callable[[str, str], None]) -> None:
         self._parameters, self._publish = {**PARAMETERS, **parameters}, publish
         self._early: list[Message] = []  # until rate and thresholds are known
-        self._stamps: list[float] = []  # s, of the readings among them
+        self._readings: list[Sample] = []  # among them
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
         if self._parameters["model"]:
@@ -79,7 +79,9 @@ class Bridge:
             self._feed(Silence(self._parameters["timeout"]))
 
     def finish(self) -> None:
-        """Publish the words still held."""
+        """Publish the words still held, also of a stream that ends before its thresholds are known."""
+        if self.session is None and len(self._readings) > 1:
+            self._begin()
         if self.session is not None:
             self._emit(self.session.finish())
 
@@ -89,12 +91,15 @@ class Bridge:
             return
         self._early.append(message)
         if isinstance(message, Sample) and np.isfinite(message.wrench).all():
-            self._stamps.append(message.time or 0.0)
-        if len(self._stamps) >= READINGS and self._stamps[-1] - self._stamps[0] >= self._lead:
-            early, self._early = self._early, []
-            self._open(self._words(early))
-            for message in early:
-                self._feed(message)
+            self._readings.append(message)
+        if len(self._readings) >= READINGS and duration(self._readings, self._parameters["rate"]) >= self._lead:
+            self._begin()
+
+    def _begin(self) -> None:
+        early, self._early, self._readings = self._early, [], []
+        self._open(self._words(early))
+        for message in early:
+            self._feed(message)
 
     @property
     def _lead(self) -> float:

@@ -3,8 +3,9 @@
     rcbht export-model states.model -o states.chain
     python examples/run_chain.py states.chain < wrenches.jsonl
 
-Each line of the input is {"wrench": [Fx, Fy, Fz, Mx, My, Mz]} (N, Nm), one per sampling period, or {"begin": true}
-where a sub-task begins. One JSON line with the probabilities of every head is printed per window.
+Each line of the input is {"wrench": [Fx, Fy, Fz, Mx, My, Mz]}, one per sampling period, in the order and the units that
+chain.json in the archive names, or {"begin": true} where a sub-task begins and {"reset": true} where a trial does; a
+reading on such a line is the next one. One JSON line with the probabilities of every head is printed per window.
 """
 
 import io
@@ -21,15 +22,18 @@ def main() -> None:
     with zipfile.ZipFile(sys.argv[1]) as archive:
         meta = json.loads(archive.read("chain.json"))
         with np.load(io.BytesIO(archive.read("state.npz")), allow_pickle=False) as arrays:
-            state = [arrays[name] for name in sorted(arrays.files)]
-        chain = jax.jit(export.deserialize(archive.read("chain.stablehlo")).call)
-    window = np.zeros((meta["window"], 6), np.float32)
-    begins = np.zeros(len(meta["sentences"]), np.int32)
-    received = 0
+            start = [arrays[name] for name in sorted(arrays.files)]
+        exported = export.deserialize(archive.read("chain.stablehlo"))
+    chain, *inputs = jax.jit(exported.call), *exported.in_avals[len(start) :]
+    window, begins = np.zeros(inputs[0].shape, np.float32), np.zeros(inputs[2].shape, np.int32)
+    state, received = start, 0
     for line in sys.stdin:
         message = json.loads(line)
+        if message.get("reset"):
+            state, received, begins = start, 0, np.zeros_like(begins)
         if message.get("begin"):
             begins = np.where([scope == "subtask" for scope in meta["sentences"]], received, begins).astype(np.int32)
+        if "wrench" not in message:
             continue
         window[received % len(window)] = message["wrench"]
         received += 1

@@ -13,6 +13,18 @@ Level = Literal["inadmissible", "uncertain", "certain"]
 LEVELS: tuple[Level, ...] = ("inadmissible", "uncertain", "certain")
 
 
+def stamp_before(stamp: float, samples: int, dt: float) -> float:
+    """Time stamp of the sample so many before the one with this stamp, s.
+
+    Rounded to what stamps hold, a nanosecond or of dates a microsecond, so that it does not depend on which later
+    sample brought the stamp.
+
+    >>> stamp_before(0.12, 20, 0.005), stamp_before(1.7e9, -1, 0.005)
+    (0.02, 1700000000.005)
+    """
+    return round(stamp - samples * dt, 9 if abs(stamp) < 1e6 else 6) + 0.0 if samples else stamp
+
+
 @dataclass(frozen=True)
 class Event:
     """Something that was known after ``sample`` samples."""
@@ -23,6 +35,13 @@ class Event:
     def to_json(self) -> dict[str, Any]:
         """The event as JSON values; ``event`` is the name of its class."""
         return {"event": type(self).__name__, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class TrialStarted(Event):
+    """A trial began with the next sample, whose stamp is ``time``; what was before it is forgotten."""
+
+    trial: str  # its name; "" = it has none
 
 
 @dataclass(frozen=True)

@@ -132,8 +132,9 @@ class PlotBeliefs(Command):
         from rcbht_jax.plots.beliefs import belief_map
 
         detect = self.starts == "detected"
-        session = Session(Introspector(load(self.model), self.rate or "auto", detect=detect))
-        recordings = read_recordings(self.store)
+        model, recordings = load(self.model), read_recordings(self.store)
+        model.check_axes(recordings.axes, recordings.units, str(self.store))
+        session = Session(Introspector(model, self.rate or "auto", detect=detect))
         starts = "none" if detect else self.starts
         events = list(session.run(play(recordings, (self.trial,), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)

@@ -89,21 +89,21 @@ class Source(RuleCommand):
         from rcbht_jax.introspection.together import Together
 
         self.check()
-        live, messages = self.source == "-", self._messages()
+        model = None if self.model is None else load(self.model)
+        live, messages = self.source == "-", self._messages(model)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
             messages = paced(messages, self.speed)
         introspector: AnyIntrospector
-        if self.model is None:
+        if model is None:
             introspector, messages = self._words(messages, say)
         else:
             rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
             detect = self.starts == "detected"
-            model = load(self.model)
             beside = self._beside(model)
             introspector = Introspector(model, rate, self.certainty, detect=detect, words=words and not beside)
             if beside:
-                others, messages = self._words(messages, say)
+                others, messages = self._words(messages, say, model)
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, snaps=snaps)
@@ -152,8 +152,16 @@ class Source(RuleCommand):
         if not 0 <= self.lead <= 600:
             raise InputError(f"--lead is {self.lead}; expected 0 to 600 s.")
 
-    def _words(self, messages: Messages, say: Callable[[str], None]) -> tuple[WordIntrospector, Messages]:
-        """What reports words without a model, with the thresholds of the options, and the messages for it."""
+    def _words(
+        self, messages: Messages, say: Callable[[str], None], model: IntrospectionModel | None = None
+    ) -> tuple[WordIntrospector, Messages]:
+        """What reports words of its own, with the thresholds of the options, and the messages for it.
+
+        Args:
+            messages: the stream.
+            say: called with what is being waited for.
+            model: beside which the words are shown; it knows rate and axes.
+        """
         from rcbht_jax.encoding.limit_files import has_tolerances
         from rcbht_jax.introspection.opening import live_thresholds, read_opening
         from rcbht_jax.introspection.words import WordIntrospector
@@ -161,10 +169,10 @@ class Source(RuleCommand):
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.labels import UNIT_OF
 
-        path = as_path(self.source)
+        path, known = as_path(self.source), self.sampling_rate if model is None else 1 / model.encoder.dt
         if _is_store(path):
             recordings = read_recordings(path)
-            rate = self.sampling_rate or 1 / recordings.dt
+            rate = known or 1 / recordings.dt
         else:
             robot = self.robot or ("hiro" if path.is_dir() and not is_bag(path) else "auto")
             learns = self.thresholds is None and robot == "auto"
@@ -173,9 +181,10 @@ class Source(RuleCommand):
             if learns or measured:
                 what = " and ".join(["thresholds"] * learns + ["tolerances"] * measured)
                 say(f"taking the {what} from the first {self.lead:g} s")
-            opening = read_opening(messages, self.lead if learns or measured else 0.0, self.sampling_rate)
-            messages, rate = opening.messages, self.sampling_rate or opening.rate()
-            recordings = opening.recordings(rate, opening.axes)
+            opening = read_opening(messages, self.lead if learns or measured else 0.0, known)
+            messages, rate = opening.messages, known or opening.rate()
+            its = model is not None and len(model.axes) == len(opening.axes)
+            recordings = opening.recordings(rate, *((model.axes, model.units) if model and its else (opening.axes,)))
         if self.axes:
             if len(self.axes) != len(recordings.axes):
                 raise InputError(f"--axes names {len(self.axes)} axes; the stream has {len(recordings.axes)}.")
@@ -191,11 +200,12 @@ class Source(RuleCommand):
         limits = self.limits(config, thresholds, recordings)
         return WordIntrospector(config, limits, recordings.axes, recordings.units), messages
 
-    def _messages(self) -> Messages:
+    def _messages(self, model: IntrospectionModel | None) -> Messages:
         from rcbht_jax.io.importing.find import SUFFIXES
         from rcbht_jax.io.messages import read_live
-        from rcbht_jax.io.playback import read_folder, read_store
+        from rcbht_jax.io.playback import play, read_folder
         from rcbht_jax.io.rosbags import is_bag, read_bag
+        from rcbht_jax.io.store import read_recordings
 
         if self.source == "-":
             return read_live(_standard_input(), self.timeout)
@@ -204,7 +214,10 @@ class Source(RuleCommand):
         if is_bag(path):
             return read_bag(path, self.topic)
         if _is_store(path):
-            return read_store(path, self.trial, self.arm, starts)
+            recordings = read_recordings(path)
+            if model is not None:
+                model.check_axes(recordings.axes, recordings.units, str(path))
+            return play(recordings, self.trial, self.arm, starts, str(path))
         if path.is_dir():
             return read_folder(path, self.arm, starts)
         if path.is_file():

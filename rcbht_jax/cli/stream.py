@@ -198,10 +198,13 @@ class Stream(Source):
 
             try:
                 for message in itertools.chain(first, messages):
-                    complete, left_out = session.introspector.received // window, _left_out(session)
+                    before, left_out = session.introspector.received, _left_out(session)
                     events = session.feed(message)
                     report(events, message if _left_out(session) == left_out else None)
-                    if self.provisional and session.introspector.received // window != complete:
+                    received = session.introspector.received
+                    if received < before:  # a gap or a new trial: words that begin at the same sample are others
+                        revisions = Revisions()
+                    elif self.provisional and received // window != before // window:
                         report([*revisions.after_window(session.introspector.provisional())])
             except KeyboardInterrupt:  # also SIGTERM: the recording is finished first
                 report(session.finish())

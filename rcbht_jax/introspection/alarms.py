@@ -127,7 +127,7 @@ class Confidence:
         if not self._label and probability > self._k:
             self._label, self._since = label, time
         if self._label:
-            return "certain", time - self._since
+            return "certain", round(time - self._since, 6)
         return ("uncertain" if probability >= INADMISSIBLE else "inadmissible"), 0.0
 
 

@@ -15,7 +15,16 @@ from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, FailureType, SubtaskStarted, Word
+from rcbht_jax.events import (
+    AnomalyCleared,
+    AnomalyRaised,
+    Belief,
+    Event,
+    FailureType,
+    SubtaskStarted,
+    Word,
+    stamp_before,
+)
 from rcbht_jax.introspection.alarms import Alarm, Confidence, PhaseFilter
 from rcbht_jax.introspection.chain import FeatureView, StreamState, begin_stream, step
 from rcbht_jax.introspection.model import Head, HeadArrays, IntrospectionModel, head_arrays
@@ -257,7 +266,7 @@ class Introspector:
         end = self.received + len(chunk)
         while len(chunk):
             chunk = self._buffer.fill(chunk, self._due())
-            self._time = None if time is None else time - (end - self.received) * self._config.dt
+            self._time = None if time is None else stamp_before(time, end - self.received, self._config.dt)
             events += self._advance()
         return events
 
@@ -267,7 +276,7 @@ class Introspector:
         return room if self._every is None else min(room, self._every - self.received % self._every)
 
     def _now(self) -> float:
-        return self.received * self._config.dt if self._time is None else self._time
+        return round(self.received * self._config.dt, 9) if self._time is None else self._time
 
     def _call(self) -> tuple[StreamState, tuple[Array, ...], PackedLabels]:
         # The buffer is copied: the call may still read it when the next samples come.

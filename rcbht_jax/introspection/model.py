@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -147,6 +147,23 @@ class IntrospectionModel:
     def units(self) -> tuple[str, ...]:
         """Units of the axes; "" = not stated."""
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
+
+    def check_axes(self, axes: Sequence[str], units: Sequence[str], where: str) -> None:
+        """Refuse a signal whose values the model would take for others.
+
+        Args:
+            axes: names of the signal's axes, in order.
+            units: of each; "" = not stated.
+            where: what has this signal, for the error.
+
+        Raises:
+            InputError: other axes, another order, or another unit.
+        """
+        if tuple(axes) != self.axes:
+            raise InputError(f"{where} has the axes {', '.join(axes)}; the model reads {', '.join(self.axes)}.")
+        for axis, taught, here in zip(axes, self.units, units, strict=True):
+            if taught and here and taught != here:
+                raise InputError(f"{where} has {axis} in {here}; the model learned it in {taught}.")
 
     @property
     def thresholds(self) -> GradientThresholds | FitLimits:

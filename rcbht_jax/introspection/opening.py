@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.introspection.resampling import LARGEST
+from rcbht_jax.introspection.resampling import LARGEST, Resampler
 from rcbht_jax.io.importing.conform import checked_period, clock
 from rcbht_jax.io.messages import Message, Sample
 from rcbht_jax.types import Recordings, axis_names
@@ -66,8 +66,12 @@ class Opening:
         return 1 / checked_period(clock(moments).period)
 
     def recordings(self, rate: float, axes: Sequence[str], units: Sequence[str] | None = None) -> Recordings:
-        """The readings as one recording."""
-        return Recordings.from_arrays([self.wrench], rate, axes=axes, units=units)
+        """The readings as one recording, at the moments at which an encoder of this rate gets samples."""
+        grid = Resampler(1 / rate, axes=self.wrench.shape[1])
+        stamps = [None if np.isnan(stamp) else stamp for stamp in self.time.tolist()]
+        readings = (Sample(tuple(values), stamp) for values, stamp in zip(self.wrench.tolist(), stamps, strict=True))
+        read = [grid.feed(reading).samples for reading in readings]
+        return Recordings.from_arrays([np.concatenate(read)], rate, axes=axes, units=units)
 
 
 def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float | None = None) -> Opening:
@@ -93,7 +97,7 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
         if not (isinstance(message, Sample) and (np.abs(message.wrench) <= LARGEST).all()):
             continue
         samples.append(message)
-        if len(samples) >= READINGS and _duration(samples, rate) >= seconds:
+        if len(samples) >= READINGS and duration(samples, rate) >= seconds:
             break
     if not samples:
         what = f"The first {MOST} messages of the stream have" if len(read) == MOST else "The stream ended and has"
@@ -104,7 +108,8 @@ def read_opening(messages: Iterator[Message], seconds: float = 0.0, rate: float 
     return Opening(np.array([sample.wrench for sample in kept], np.float64), time, chain(read, messages))
 
 
-def _duration(samples: list[Sample], rate: float | None) -> float:
+def duration(samples: Sequence[Sample], rate: float | None) -> float:
+    """Seconds between the first and the last reading, by their number where their stamps do not go on."""
     first, last = samples[0].time, samples[-1].time
     if first is None or last is None or not np.isfinite(last - first) or last <= first:
         return len(samples) / (rate or TIMELESS)

@@ -15,11 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.events import stamp_before
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.labels import AXES
 
 ON_GRID = 0.01  # of a period: nearer than this is on the grid
-JITTER = 0.25  # of a period: readings further off the grid are reported, once per second
+JITTER = 0.25  # of a period: readings further off the grid are reported
+PAUSE = 1.0  # s between reports of what goes on and on: jitter, bridged readings
 CLOCK_JUMP = 1.0  # s back in time: the source was restarted
 WIDEST = 60.0  # s: gap that may be bridged
 LARGEST = 1e6  # N or Nm: beyond any sensor's range, and single precision sums stay finite
@@ -77,7 +79,9 @@ class Resampler:
         self._value: Float[np.ndarray, " axis"] = np.zeros(axes)
         self._index = -1  # of the latest grid sample; -1 = none yet
         self._skipped = 0  # readings without a time that were left out since the latest good one
-        self._off, self._off_since = 0, 0
+        self._told = 0.0  # s, when jitter and bridged readings were reported; since then:
+        self._readings = self._off = self._missing = 0
+        self._gaps = False  # there were bridged readings of late, so that further ones are reported later, together
 
     def feed(self, sample: Sample) -> Resampled:
         """Take one reading.
@@ -111,8 +115,9 @@ class Resampler:
         return Resampled(np.zeros((0, len(self._value)), np.float32), self._last, reports=[Report(kind, text)])
 
     def _start(self, time: float, value: Float[np.ndarray, " axis"]) -> Resampled:
-        self._origin = self._last = time
-        self._value, self._index, self._skipped, self._off, self._off_since = value, 0, 0, 0, 0
+        self._origin = self._last = self._told = time
+        self._value, self._index, self._skipped, self._gaps = value, 0, 0, False
+        self._readings = self._off = self._missing = 0
         return Resampled(value[None].astype(np.float32), time)
 
     def _anew(self, time: float, value: Float[np.ndarray, " axis"], text: str) -> Resampled:
@@ -131,23 +136,35 @@ class Resampler:
         samples = self._value + (value - self._value) * share
         if on and len(indices):
             samples[-1] = value
-        reports = self._reports(step, position - nearest)
         self._last, self._value, self._index, self._skipped = time, value, max(reached, self._index), 0
-        return Resampled(samples.astype(np.float32), self._origin + self._index * self._dt, reports=reports)
+        reports = self._reports(step, position - nearest)
+        stamp = stamp_before(self._origin, -self._index, self._dt)
+        return Resampled(samples.astype(np.float32), stamp, reports=reports)
 
     def _reports(self, step: float, off: float) -> list[Report]:
-        reports = []
         missing = round(step / self._dt) - 1
-        if missing > 0:
-            reports.append(Report("gap", f"{missing} missing readings were bridged by a straight line", missing))
+        self._readings += 1
         self._off += abs(off) > JITTER
-        self._off_since += 1
-        return reports + (self.finish() if self._off_since * self._dt >= 1 else [])
+        reports = []
+        if missing > 0 and self._gaps:
+            self._missing += missing
+        elif missing > 0:
+            reports, self._gaps = [Report("gap", _bridged(missing), missing)], True
+        return reports + (self.finish() if self._last - self._told >= PAUSE - ON_GRID * self._dt else [])
 
     def finish(self) -> list[Report]:
-        """What is left to report about readings since the latest report on jitter, when a stretch of them ends."""
-        off, since = self._off, self._off_since
-        self._off = self._off_since = 0
-        if not off:
-            return []
-        return [Report("jitter", f"{off} of {since} readings were more than {JITTER:g} periods off the grid", off)]
+        """What is left to report since the latest report on jitter and bridged readings, when a stretch ends."""
+        off, missing, since = self._off, self._missing, f"{self._readings} readings in {self._last - self._told:.3g} s"
+        self._told, self._gaps = self._last, missing > 0
+        self._readings = self._off = self._missing = 0
+        reports = []
+        if off:
+            text = f"of {since}, {off} were more than {JITTER:g} periods off the grid of {1 / self._dt:g} Hz"
+            reports.append(Report("jitter", text, off))
+        if missing:
+            reports.append(Report("gap", f"among {since}, {_bridged(missing)}", missing))
+        return reports
+
+
+def _bridged(missing: int) -> str:
+    return f"{missing} missing reading{'s were' if missing > 1 else ' was'} bridged by a straight line"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.encoding.stream import MOST_SAMPLES
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, Notice
+from rcbht_jax.events import Event, Notice, TrialStarted
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.resampling import Resampler
 from rcbht_jax.introspection.together import Together
@@ -41,12 +41,12 @@ class Tare:
     def __init__(self, samples: int) -> None:
         self.samples = samples
         self._held: list[list[Floats]] = [[]]  # [part][piece][time, axis]; a sub-task begins with each later part
-        self._count = 0  # samples that are held
+        self.count = 0  # samples that are held
         self._mean: Floats | None = None if samples else np.zeros(1, np.float32)
 
     def begins(self) -> bool:
         """Note that a sub-task begins with the next sample, if there are samples held before it."""
-        if self._mean is not None or not self._count:
+        if self._mean is not None or not self.count:
             return False
         self._held.append([])
         return True
@@ -56,16 +56,16 @@ class Tare:
         if self._mean is not None:
             return [samples - self._mean] if self.samples else [samples]
         self._held[-1].append(samples)
-        self._count += len(samples)
-        return self.release() if self._count >= self.samples else []
+        self.count += len(samples)
+        return self.release() if self.count >= self.samples else []
 
     def release(self) -> list[Floats]:
         """All samples that are held, in parts, by the mean of as many as there are."""
-        if self._mean is not None or not self._count:
+        if self._mean is not None or not self.count:
             return []
         none = self._held[0][0][:0]
         parts = [np.concatenate([none, *pieces]) for pieces in self._held]
-        self._mean, self._held = bias_of(np.concatenate(parts)[: self.samples]), [[]]
+        self._mean, self._held, self.count = bias_of(np.concatenate(parts)[: self.samples]), [[]], 0
         return [part - self._mean for part in parts]
 
 
@@ -106,7 +106,13 @@ class Session:
         self._resampler = Resampler(*self._grid)
         self.time = 0.0  # s, stamp of the latest sample
         self._silent = False
+        self._reset: Reset | None = None  # of a trial without a sample so far
         self.counts: Counter[str] = Counter()  # messages by kind, readings left out or bridged by what was wrong
+
+    @property
+    def taken(self) -> int:
+        """Samples of this trial so far: those that the introspector has received, or that the tare holds."""
+        return self.introspector.received + self._tare.count
 
     def feed(self, message: Message) -> list[Event]:
         """The events that one message causes, in order."""
@@ -123,6 +129,7 @@ class Session:
             events = self.finish()
             self.introspector.reset()
             self._resampler, self._tare = Resampler(*self._grid), Tare(self._tare.samples)
+            self._reset = message
             return events
         if isinstance(message, Malformed):
             return [self._notice("malformed", message.text)]
@@ -132,6 +139,9 @@ class Session:
         resampled, before = self._resampler.feed(sample), self.time
         self.time = resampled.time
         events: list[Event] = []
+        if self._reset is not None and len(resampled.samples):
+            events.append(TrialStarted(0, self.time, self._reset.trial))
+            self._reset = None
         if self._silent and len(resampled.samples):
             self._silent = False
             events.append(self._notice("resumed", "readings arrive again"))

@@ -21,7 +21,7 @@ from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Snap
+from rcbht_jax.events import Snap, stamp_before
 
 Reals = Float64[np.ndarray, "*lanes"]
 Counts = Int64[np.ndarray, "*lanes"]
@@ -358,7 +358,7 @@ class SnapDetector:
         """
         blocks = self._encoder.lines(samples)
         end = self._encoder.received + len(np.asarray(samples))
-        stamp = end * self.dt if time is None else time
+        stamp = round(end * self.dt, 9) if time is None else time
         events = []
         for block in blocks:
             words, running = (line_of(*lines) for lines in block)
@@ -369,7 +369,7 @@ class SnapDetector:
     def _events(self, said: Snaps, samples: NDArray[np.integer], end: int, stamp: float) -> list[Snap]:
         def at(count: int) -> float:
             """Stamp of the latest of so many samples."""
-            return round(stamp - (end - count) * self.dt, 9)
+            return stamp_before(stamp, end - count, self.dt)
 
         found = []
         for which in zip(*np.nonzero(said.seen | said.published), strict=True):

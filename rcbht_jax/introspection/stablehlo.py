@@ -79,6 +79,8 @@ def write_chain(path: Path, model: IntrospectionModel, platforms: Sequence[str] 
         "version": model.version,
         "data_hash": model.data_hash,
         "platforms": list(platforms),
+        "axes": list(model.axes),
+        "units": list(model.units),
         "dt": model.encoder.dt,
         "window": model.encoder.window,
         "encoder": config_fields(model.encoder),

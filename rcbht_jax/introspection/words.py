@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word
+from rcbht_jax.events import Event, ProvisionalWord, SubtaskStarted, Word, stamp_before
 from rcbht_jax.introspection.model import Head
 from rcbht_jax.labels import AXES, LAYERS, UNIT_OF, name
 from rcbht_jax.types import LabelTracks
@@ -49,7 +49,7 @@ def words_of_window(
 
 def _word(layer: str, axis: str, span: list[int], sample: int, time: float, dt: float) -> Word:
     code, begin, end = span
-    start, stop = (round(time - (sample - 1 - k) * dt, 9) for k in (begin, end))
+    start, stop = (stamp_before(time, sample - 1 - k, dt) for k in (begin, end))
     return Word(sample, time, layer, axis, name(layer, code), code, begin, end, start, stop)
 
 
@@ -174,7 +174,7 @@ class WordIntrospector:
         events: list[Event] = []
         for number, tracks in enumerate(published, complete + 1):
             sample = number * self.config.window
-            when = self._now() - (self.received - sample) * self.config.dt
+            when = stamp_before(self._now(), self.received - sample, self.config.dt)
             new = np.array([[np.asarray(leaf)[:, 0] for leaf in _spans(tracks, layer)] for layer in LAYERS], np.int32)
             self.labels = np.where(new[:, :1] > 0, new, self.labels)
             events += words_of_window(new, self.axes, sample, when, self.config.dt)
@@ -189,7 +189,7 @@ class WordIntrospector:
         return [*words_of_tracks(self._encoder.ending(), self.axes, self.received, self._now(), self.config.dt)]
 
     def _now(self) -> float:
-        return self.received * self.config.dt if self._time is None else self._time
+        return round(self.received * self.config.dt, 9) if self._time is None else self._time
 
 
 def _spans(tracks: LabelTracks, layer: str) -> tuple[Any, Any, Any]:

@@ -40,6 +40,8 @@ class Begin:
 class Reset:
     """A trial begins with the next sample."""
 
+    trial: str = ""  # its name, if it has one
+
 
 @dataclass(frozen=True)
 class Malformed:

@@ -61,7 +61,7 @@ def play(
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
-        yield Reset()
+        yield Reset(str(recordings.trial[row]))
         begins = recordings.annotations.begins(row, track) if starts != NONE else np.zeros(0)
         yield from _trial(time, wrench, begins, recordings.dt)
 

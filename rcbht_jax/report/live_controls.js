@@ -109,7 +109,7 @@ function tell() {
   else if (link.status) [kind, said] = [known ? "ended" : "waiting", link.status];
   else if (!known) [kind, said] = ["waiting", "waiting for the first readings"];
   else if (!view.live) [kind, said] = ["paused", `paused, ${Math.max(0, kept.latest - view.to).toFixed(1)} s behind`];
-  else if (silence > 1.5) [kind, said] = ["silent", `silent for ${Math.floor(silence)} s`];
+  else if (silence > Math.max(1.5, 4 * about.dt)) [kind, said] = ["silent", `silent for ${Math.floor(silence)} s`];
   const state = byId("state");
   if (state.textContent !== said) state.textContent = said;
   state.dataset.kind = kind;

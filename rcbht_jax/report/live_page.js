@@ -45,11 +45,10 @@ function understand(said) {
 function trialOf(frame) {
   const last = kept.trials.at(-1);
   if (last && last.number === frame.trial) return last;
-  const stamp = frame.wrench[0][0], date = Math.abs(stamp) > 1e5 ? stamp : 0;
+  const stamp = frame.wrench[0][0];
   const on = last && stamp > kept.stamp && stamp < kept.stamp + 60; // a gap, after which the clock went on
-  const shift = on ? last.shift : last ? stamp - kept.latest - 1 : date;
-  kept.trials.push({ number: frame.trial, start: stamp - shift, shift, base: on ? last.base : date });
-  kept.raised.clear();
+  const shift = on ? last.shift : last ? stamp - kept.latest - 1 : frame.base;
+  kept.trials.push({ number: frame.trial, start: stamp - shift, shift, base: frame.base });
   return kept.trials.at(-1);
 }
 
@@ -62,6 +61,7 @@ function take(frame) {
   if (!about || frame.number <= link.number) return; // seen before the connection was lost
   link.number = frame.number;
   link.heard = performance.now();
+  kept.raised = new Set(frame.raised); // also alarms that were raised before this page was opened
   if (!frame.wrench.length && kept.trials.at(-1)?.number !== frame.trial) { // no reading of this trial has come yet
     for (const event of frame.events) note(event, kept.latest);
     return;
@@ -90,9 +90,8 @@ function take(frame) {
 
 function note(event, t) {
   const kind = { AnomalyRaised: "bad", AnomalyCleared: "good", Notice: "warn", FailureType: "bad" }[event.event] ?? "";
-  if (event.event === "AnomalyRaised") kept.raised.add(event.head);
-  if (event.event === "AnomalyCleared") kept.raised.delete(event.head);
   const text = event.event === "SubtaskStarted" ? "sub-task" + (event.detected ? " (detected)" : "") : event.event === "Notice" ? event.kind
+    : event.event === "TrialStarted" ? "trial " + event.trial
     : event.event === "AnomalyRaised" ? "alarm" : event.event === "AnomalyCleared" ? "cleared" : event.label ?? event.event;
   const small = event.event === "Notice" && !["silent", "resumed"].includes(event.kind); // often, on a real network
   kept.marks.push({ small, t: Math.max(t, kept.marks.at(-1)?.t ?? 0, kept.trials.at(-1)?.start ?? 0), kind, text });

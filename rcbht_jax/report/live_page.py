@@ -24,13 +24,14 @@ from typing import Any
 
 from rcbht_jax.encoding.rules import config_fields
 from rcbht_jax.errors import InputError
-from rcbht_jax.events import Belief, Event, Word
+from rcbht_jax.events import AnomalyCleared, AnomalyRaised, Belief, Event, Word
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.messages import Message, Sample
-from rcbht_jax.labels import ALPHABETS, COLORS, LAYERS, MEANING, name
+from rcbht_jax.labels import COLORS, LAYERS, MEANING, name
 
 HISTORY = 600  # frames that a new viewer gets at once
 FRAME = 0.05  # s of stream per frame
+GAP, DATE = 60.0, 1e5  # s after which a clock that goes on counts from 0 again; stamps beyond are dates
 VIEWERS = 16
 CONNECTIONS = 64  # at once; a further one takes the place of the one that has sent half a request for the longest time
 BUFFER = 2**16  # bytes that the system keeps for a viewer: one that does not read is noticed, and left after IDLE
@@ -50,7 +51,7 @@ def description(session: Session) -> dict[str, Any]:
         "believed": config_fields(introspector.believed)["rule"],
         "units": introspector.units,
         "layers": LAYERS,
-        "names": {layer: ["-"] + [name(layer, code) for code in alphabet] for layer, alphabet in _alphabets()},
+        "names": {layer: ["-", *(name(layer, k + 1) for k in range(len(MEANING[layer])))] for layer in LAYERS},
         "meanings": {layer: ["nothing yet", *MEANING[layer]] for layer in LAYERS},
         "colors": {layer: ["#ffffff", *COLORS[layer]] for layer in LAYERS},
         "dt": introspector.config.dt,
@@ -63,10 +64,6 @@ def description(session: Session) -> dict[str, Any]:
             if head.alarm
         },
     }
-
-
-def _alphabets() -> Iterable[tuple[str, range]]:
-    return ((layer, range(1, len(alphabet) + 1)) for layer, alphabet in zip(LAYERS, ALPHABETS, strict=True))
 
 
 def _packet(kind: str, value: Any) -> bytes:
@@ -147,36 +144,36 @@ class Frames:
         axes = session.introspector.axes
         self._lane = {(layer, axis): (l, a) for l, layer in enumerate(LAYERS) for a, axis in enumerate(axes)}
         self._size = max(1, round(FRAME / session.introspector.config.dt))
-        self._samples: list[list[float]] = []
-        self._words: list[list[float]] = []
+        self._samples, self._words = list[list[float]](), list[list[float]]()
         self._events: list[dict[str, Any]] = []
         self._beliefs: dict[str, Any] = {}
-        self._received = self._sent = 0  # samples
-        self._time = session.time
-        self._trial = 0
+        self._received, self._sent, self._time = 0, 0, session.time  # samples, s
+        self._trial, self._begins, self._base = 0, True, 0.0  # base: stamp shown as 0; not 0 for dates
+        self._raised: set[str] = set()  # classifiers whose alarm stands
 
     def feed(self, message: Message) -> list[Event]:
         """Feed a message to the session and return its events."""
         before, when = self._received, self._time
         events = self._session.feed(message)
-        self._received, self._time = self._session.introspector.received, self._session.time
+        self._received, self._time = self._session.taken, self._session.time
         anew = self._received < before
         if anew:  # the words that end the former trial
             self._take(event for event in events if event.sample > self._received)
             self._publish(before, when, [])
-            self._trial += 1
+            self._trial, self._begins = self._trial + 1, True
+            self._raised.clear()
         self._take(event for event in events if not (anew and event.sample > self._received))
         # One reading at most for each sample of the encoder: those left out, or between samples, are not shown.
         if isinstance(message, Sample) and (anew or self._received > before):
+            if self._begins and not (self._trial and when < self._time < when + GAP):
+                self._base = self._time if abs(self._time) > DATE else 0.0
+            self._begins = False
             self._samples.append([round(self._session.time, 6), *(round(value, 5) for value in message.wrench)])
         waiting = bool(self._events) and not isinstance(message, Sample)  # such as silence: no sample may follow
-        if waiting or len(self._samples) >= 200 or len(self._events) >= 50 or self._due:
+        due = self._received - self._sent >= self._size
+        if waiting or due or len(self._samples) >= 200 or len(self._events) >= 50:
             self.flush()
         return events
-
-    @property
-    def _due(self) -> bool:
-        return self._received - self._sent >= self._size
 
     def _take(self, events: Iterable[Event]) -> None:
         for event in events:
@@ -186,13 +183,15 @@ class Frames:
                 self._beliefs[event.head] = event.to_json()
             else:
                 self._events.append(event.to_json())
+            if isinstance(event, AnomalyRaised | AnomalyCleared):
+                (self._raised.add if isinstance(event, AnomalyRaised) else self._raised.discard)(event.head)
 
     def _packed(self, word: Word) -> list[float]:
         return [*self._lane[word.layer, word.axis], word.code, round(word.start, 6), round(word.stop, 6)]
 
     def flush(self) -> None:
         """Publish the frame collected so far, with the words that are provisional now."""
-        held = self._session.introspector.provisional() if self._received else []
+        held = self._session.introspector.provisional() if self._session.introspector.received else []
         self._publish(self._received, self._time, [self._packed(word) for word in held])
 
     def finish(self) -> None:
@@ -204,6 +203,7 @@ class Frames:
         frame = {
             "sample": sample, "time": round(time, 6), "trial": self._trial, "wrench": self._samples,
             "words": self._words, "provisional": provisional, "beliefs": self._beliefs, "events": self._events,
+            "base": round(self._base, 6), "raised": sorted(self._raised),
         }  # fmt: skip
         self._broadcast.publish(frame)
         self._samples, self._words, self._events, self._beliefs = [], [], [], {}
@@ -317,8 +317,7 @@ class PageServer(ThreadingHTTPServer):
 
     def __init__(self, session: Session | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.broadcast = Broadcast()
-        self._free = threading.BoundedSemaphore(CONNECTIONS)
-        self._lock = threading.Lock()
+        self._free, self._lock = threading.BoundedSemaphore(CONNECTIONS), threading.Lock()
         self._unasked: dict[socket.socket, float] = {}  # when those without a whole request came, the oldest first
         self.local = host in LOOPBACK or host.startswith("127.")
         self.names = {*LOOPBACK, host}  # that a Host header may have: another site's page has another name
@@ -326,11 +325,14 @@ class PageServer(ThreadingHTTPServer):
         self.about: dict[str, Any] = {}
         if session is not None:
             self.show(session)
+        self.address_family = socket.AF_INET6 if (six := ":" in host) else socket.AF_INET
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise InputError(f"The page cannot be served at {host}:{port}: {error}; choose another --port.") from error
-        self.url = f"http://{host}:{self.server_address[1]}/"
+            raise InputError(
+                f"The page cannot be served at {host}:{port}: {error}; try another --host or --port."
+            ) from error
+        self.url = f"http://{f'[{host}]' if six else host}:{self.server_address[1]}/"
 
     def show(self, session: Session) -> None:
         """Tell viewers what the frames of a session mean."""

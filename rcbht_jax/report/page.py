@@ -46,7 +46,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
         progress: called with the number of recordings packed since the last call.
 
     Raises:
-        InputError: an unknown trial, fewer than one trial, or a model for another sampling period.
+        InputError: an unknown trial, fewer than one trial, or a model for another sampling period or other axes.
     """
     rows = chosen(data.recordings, options)
     introspector = _introspector(data.recordings, options)
@@ -105,6 +105,7 @@ def _introspector(recordings: Recordings, options: Options) -> Introspector | No
             f"The model was trained on samples {options.model.encoder.dt:g} s apart, the store's are "
             f"{recordings.dt:g} s apart; train one on this store."
         )
+    options.model.check_axes(recordings.axes, recordings.units, "the store")
     return Introspector(options.model, options.rate)
 
 

@@ -218,7 +218,7 @@ def test_words_of_a_store_are_those_that_encode_writes(tmp_path, capsys, monkeyp
     tracks, _ = read_tracks(store, "w")
     events = said_by(["stream", str(store)], capsys)
     for layer in LAYERS:
-        assert sum(e["layer"] == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
+        assert sum(e.get("layer") == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
 
 
 def test_words_by_the_fit_rule(tmp_path, capsys, monkeypatch):
@@ -230,7 +230,7 @@ def test_words_by_the_fit_rule(tmp_path, capsys, monkeypatch):
     tracks, _ = read_tracks(store, "w")
     events = said_by(["stream", str(store), "--rule", "fit"], capsys)
     for layer in LAYERS:
-        assert sum(e["layer"] == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
+        assert sum(e.get("layer") == layer for e in events) == np.count_nonzero(getattr(tracks, layer).label)
     counts = []
     for options in ([], ["--tolerance", "1e-3"], ["--tolerance", "9", "--robot", "hiro"]):
         monkeypatch.setattr(sys, "stdin", Stdin(lines(trial(2, 4, 250))))

@@ -151,3 +151,15 @@ def test_main_connects_the_topics(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(taken) == {"/wrench", "~/control"}
     assert json.loads(told["~/words"][0])["event"] == "Word"
     assert json.loads(told["~/events"][0])["event"] == "SubtaskStarted"
+
+
+@pytest.mark.parametrize("back", [0.0, 1000.0])
+def test_a_beginning_that_is_short_or_whose_clock_is_set_back_is_not_lost(back: float) -> None:
+    """A node that was stopped before its lead was over said nothing; one whose clock was set back never began."""
+    heard = Heard()
+    bridge = Bridge({"lead": 1.0}, heard)
+    for k, row in enumerate(trial(2, 7, 250 if back else 150).tolist()):
+        bridge.wrench(stamped(row, 5000 + 0.005 * k - (back if k >= 20 else 0)), 0.0)
+    assert (bridge.session is None) == (not back)
+    bridge.finish()
+    assert {word["layer"] for word in heard.events["words"]} == set(LAYERS)

@@ -15,7 +15,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.stablehlo import write_chain
-from tests.support.introspection_models import model, trial
+from tests.support.introspection_models import few_axes, model, trial
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/run_chain.py"
 
@@ -40,6 +40,28 @@ def test_runs_without_this_package(tmp_path):
         row = said[belief.sample // 5 - 1]
         assert row["sample"] == belief.sample
         np.testing.assert_allclose(list(row[belief.head].values()), belief.probabilities, atol=2e-4)
+
+
+def test_any_axes_trials_and_what_stands_on_one_line(tmp_path):
+    """A reading beside "begin" was lost, "reset" and two axes were tracebacks."""
+    two = few_axes(2)
+    meta = write_chain(tmp_path / "c", two, ("cpu",))
+    assert (meta["axes"], meta["units"]) == (["axis0", "axis1"], ["", ""])
+    wrench = trial(1, 71, 40)[:, :2]
+    lines = [{"wrench": row} for row in wrench.astype(float).tolist()]
+    lines[12]["begin"] = lines[23]["reset"] = True
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE), "c"],
+        input="\n".join(map(json.dumps, lines)), capture_output=True, text=True, cwd=tmp_path, timeout=300, check=True,
+    )  # fmt: skip
+    introspector = Introspector(two, rate=None)
+    events = introspector.push(wrench[:12]) + introspector.begin() + introspector.push(wrench[12:23])
+    introspector.reset()
+    beliefs = [event for event in events + introspector.push(wrench[23:]) if isinstance(event, Belief)]
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [row["sample"] for row in said] == [belief.sample for belief in beliefs] == [5, 10, 15, 20, 5, 10, 15]
+    for row, belief in zip(said, beliefs, strict=True):
+        np.testing.assert_allclose(list(row["states"].values()), belief.probabilities, atol=2e-4)
 
 
 def test_artefact_is_whole_or_absent(tmp_path):

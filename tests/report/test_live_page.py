@@ -122,6 +122,17 @@ def test_other_paths_and_names(server):
         PageServer(Session(Introspector(model())), port=server.server_address[1])
 
 
+def test_addresses_of_ip_6():
+    with socket.socket(socket.AF_INET6) as other:
+        try:
+            other.bind(("::1", 0))
+        except OSError:
+            pytest.skip("this machine has no IPv6")
+    with PageServer(words_only(), host="::1", port=0) as server:
+        assert server.url == f"http://[::1]:{server.server_address[1]}/"
+        assert urlopen(server.url, timeout=10).status == 200
+
+
 def test_pages_of_others_neither_look_nor_frame_nor_take_a_place(server):
     """A browser says which page asks; a link from elsewhere to the page itself is followed."""
     for site in ("cross-site", "same-site"):
@@ -227,6 +238,28 @@ def test_silence_is_told_at_once():
     frames, _ = frames_of(words_only(), messages, end=False)
     assert [event["kind"] for event in frames[-1]["events"]] == ["silent"]
     assert frames[-1]["sample"] == 13  # with the readings that had not filled a frame
+
+
+def test_whoever_looks_later_sees_the_alarm_that_stands_and_the_same_clock():
+    """A page that was opened, or read again, after half a minute showed no alarm, and counted from another second."""
+    frames, _ = frames_of(
+        Session(Introspector(model())),
+        [Sample(tuple(r), 1.7e9 + 0.005 * k) for k, r in enumerate(trial(1, 40, 400).tolist())],
+    )
+    assert (frames[0]["raised"], frames[-1]["raised"]) == ([], ["outcome"])
+    assert {frame["base"] for frame in frames} == {1.7e9}
+    raised = [event for frame in frames for event in frame["events"] if event["event"] == "AnomalyRaised"]
+    assert len(raised) == 1
+    gap = [Sample((0.0,), start + 0.005 * k) for start in (1.7e9, 1.7e9 + 5, 1.7e9 + 100) for k in range(20)]
+    frames, _ = frames_of(words_only(), gap)
+    assert sorted({(frame["trial"], frame["base"]) for frame in frames}) == [(0, 1.7e9), (1, 1.7e9), (2, 1.7e9 + 100)]
+
+
+def test_readings_are_shown_while_they_are_tared():
+    session = Session(WordIntrospector(CONFIG, rj.preset("hiro", ["axis0"]), ["axis0"]), tare=0.5)
+    frames, _ = frames_of(session, [Sample((float(k),), 0.005 * k) for k in range(150)])
+    assert [row[1] for frame in frames for row in frame["wrench"]] == [*range(150)]
+    assert frames[0]["sample"] == 10
 
 
 def test_a_new_trial_ends_the_words_of_the_former():

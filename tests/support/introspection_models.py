@@ -9,7 +9,7 @@ import numpy as np
 
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.fit import FitConfig
-from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import weights
@@ -66,3 +66,18 @@ def fit_model() -> IntrospectionModel:
     """One classifier of words by the fit rule."""
     states = head("states", "subtask", ("calm", "push", "shake"), "linear", fits=True)
     return IntrospectionModel(FIT, FIT_LIMITS, (states,), "abc")
+
+
+def few_axes(count: int) -> IntrospectionModel:
+    """One classifier of a signal with so many axes."""
+    limits, kinds = LIMITS.limits[:count], np.repeat([0, 1], 6)
+    x = [
+        online_features(
+            CONFIG, GradientThresholds(limits), VIEW, trial(int(kind), k)[:, :count], np.zeros_like(NOW), NOW
+        )
+        for k, kind in enumerate(kinds)
+    ]
+    y, group = np.repeat(kinds, len(NOW)), np.repeat(np.arange(len(kinds)), len(NOW))
+    spec = SvmSpec("linear", 1.0, True, floor=0.1, ranks=True)
+    machine = fit_probabilistic(np.concatenate(x), y, group, ("calm", "push"), spec, weight=weights(VIEW.spec, count))
+    return IntrospectionModel(CONFIG, limits, (Head("states", "subtask", VIEW, machine),), "abc")

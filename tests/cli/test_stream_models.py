@@ -1,0 +1,89 @@
+"""Streams that differ from what a model was trained on (rate, axes, unit), and streams that begin anew."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rcbht_jax as rj
+from rcbht_jax._util import compile_cache
+from rcbht_jax.cli.main import main
+from rcbht_jax.cli.stream import Serve
+from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection.opening import read_opening
+from rcbht_jax.io.messages import Sample
+from rcbht_jax.io.store import write_recordings
+from tests.support.introspection_models import model, trial
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The programs of these tests stay out of the user's cache."""
+    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
+
+
+@pytest.fixture
+def model_path(tmp_path: Path) -> Path:
+    model_files.save(tmp_path / "m", model())
+    return tmp_path / "m"
+
+
+@pytest.mark.parametrize(("axes", "rate"), [("Fx Fy Fz Mx My Mz", 125), ("a b c d e f", 500), ("a b c d e f", None)])
+def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(tmp_path, monkeypatch, axes, rate):
+    """They are encoded at the model's rate, with its names; the page refused what "rcbht stream" reads."""
+    named = replace(model(), extra={"axes": axes.split(), "units": [""] * 6})
+    model_files.save(tmp_path / "m", named)
+    stamps = [{}] * 200 if rate is None else [{"time": k / rate} for k in range(200)]
+    lines = [json.dumps({"wrench": [0.1 * k] * 6, **stamp}).encode() + b"\n" for k, stamp in enumerate(stamps)]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    session, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
+    assert session.introspector.axes == named.axes
+    assert session.introspector.config.dt == pytest.approx(named.encoder.dt)
+    assert session.introspector.config != named.encoder
+
+
+def test_the_beginning_is_read_at_the_rate_of_the_encoder():
+    """Half as many samples a second of a ramp are twice as steep; the thresholds were those of all readings."""
+    opening = read_opening(iter([Sample((0.5 * k,), 0.005 * k) for k in range(200)]))
+    ramp = opening.recordings(100.0, opening.axes).wrench[0, :, 0]
+    np.testing.assert_array_equal(ramp, np.arange(len(ramp)))
+
+
+@pytest.mark.parametrize("command", ["stream", "serve", "plot beliefs", "report"])
+def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, capsys, command):
+    """Beliefs about forces in another order, or a thousand times as large, looked like any others."""
+    right = rj.Recordings.from_arrays([trial(1, 3)], rate=200, trial=["one"])
+    turned = replace(right, wrench=right.wrench[..., ::-1], axes=right.axes[::-1], units=right.units[::-1])
+    milli = replace(right, wrench=1000 * right.wrench, units=("mN",) * 3 + ("Nm",) * 3)
+    for store, said in ((turned, "has the axes Mz, My, Mx, Fz, Fy, Fx; the model reads Fx"), (milli, "has Fx in mN")):
+        write_recordings(tmp_path / "s.zarr", store, {}, overwrite=True)
+        trials = ["one"] if command == "plot beliefs" else []
+        out = ["-o", str(tmp_path / "x.html")] if command == "report" else ["-o", str(tmp_path / "x.png")]
+        port = ["--port", "0", "--no-stay"] if command == "serve" else out
+        words = [*command.split(), str(tmp_path / "s.zarr"), *trials, "-m", str(model_path), *port]
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rule", ["paper", "fit"])
+def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
+    """Words that began at the same sample as one before the gap were not reported, or as its revisions."""
+    lines = [{"wrench": [0.0], "time": start + 0.005 * k} for start in (0.0, 2.0) for k in range(60)]
+    data = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(data)}))
+    own = ["--tolerance", "0.5"] if rule == "fit" else []
+    assert main(["stream", "-", "--axes", "Fz", "--robot", "hiro", "--rule", rule, "--provisional", *own]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    shown = [
+        [(one["sample"], one["layer"], one["label"], one["revision"]) for one in events
+         if one["event"] == "ProvisionalWord" and (one["time"] < 1) == first]
+        for first in (True, False)
+    ]  # fmt: skip
+    assert len(shown[0]) >= 4
+    assert shown[0] == shown[1]

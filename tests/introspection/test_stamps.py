@@ -1,0 +1,56 @@
+"""What all events say: when it was, which does not depend on how the samples were cut, and in which trial."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rcbht_jax.events import Belief, TrialStarted
+from rcbht_jax.introspection.introspector import Introspector
+from rcbht_jax.introspection.session import Session
+from rcbht_jax.introspection.snaps import SnapDetector
+from rcbht_jax.introspection.together import Together
+from rcbht_jax.introspection.words import WordIntrospector
+from rcbht_jax.io.messages import Malformed, Reset
+from tests.io.test_stream_sources import samples_of
+from tests.support.introspection_models import FIT, FIT_LIMITS, model, trial
+
+WRENCH = np.concatenate([trial(2, 4, 200), trial(1, 5, 150)])
+WRENCH[80:200, 2] += 8
+STREAM = Together(
+    Together(Introspector(model()), WordIntrospector(FIT, FIT_LIMITS)),
+    snaps=SnapDetector(200.0, ["Fz", "My"], least=3.0),
+)
+
+
+def said(cuts: list[int], start: float | None) -> list[dict[str, object]]:
+    STREAM.reset()
+    events, end = [], 0
+    for piece in np.split(WRENCH, sorted(cuts)):
+        end += len(piece)
+        events += STREAM.push(piece, None if start is None else round(start + (end - 1) * 0.005, 6))
+    return [event.to_json() for event in events + STREAM.finish()]
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.integers(0, 350), max_size=40), st.sampled_from([None, 0.0, 12.3, 1.7e9 + 0.125]))
+def test_events_are_the_same_however_the_samples_are_cut(cuts, start):
+    """Every word, belief and snap, with its stamps, in order; the last digits of stamps were others."""
+    events = said(cuts, start)
+    assert {event["event"] for event in events} == {"Word", "Belief", "Snap"}
+    assert events == said([], start)
+    assert not any(repr(value) == "-0.0" for event in events for value in event.values())
+
+
+def test_events_say_which_trial_they_are_of():
+    """Those of several trials, one after the other, could not be told apart; a trial without a reading has none."""
+    session = Session(Introspector(model()))
+    messages = [Reset("one"), *samples_of(trial(0, 1, 40)), Reset("none"), Reset("two"), Malformed("x")]
+    events = list(session.run([*messages, *samples_of(trial(0, 2, 40))]))
+    started = [(k, event) for k, event in enumerate(events) if isinstance(event, TrialStarted)]
+    assert [event.to_json() for _, event in started] == [
+        {"event": "TrialStarted", "sample": 0, "time": 0.0, "trial": name} for name in ("one", "two")
+    ]
+    assert started[0][0] == 0
+    assert sum(isinstance(event, Belief) for event in events[: started[1][0]]) == 6
