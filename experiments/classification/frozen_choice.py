@@ -43,7 +43,6 @@ FAMILIES = {
     "relative": RICHER,
     "untimed": tuple(family for family in ALL if family != "duration"),  # a duration is a confound: no option has it
 }
-MIXED = ("SIM1 states", "session A states", "failure types")
 ACROSS = {"merged states, A to SIM1": ("A", "SIM1"), "merged states, SIM1 to A": ("SIM1", "A")}
 TASKS: dict[str, TaskSpec] = {
     "SIM1 states": states(sources=(SIM1,)),

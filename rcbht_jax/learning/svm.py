@@ -262,7 +262,8 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) ->
     if folds < 2 or fewest < folds:
         if fewest < 2:
             raise InputError(f"The rarest class has {fewest} trial; cross-validation needs two of every class.")
-        raise InputError(f"{folds} folds: the rarest class has {fewest} trials, so choose between 2 and {fewest}.")
+        possible = "2" if fewest == 2 else f"2 to {fewest}"
+        raise InputError(f"{folds} folds: the rarest class has {fewest} trials, so choose {possible} folds.")
     splitter = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
     return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
 

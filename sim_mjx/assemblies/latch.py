@@ -51,7 +51,7 @@ class LatchVariation(Variation):
     overlap: Range = (0.70e-3, 0.85e-3)  # m, of lip over hook; chosen: moulding
     clearance: Range = (0.10e-3, 0.20e-3)  # m, between guides and walls on each side; chosen
     stop_at: Range = (0.5, 1.6)  # s, fault early-stop; chosen: before any hook snaps
-    stiff: Range = (6.0, 9.0)  # factor, fault stiff-hook: more than the press can bend; chosen
+    stiff: Range = (6.0, 9.0)  # factor, fault stiff-hook: more than most presses can bend; chosen
     worn: Range = (0.05e-3, 0.15e-3)  # m, fault worn-hook: what is left of the overlap; chosen
     chip: Range = (0.8e-3, 2.0e-3)  # m, fault chip: something on the seat keeps the hook above its lip; chosen
 

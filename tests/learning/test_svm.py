@@ -126,7 +126,7 @@ def test_folds_are_stratified_and_depend_on_the_seed():
 
 def test_a_class_with_fewer_trials_than_folds_is_refused():
     y, groups = np.array([0, 0, 0, 0, 1, 1, 1, 1]), np.array([0, 1, 2, 3, 4, 4, 5, 5])
-    with pytest.raises(InputError, match="the rarest class has 2 trials, so choose between 2 and 2"):
+    with pytest.raises(InputError, match="the rarest class has 2 trials, so choose 2 folds"):
         grouped_folds(y, groups, 3, 0)
 
 

@@ -21,7 +21,6 @@ from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS
 
 HEAD = 4096  # bytes of a table in which a recording is named, if it lists them
-MAX_ROWS = 1_000_000
 _NAMES = ("recording", "file", "trial", "name")
 
 
