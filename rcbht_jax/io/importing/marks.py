@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from rcbht_jax._util.untrusted import MAX_JSON_BYTES, read_bytes, read_json
+from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
 from rcbht_jax.io.importing.guess import OUTCOMES, is_outcome
@@ -217,7 +217,8 @@ def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: l
         remarks: gets what was found.
     """
     names = Names((item.name, "") for item in items if item.name)
-    found = [(item.name, *listing) for item in items if item.kind == "csv" and (listing := _listing(item.path, names))]
+    tables = ((item.name, _listing(source, item.path, names)) for item in items if item.kind == "csv")
+    found = [(file, *listing) for file, listing in tables if listing]
     if len(found) != 1:
         return mapping
     [(file, key, table)] = found
@@ -235,9 +236,11 @@ def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: l
     return replace(mapping, table=file, key=key, columns=columns)
 
 
-def _listing(path: Path, names: Names) -> tuple[str, Table] | None:
+def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None:
     """The column of a table that names a recording in each row, nearly, and the table; None = there is none."""
     try:
+        check_inside(path, source)
+        check_file(path, MAX_TEXT_BYTES)
         with path.open("rb") as file:
             head = file.read(HEAD)
         words = re.split(r"[,;\t\r\n]", head.decode("utf-8-sig", "replace"))

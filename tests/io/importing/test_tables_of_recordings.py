@@ -43,6 +43,15 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
     assert read_recordings(tmp_path / "x.zarr").outcome.tolist() == ["success", "failure", "unknown"]
 
 
+def test_a_table_of_recordings_outside_the_folder_is_not_read(tmp_path: Path) -> None:
+    write(tmp_path / "runs" / "a.csv", noise(1))
+    (tmp_path / "trials.csv").write_text("file,operator\na,Ann\n")
+    (tmp_path / "runs" / "trials.csv").symlink_to(tmp_path / "trials.csv")
+    imported = read_source(tmp_path / "runs")
+    assert "operator" not in imported.recordings.columns
+    assert [name for name, _ in imported.report.skipped] == ["trials.csv"]
+
+
 def test_a_column_from_the_names_of_folders_if_a_map_says_so(tmp_path: Path) -> None:
     for number, folder in enumerate(("bad/day 1", "good/day 1", ".")):
         write(tmp_path / "runs" / folder / "a.csv", noise(number))
