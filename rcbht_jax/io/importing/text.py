@@ -55,10 +55,10 @@ def read_csv(path: Path, name: str) -> Iterator[Table]:
             cells = _cells(head, delimiter, encoding)
             titled = comment or not all(_is_number(cell) for cell in cells if cell)
             body = file.tell() if titled else file.tell() - len(head)
-            below = _units(_cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)) if titled else []
-            if cells and len(below) == len(cells):
-                body = file.tell()
-                cells = [f"{cell} [{unit}]" if unit else cell for cell, unit in zip(cells, below, strict=True)]
+            units, below = _units_below(file, delimiter, encoding) if titled else ([], body)
+            if cells and len(units) == len(cells):
+                body = below
+                cells = [f"{cell} [{unit}]" if unit else cell for cell, unit in zip(cells, units, strict=True)]
             names = _names(cells, path) if titled else [f"c{number}" for number in range(len(cells))]
             columns = _fast(file, body, delimiter, len(names)) or _slow(path, file, body, delimiter, names, encoding)
     except OSError as error:
@@ -128,6 +128,16 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, bool]:
                 return comment, True
             return line, False
     raise InputError(f"{path} is empty; expected a table.")
+
+
+def _units_below(file: BinaryIO, delimiter: str, encoding: str) -> tuple[list[str], int]:
+    """The units in the next line, if those columns hold numbers in the line after it, and where that line begins."""
+    units, place = _units(_cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)), file.tell()
+    first = _cells(file.readline(MAX_TABLE_LINE), delimiter, encoding)
+    of_numbers = len(first) == len(units) and all(
+        _is_number(cell) or not cell for cell, unit in zip(first, units, strict=True) if unit
+    )
+    return (units if of_numbers and any(map(_is_number, first)) else []), place
 
 
 def _units(cells: list[str]) -> list[str]:

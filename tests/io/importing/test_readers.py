@@ -99,6 +99,15 @@ def test_a_table_of_a_spreadsheet_need_not_be_utf8(tmp_path: Path) -> None:
     assert table.notes == ("cp1252",)
 
 
+@pytest.mark.parametrize("rows", [["a,Ann,1", "b,Bob,2"], ["a,N"], ["s,m", "v,n"], ["s,", "n,"]])
+def test_a_row_of_words_that_are_units_too_is_no_line_of_units(tmp_path: Path, rows: list[str]) -> None:
+    head = ["file", "operator", "day"][: rows[0].count(",") + 1]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(head), *rows]) + "\n")
+    [table] = read_csv(tmp_path / "a.csv", "a.csv")
+    assert list(table.columns) == head
+    assert table.columns["file"].tolist() == [row[0] for row in rows]
+
+
 @pytest.mark.parametrize("before", ["", "Logger 7\nSerial;12\n"])
 def test_a_line_of_units_below_the_names(tmp_path: Path, before: str) -> None:
     rows = ["Zeit;Kraft_x;Kraft_y;Kraft_z;Takt", "[ms];[N];[N];[N];", *(f"{5 * k};{k},5;0;1;{k % 3}" for k in range(9))]

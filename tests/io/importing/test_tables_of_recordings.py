@@ -44,8 +44,8 @@ def test_a_table_that_lists_recordings_is_found(tmp_path: Path) -> None:
 
 
 def test_a_table_of_recordings_outside_the_folder_is_not_read(tmp_path: Path) -> None:
-    write(tmp_path / "runs" / "a.csv", noise(1))
-    (tmp_path / "trials.csv").write_text("file,operator\na,Ann\n")
+    write(tmp_path / "runs" / "run7.csv", noise(1))
+    (tmp_path / "trials.csv").write_text("file,operator\nrun7,Ann\n")
     (tmp_path / "runs" / "trials.csv").symlink_to(tmp_path / "trials.csv")
     imported = read_source(tmp_path / "runs")
     assert "operator" not in imported.recordings.columns
