@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import rcbht_jax as rj
-from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.thresholds import write_thresholds
@@ -27,19 +26,9 @@ from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.report import live_page
-from tests.support.introspection_models import model, trial
+from tests.support.introspection_models import trial
 
-
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The programs of these tests stay out of the user's cache."""
-    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
-
-
-@pytest.fixture
-def model_path(tmp_path: Path) -> Path:
-    model_files.save(tmp_path / "m", model())
-    return tmp_path / "m"
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 class Stdin:

@@ -6,13 +6,11 @@ import io
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rcbht_jax as rj
-from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
@@ -21,17 +19,7 @@ from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.store import write_recordings
 from tests.support.introspection_models import model, trial
 
-
-@pytest.fixture(autouse=True)
-def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The programs of these tests stay out of the user's cache."""
-    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
-
-
-@pytest.fixture
-def model_path(tmp_path: Path) -> Path:
-    model_files.save(tmp_path / "m", model())
-    return tmp_path / "m"
+pytestmark = pytest.mark.usefixtures("no_cache")
 
 
 @pytest.mark.parametrize(("axes", "rate"), [("Fx Fy Fz Mx My Mz", 125), ("a b c d e f", 500), ("a b c d e f", None)])

@@ -139,9 +139,10 @@ def _groups(group: Any, h5py: Any) -> list[tuple[str, Any]]:
 
 def _like(group: Any, h5py: Any) -> Any:
     """The outermost group whose sub-groups (two or more) hold the same names, or are trial_0, trial_1, ...; or None."""
-    keys, children = zip(*_groups(group, h5py), strict=True) if _groups(group, h5py) else ((), ())
+    groups = dict(_groups(group, h5py))
+    children = list(groups.values())
     alike = len({tuple(sorted(child)) for child in children}) == 1 and len(children[0])
-    if len(children) > 1 and (alike or _named(keys)):
+    if len(children) > 1 and (alike or _named(groups)):
         return group
     if len(children) == 1:
         return _like(children[0], h5py)

@@ -169,15 +169,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     notes += [*padded, f"zeros:{zeros}"] if conform.HELD <= zeros < len(raw) else padded
     values = _moved(mapping, time, values)
     return Record(
-        name,
-        time,
-        values,
-        mapping.axes,
-        mapping.units,
-        columns,
-        intervals,
-        [*table.notes, *notes],
-        float(first),
+        name, time, values, mapping.axes, mapping.units, columns, intervals, [*table.notes, *notes], float(first)
     )
 
 
