@@ -12,28 +12,9 @@ from rcbht_jax.annotations import Annotations, begin_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
-from rcbht_jax.io.store import read_recordings
 from rcbht_jax.types import Recordings
 
 NONE, RECORDED = "none", "recorded"
-
-
-def read_store(
-    path: Path, trials: tuple[str, ...] = (), arm: str = "R", starts: str = "harmonised"
-) -> Iterator[Message]:
-    """Trials of a store one after the other, each after a reset.
-
-    Args:
-        path: store of recordings.
-        trials: names; default all.
-        arm: for example "R"; where the store has one only, that one.
-        starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
-            of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
-
-    Raises:
-        InputError: ``path`` is not a store, or has no such trial or arm.
-    """
-    yield from play(read_recordings(path), trials, arm, starts, str(path))
 
 
 def play(
@@ -43,7 +24,15 @@ def play(
     starts: str = "harmonised",
     name: str = "the data set",
 ) -> Iterator[Message]:
-    """Trials of a data set of some name, as :func:`read_store` reads them from a store.
+    """Trials of a data set one after the other, each after a reset.
+
+    Args:
+        recordings: the data set.
+        trials: names; default all.
+        arm: for example "R"; where the data set has one only, that one.
+        starts: a sub-task begins with each interval of a track of annotations: of the one of this name; "recorded" =
+            of the first; "harmonised" = of its corrected variant where there is one; "none" = never.
+        name: of the data set, for errors.
 
     Raises:
         InputError: the data set has no such trial or arm.

@@ -30,7 +30,8 @@ from rcbht_jax.io.messages import (
     read_lines,
     read_live,
 )
-from rcbht_jax.io.playback import read_folder, read_store
+from rcbht_jax.io.playback import play, read_folder
+from rcbht_jax.io.store import read_recordings
 from rcbht_jax.io.tare import tare as tare_of
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
@@ -381,7 +382,7 @@ def test_silence_of_a_live_source():
 def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     name = "20121127-HIROSA-S-13"
     row = int(np.flatnonzero(hiro_recordings.trial == name)[0])
-    from_store = list(read_store(hiro_store, (name,)))
+    from_store = list(play(read_recordings(hiro_store), (name,)))
     from_folder = list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name))
     assert from_store.pop(0) == Reset(name)
     assert [type(m) for m in from_store] == [type(m) for m in from_folder]
@@ -391,6 +392,8 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     onsets = np.rint(hiro_recordings.starts(HARMONISED)[row, 1:] / DT).astype(int)
     assert begins == (onsets + np.arange(3)).tolist()
     assert not [m for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none") if m == Begin()]
-    for wrong in (lambda: read_store(hiro_store, ("x",)), lambda: read_folder(hiro_dir), lambda: read_store(hiro_dir)):
+    for wrong in (
+        lambda: play(hiro_recordings, ("x",)), lambda: read_folder(hiro_dir), lambda: play(read_recordings(hiro_dir)),
+    ):  # fmt: skip
         with pytest.raises(InputError):
             list(wrong())

@@ -28,8 +28,8 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel, save
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.io.export import Block, DataSet, load
-from rcbht_jax.io.playback import read_store
-from rcbht_jax.io.store import write_recordings
+from rcbht_jax.io.playback import play
+from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.report import Options, page
 from rcbht_jax.report.pack import LEVELS, infer_beliefs, pack, quantised, rounded
@@ -146,7 +146,7 @@ def test_blob_holds_words_and_beliefs(block: Block, store: Path) -> None:
         for field in ("vmax", "vmin", "avg", "grad"):
             np.testing.assert_allclose(found[layer][field], getattr(track, field)[1][used], rtol=3e-4)
     session = Session(Introspector(model()))
-    events = [event for event in session.run(read_store(store, ("two",))) if isinstance(event, Belief)]
+    events = [event for event in session.run(play(read_recordings(store), ("two",))) if isinstance(event, Belief)]
     for known, (step, probability) in zip(model().heads, found["beliefs"], strict=True):
         expected = [event for event in events if event.head == known.name]
         assert step.tolist() == [event.sample for event in expected]
