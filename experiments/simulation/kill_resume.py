@@ -8,6 +8,7 @@ Run: python -m experiments.simulation.kill_resume [--trials 5000] [--kills 20] [
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import subprocess
@@ -61,9 +62,10 @@ def worker(target: Path, log: Path, options: Options) -> subprocess.Popen[bytes]
 def killed(target: Path, log: Path, options: Options, seconds: float) -> list[int]:
     """Kill workers at random moments, each of which is replaced; how many shards were finished at each kill."""
     rng, moments = random.Random(options.seed), list[int]()
+    between = 0.8 * seconds / min(options.workers, os.cpu_count() or 1) / options.kills  # the last ones before the end
     running = [worker(target, log, options) for _ in range(options.workers)]
     while len(moments) < options.kills and not target.exists():
-        time.sleep(rng.uniform(0.4, 1.6) * seconds / options.kills)
+        time.sleep(rng.uniform(0.4, 1.6) * between)
         place = rng.randrange(len(running))
         running[place].send_signal(signal.SIGKILL)
         if running[place].wait() == -signal.SIGKILL:

@@ -17,7 +17,7 @@ from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.parts import Field, Layout
+from rcbht_jax.io.parts import Field, Layout, Part
 from rcbht_jax.io.store_schema import HASH, LABELS
 from rcbht_jax.io.store_writer import seal_whole
 from rcbht_jax.labels import LAYERS
@@ -73,6 +73,13 @@ def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:
     Raises:
         InputError: a shape or dtype is wrong, or there is no such part.
     """
+    part = part_of(folder, number, tracks)
+    parts.write(part)
+    parts.seal(part)
+
+
+def part_of(folder: Path, number: int, tracks: LabelTracks) -> Part:
+    """What :func:`write_part` writes."""
     group = zarr_io.open_group(folder)
     made, layout = _fields_in(group), parts.layout_of(group)
     rows = layout.span(number)
@@ -81,8 +88,7 @@ def write_part(folder: Path, number: int, tracks: LabelTracks) -> None:
         for layer in LAYERS
         for name, array in checked(getattr(tracks, layer), layer, rows.stop - rows.start).items()
     }
-    parts.write(folder, layout, number, made, values)
-    parts.seal(folder, number, parts.digest_of(values, made))
+    return Part(folder, layout, number, made, values, tuple(made))
 
 
 def finish(folder: Path) -> None:

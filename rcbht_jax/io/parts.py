@@ -14,7 +14,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,6 +77,25 @@ class Layout:
         return slice(number * self.part, min((number + 1) * self.part, self.rows))
 
 
+@dataclass(frozen=True)
+class Part:
+    """What is written of one part of a table.
+
+    Attributes:
+        folder: of the table. layout: of the table.
+        number: of the part. fields: of the table.
+        values: by name, arrays ``[row of the part, ...]``; the dimension that grows may have any length.
+        hashed: fields that its digest covers; none = the table has no digests of its own.
+    """
+
+    folder: Path
+    layout: Layout
+    number: int
+    fields: Mapping[str, Field]
+    values: Mapping[str, Any]
+    hashed: tuple[str, ...] = ()
+
+
 def layout_of(group: zarr.Group) -> Layout:
     """The layout that the attributes of a table state.
 
@@ -105,34 +124,45 @@ def create(group: zarr.Group, layout: Layout, fields: Mapping[str, Field]) -> No
     group.update_attributes({"rows": layout.rows, "part_rows": layout.part})
 
 
-def write(folder: Path, layout: Layout, number: int, fields: Mapping[str, Field], values: Mapping[str, Any]) -> None:
-    """Write the arrays of one part, all but its digest.
+def put(path: Path, parts: Sequence[Part]) -> None:
+    """Write parts of tables below a folder and have them on disk; their digests last, in this order.
 
-    Args:
-        folder: of the table. layout: of the table.
-        number: of the part. fields: of the table.
-        values: by name, arrays ``[row of the part, ...]``; the dimension that grows may have any length.
+    Raises:
+        InputError: an array has another shape or dtype than its table.
+    """
+    for part in parts:
+        write(part)
+    for number in {part.number for part in parts}:
+        flush(path, number)
+    for part in parts:
+        if part.hashed:
+            seal(part)
+
+
+def write(part: Part) -> None:
+    """Write the arrays of a part, all but its digest.
 
     Raises:
         InputError: an array has another shape or dtype than the table.
     """
-    rows, group = layout.span(number), zarr_io.open_group(folder, "r+")
-    for name, made in fields.items():
-        array = np.asarray(values[name])
+    rows, group = part.layout.span(part.number), zarr_io.open_group(part.folder, "r+")
+    for name, made in part.fields.items():
+        array = np.asarray(part.values[name])
         _check(name, made, array, rows.stop - rows.start)
-        write_array(group, name, layout, number, made, array)
-    if any(made.grows for made in fields.values()):
-        with _locked(folder):  # others may be growing the same arrays
-            for name, made in fields.items():
+        write_array(group, name, part.layout, part.number, made, array)
+    if any(made.grows for made in part.fields.values()):
+        with _locked(part.folder):  # others may be growing the same arrays
+            for name, made in part.fields.items():
                 if (axis := made.grows) is not None:
-                    _widen(folder / name / "zarr.json", axis, np.shape(values[name])[axis])
+                    _widen(part.folder / name / "zarr.json", axis, np.shape(part.values[name])[axis])
 
 
 @uninterrupted()
-def seal(folder: Path, number: int, digest: str) -> None:
+def seal(part: Part) -> None:
     """Write the digest of a part, all of whose arrays are there: from now on it counts."""
-    group = zarr_io.open_group(folder, "r+")
-    zarr_io.member(group, DIGESTS)[number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
+    digest = digest_of(part.values, {name: part.fields[name] for name in part.hashed})
+    group = zarr_io.open_group(part.folder, "r+")
+    zarr_io.member(group, DIGESTS)[part.number] = np.frombuffer(bytes.fromhex(digest), np.uint8)
 
 
 def digest_of(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:

@@ -29,7 +29,7 @@ from rcbht_jax.io.store_schema import (
     SUMMARIES,
     WRENCH_HASH,
     Schema,
-    part_digest,
+    digested,
     schema_in,
 )
 from rcbht_jax.io.summary import COUNTING, Summary, merged, summary_of
@@ -198,10 +198,10 @@ def read_small(stored: Stored, number: int) -> Arrays:
     Raises:
         InputError: the part is missing or damaged.
     """
-    rows, fields = stored.schema.layout.span(number), stored.schema.fields
+    rows, fields = stored.schema.layout.span(number), digested(stored.schema.fields)
     with zarr_io.reading(stored.path):
-        small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items() if name != "wrench"}
-        if part_digest(small, fields) != parts.digest(stored.group, number):
+        small = {name: parts.read(stored.group, name, rows, made) for name, made in fields.items()}
+        if parts.digest_of(small, fields) != parts.digest(stored.group, number):
             raise stored.damaged(f"part {number}")
     return small
 

@@ -145,9 +145,9 @@ def values_of(recordings: Recordings) -> dict[str, NDArray[Any]]:
     return values | {WRENCH_HASH: wrench_digests(values["wrench"], values["length"])}
 
 
-def part_digest(values: Mapping[str, Any], fields: Mapping[str, Field]) -> str:
-    """Digest of a part of the recordings; the wrenches enter by their own digests, so that rows can be read alone."""
-    return parts.digest_of(values, {name: made for name, made in fields.items() if name != "wrench"})
+def digested(fields: Mapping[str, Field]) -> dict[str, Field]:
+    """The fields that the digest of a part covers; wrenches have their own digests, so that rows can be read alone."""
+    return {name: made for name, made in fields.items() if name != "wrench"}
 
 
 def dtype_of(values: NDArray[Any]) -> str:

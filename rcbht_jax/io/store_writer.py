@@ -21,6 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.io import parts
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.checks import validate
+from rcbht_jax.io.parts import Field, Part
 from rcbht_jax.io.store_schema import (
     ANNOTATIONS,
     COLUMNS,
@@ -31,8 +32,8 @@ from rcbht_jax.io.store_schema import (
     SIMULATION,
     SUMMARIES,
     Schema,
+    digested,
     open_store,
-    part_digest,
     schema_in,
     schema_of,
     values_of,
@@ -83,6 +84,16 @@ def write_part(
 
     The last thing written is its digest, without which it counts as missing.
 
+    Args, Raises: as of :func:`parts_of`.
+    """
+    parts.put(path, parts_of(path, number, recordings, simulation))
+
+
+def parts_of(
+    path: Path, number: int, recordings: Recordings, simulation: Mapping[str, NDArray[Any]] | None = None
+) -> list[Part]:
+    """What is written of one part of a store, for :func:`rcbht_jax.io.parts.put`.
+
     Args:
         path: made by :func:`create`.
         number: of the part, from 0.
@@ -90,7 +101,7 @@ def write_part(
         simulation: its arrays for the group ``simulation/``.
 
     Raises:
-        InputError: the recordings contradict themselves or the store, or there is no such part.
+        InputError: the recordings contradict themselves or the store.
     """
     validate(recordings, gaps=True)
     schema = schema_in(open_store(path))
@@ -100,16 +111,14 @@ def write_part(
             f"Part {number} has {given.header} and {sorted(given.simulation)}; all parts of {path} have "
             f"{schema.header} and {sorted(schema.simulation)}."
         )
+    layout, single = schema.layout, parts.Layout(len(schema.layout), 1)
+    summary = {SUMMARIES: np.array([json.dumps({"counting": COUNTING, **summary_of(recordings)})])}
+    found = [Part(path, single, number, {SUMMARIES: Field("string")}, summary)]
     if schema.simulation and simulation is not None:
-        parts.write(path / SIMULATION, schema.layout, number, schema.simulation, simulation)
-        parts.seal(path / SIMULATION, number, parts.digest_of(simulation, schema.simulation))
-    values = values_of(recordings)
-    parts.write(path, schema.layout, number, schema.fields, values)
-    text = np.array([json.dumps({"counting": COUNTING, **summary_of(recordings)})])
-    single = parts.Layout(len(schema.layout), 1)
-    parts.write_array(zarr_io.open_group(path, "r+"), SUMMARIES, single, number, parts.Field("string"), text)
-    parts.flush(path, number)
-    parts.seal(path, number, part_digest(values, schema.fields))
+        made = schema.simulation
+        found.append(Part(path / SIMULATION, layout, number, made, simulation, tuple(made)))
+    values, hashed = values_of(recordings), tuple(digested(schema.fields))
+    return [*found, Part(path, layout, number, schema.fields, values, hashed)]  # its digest last: the part counts then
 
 
 def has_part(path: Path, number: int) -> bool:

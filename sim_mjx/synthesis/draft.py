@@ -18,7 +18,7 @@ from rcbht_jax._util.atomic import draft_of
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_parts, parts, store_writer
 from rcbht_jax.io import zarr as zarr_io
-from rcbht_jax.io.parts import Layout
+from rcbht_jax.io.parts import Layout, Part
 from rcbht_jax.io.store_schema import schema_of
 from rcbht_jax.labels import LAYERS
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
@@ -63,7 +63,11 @@ class Draft:
         return self.scenario.draw_batch(self.job.seed, indices(self.job, shard), self.job.spec)
 
     def write(self, shard: int, drawn: Drawn, arrays: Arrays, labels: Arrays | None) -> None:
-        """Write a shard to its place; the first one creates the store. Any process may write any shard.
+        """Write a shard to its place. Any process may write any shard; arguments as of :meth:`parts_of`."""
+        parts.put(self.path, self.parts_of(shard, drawn, arrays, labels))
+
+    def parts_of(self, shard: int, drawn: Drawn, arrays: Arrays, labels: Arrays | None) -> list[Part]:
+        """What is written of a shard; that of the first one creates the store.
 
         Args:
             shard: its number.
@@ -79,9 +83,8 @@ class Draft:
         tracks = None if labels is None else _labels(labels, arrays["diverged"])
         if not self.path.exists():
             self._create(recordings, simulation, tracks)
-        if tracks is not None:
-            label_parts.write_part(self._labels, shard, tracks)
-        store_writer.write_part(self.path, shard, recordings, simulation)
+        labelled = [] if tracks is None else [label_parts.part_of(self._labels, shard, tracks)]
+        return [*labelled, *store_writer.parts_of(self.path, shard, recordings, simulation)]
 
     def finish(self) -> None:
         """Complete the store, of which all shards are there, and have it on disk.

@@ -173,6 +173,7 @@ def work_in_lanes(draft: Draft, stream: Stream, lanes: int, tally: Tally, share:
                 drawn = held[shard][1]
                 labels = None if made.tracks is None else records.of_labels(made.tracks, len(drawn[1]))
                 writing.append((shard, writers.submit(shard, drawn, made.rows, labels)))
+                del made, labels  # which are copied, and not kept until the next shard comes
                 while writing and (writing[0][1].done() or len(writing) > writers.count):  # more would fill the memory
                     settle()
                 tally.show(shards.finished(folder))

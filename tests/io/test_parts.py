@@ -260,7 +260,7 @@ def test_a_growing_store_can_be_looked_at_but_not_used(tmp_path: Path) -> None:
 def test_a_part_counts_only_with_its_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = begun(tmp_path / "killed.zarr")
     with monkeypatch.context() as patch:
-        patch.setattr(store_writer.parts, "seal", lambda folder, *_: folder.name == "simulation" or 1 / 0)
+        patch.setattr(store_writer.parts, "seal", lambda part: part.folder.name == "simulation" or 1 / 0)
         with pytest.raises(ZeroDivisionError):
             add(path, 0)
     assert not store_writer.has_part(path, 0)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import weakref
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.part_process import PartProcess, Shared
 from sim_mjx.registry import get_scenario
 from sim_mjx.synthesis import records, shards, writers
 from sim_mjx.synthesis.draft import Draft
@@ -52,16 +55,33 @@ def test_processes_write_the_same_bytes_and_say_what_is_wrong(tmp_path: Path) ->
                 pool.submit(0, here.draw(0), rows, broken).result()
             said.append(str(error.value))
         assert said[0] == said[1]
-        with pytest.raises(RuntimeError, match="KeyError"):
-            apart.submit(0, here.draw(0), {}, labels).result()
         assert shards.finished(there.folder) == set(range(3))
         killed = [process._process for process in apart._processes]
         for process in killed:
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
-        with pytest.raises(RuntimeError, match="a process that writes shards ended: it did not say why"):
+        with pytest.raises(RuntimeError, match="a process that writes parts ended: it did not say why"):
             apart.submit(1, here.draw(1), rows, labels).result()
     assert tree(there.path) == tree(here.path)
+
+
+def test_a_shard_is_not_kept_beside_its_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draft, alive = draft_in(tmp_path / "work"), []
+    rows, labels = made(draft, 0)
+    watched = weakref.ref(rows["wrench"])
+    write = PartProcess.write
+
+    def seen(process: PartProcess, given: Shared) -> None:
+        gc.collect()
+        alive.append(watched() is not None)
+        write(process, given)
+
+    monkeypatch.setattr(PartProcess, "write", seen)
+    with Writers(draft, apart=True) as pool:
+        written = pool.submit(0, draft.draw(0), rows, labels)
+        del rows, labels
+        written.result()
+    assert alive == [False]
 
 
 def test_a_process_ends_with_its_input(tmp_path: Path) -> None:
