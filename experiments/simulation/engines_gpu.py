@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import jax
@@ -41,6 +43,7 @@ from sim_mjx.validation.engine_parity import parity, reference
 SOLVERS = ((6, 4), (4, 4), (1, 1), (10, 6))  # most iterations, of its line search; the first cannot converge
 CONVERGED = (30, 20)
 COMPARED = 64  # trials
+SAMPLED = 1.0  # s between two looks at the memory in use
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
@@ -132,7 +135,7 @@ def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[st
             target = Path(folder) / "trials.zarr"
             spec = DomainRandomization(longest=options.synthesis_longest)
             job = SynthesisConfig(options.preset, many, SEED, engine, shard=options.shard, spec=spec, window=5)
-            with _stopwatch(spans), _kept_lanes() as kept:
+            with _stopwatch(spans), _memory() as memory, _kept_lanes() as kept:
                 start = time.perf_counter()
                 report = pipeline.synthesise(target, job, lanes=count)
                 out[turn] = round(time.perf_counter() - start, 2)
@@ -141,8 +144,44 @@ def _synthesis(engine: str, trials: int, options: argparse.Namespace) -> dict[st
             out |= {"stored": report.stored, "seated": report.seated, "diverged": len(report.diverged)}
             out["store_GB"] = round(sum(file.stat().st_size for file in target.rglob("*") if file.is_file()) / 1e9, 3)
             out["physics_steps_per_trial"] = round(float(store.read_table(target).length.mean()) * substeps)
+            out["host_memory_with_writers_GB"] = round(memory[0] / 1e9, 2)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return out | {"host_memory_peak_GB": round(peak * 1024 / 1e9, 2)}
+
+
+@contextmanager
+def _memory() -> Iterator[list[int]]:
+    """The most bytes seen of this process and those it has started, pages that they share counted once."""
+    most, ended = [0], Event()
+
+    def watch() -> None:
+        while not ended.wait(SAMPLED):
+            most[0] = max(most[0], sum(map(_proportional, [os.getpid(), *_children(os.getpid())])))
+
+    thread = Thread(target=watch)
+    thread.start()
+    try:
+        yield most
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _children(process: int) -> list[int]:
+    found = []
+    for task in Path(f"/proc/{process}/task").iterdir():
+        with suppress(OSError):  # a thread that has ended
+            found += [int(child) for child in (task / "children").read_text().split()]
+    return found
+
+
+def _proportional(process: int) -> int:
+    """A process's share of the memory that is in use, bytes; 0 = it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
 
 
 @contextmanager

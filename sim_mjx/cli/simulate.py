@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -98,6 +99,7 @@ class Simulate(Command):
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util import compile_cache
         from sim_mjx.cli.simulate_workers import be_worker, helpers, status
+        from sim_mjx.synthesis import launch
         from sim_mjx.synthesis.pipeline import synthesise
         from sim_mjx.synthesis.plan import SynthesisConfig
 
@@ -107,6 +109,7 @@ class Simulate(Command):
         job = SynthesisConfig(name, self.trials, self.seed, self.engine, self.shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
+            os.environ.setdefault(*launch.ALLOCATOR)  # read when JAX first asks for a device
         start = time.perf_counter()
         notices: list[str] = []
         with progress_bar("simulate", "trials", self.trials) as bar:

@@ -26,6 +26,8 @@ from rcbht_jax.errors import InputError
 _LOOK = 0.2  # s between two looks at the workers
 _GRACE = 20.0  # s for workers to give back their claims
 DEVICES = "CUDA_VISIBLE_DEVICES"
+# XLA's own allocator keeps 8 bytes of the host's memory for each 256 of a GPU's: 2 GB for 64. CUDA's keeps none.
+ALLOCATOR = ("XLA_PYTHON_CLIENT_ALLOCATOR", "cuda_async")
 # Asked of another process: this one must not take the devices' memory away from its workers.
 _COUNT = "import jax; print(len([d for d in jax.local_devices() if d.platform == 'gpu']))"
 

@@ -47,7 +47,7 @@ Simulate = Callable[[Any], Rollouts]  # a batch of trials of the scenario
 # Starts workers in other processes and waits for them; calls its argument now and then.
 Helpers = Callable[[Callable[[], None]], None]
 LANES = {"mjx": 8192, "warp": 32768}  # most trials that a device steps together, of as many shards as it takes
-GROUP = 512  # trials that leave a device together: the encoder takes as long for half of them
+GROUP = 256  # trials that leave a device together, with half a megabyte each that waits on the host
 LANE = 2 << 20  # bytes of a device's memory: logs of two trials of 25 s, and what the physics keeps
 
 
@@ -245,7 +245,7 @@ def _work(
 
 def lanes_for(trials: int, engine: str) -> int:
     """Lanes for so many trials on JAX's default device."""
-    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
+    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit") or None  # a CPU reports none
     return balanced(trials, LANES[engine], memory)
 
 

@@ -14,7 +14,7 @@ from sim_mjx.synthesis import shards
 from sim_mjx.synthesis.draft import Draft
 from sim_mjx.synthesis.records import Arrays
 
-MOST = 8  # shards that are written at the same time; each takes a third of a megabyte a trial
+MOST = 4  # shards that are written at the same time; each takes a third of a megabyte of memory a trial
 FEWEST = 4  # cores from which on there are processes for it
 
 
