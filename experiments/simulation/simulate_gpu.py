@@ -30,7 +30,7 @@ def in_one_process(folder: Path) -> list[dict[str, Any]]:
     out = folder / "in_one_process.json"
     sizes = [str(TRIALS), str(10 * TRIALS)]
     words = ["--engine", ENGINE, "--preset", PRESET, "--sections", "synthesis", "--trials", *sizes, "--out", str(out)]
-    env = {**os.environ, launch.ALLOCATOR[0]: launch.ALLOCATOR[1]}  # as the command does
+    env = {**os.environ, launch.AS_NEEDED[0]: launch.AS_NEEDED[1]}  # as the command does
     subprocess.run([sys.executable, "-m", "experiments.simulation.engines_gpu", *words], check=True, env=env)
     found: dict[str, Any] = json.loads(out.read_text())["synthesis"]
     return [found[size] | {"gpus": 1} for size in sizes]

@@ -109,7 +109,7 @@ class Simulate(Command):
         job = SynthesisConfig(name, self.trials, self.seed, self.engine, self.shard, spec, self.window)
         if self.engine != "native":  # whose controllers compile in seconds
             compile_cache.use(self.compile_cache)
-            os.environ.setdefault(*launch.ALLOCATOR)  # read when JAX first asks for a device
+            os.environ.setdefault(*launch.AS_NEEDED)  # read when JAX first asks for a device
         start = time.perf_counter()
         notices: list[str] = []
         with progress_bar("simulate", "trials", self.trials) as bar:

@@ -26,8 +26,9 @@ from rcbht_jax.errors import InputError
 _LOOK = 0.2  # s between two looks at the workers
 _GRACE = 20.0  # s for workers to give back their claims
 DEVICES = "CUDA_VISIBLE_DEVICES"
-# XLA's own allocator keeps 8 bytes of the host's memory for each 256 of a GPU's: 2 GB for 64. CUDA's keeps none.
-ALLOCATOR = ("XLA_PYTHON_CLIENT_ALLOCATOR", "cuda_async")
+# XLA's allocator keeps 8 bytes of the host's memory for each 256 that it takes of a GPU's: 2 GB for 64. (CUDA's own
+# allocator keeps none, but what another thread frees on the stream breaks the graphs that Warp captures there.)
+AS_NEEDED = ("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 # Asked of another process: this one must not take the devices' memory away from its workers.
 _COUNT = "import jax; print(len([d for d in jax.local_devices() if d.platform == 'gpu']))"
 
@@ -38,7 +39,7 @@ def visible_devices() -> list[str]:
     Raises:
         InputError: JAX does not start.
     """
-    env = {**os.environ, "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+    env = {**os.environ, AS_NEEDED[0]: AS_NEEDED[1]}
     done = subprocess.run([sys.executable, "-c", _COUNT], env=env, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]

@@ -245,7 +245,7 @@ def _work(
 
 def lanes_for(trials: int, engine: str) -> int:
     """Lanes for so many trials on JAX's default device."""
-    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit") or None  # a CPU reports none
+    memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
     return balanced(trials, LANES[engine], memory)
 
 
