@@ -24,7 +24,7 @@ class Describe(Command):
     arm: Arm | None = None
     """Arm to describe, if the trial has both."""
     source: SourcePrefix = ""
-    task: Annotated[str, option("Track of annotations to name.", "the first")] = ""
+    task: Annotated[str, option("Track of annotations to name.", "the first, or its corrected variant")] = ""
     snap: SnapSize = ()
     least: Annotated[float, option("Smallest change to report, as a share of the usual range of its axis.")] = 0.2
 

@@ -115,6 +115,7 @@ class PlotBeliefs(Command):
     out: OutFigure
     model: Model = Path("online.model")
     arm: Arm = "R"
+    source: SourcePrefix = ""
     starts: str = "harmonised"
     """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
     variant where there is one, detected = found by the model (train-online --detect)."""
@@ -134,12 +135,13 @@ class PlotBeliefs(Command):
         detect = self.starts == "detected"
         model, recordings = load(self.model), read_recordings(self.store)
         model.check_axes(recordings.axes, recordings.units, str(self.store))
+        arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
+        recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, self.rate or "auto", detect=detect))
         starts = "none" if detect else self.starts
-        events = list(session.run(play(recordings, (self.trial,), self.arm, starts, str(self.store))))
+        events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        # No event announces the first sub-task, which begins with the trial.
-        names = () if detect else _names(recordings, self.trial, self.starts)[1:]
+        names = () if detect else _names(recordings, self.starts)
         save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
@@ -147,15 +149,18 @@ class PlotBeliefs(Command):
         return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
 
 
-def _names(recordings: Recordings, trial: str, starts: str) -> tuple[str, ...]:
-    """Labels of the intervals of a trial, in order of time."""
+def _names(recording: Recordings, starts: str) -> tuple[str, ...]:
+    """Labels of the intervals of the only recording whose beginning is announced, in order: not of one at its start."""
+    from rcbht_jax.annotations import nearest_samples
     from rcbht_jax.io.playback import track_of_starts
 
-    track = recordings.annotations.choose(track_of_starts(recordings.annotations, starts))
+    track = recording.annotations.choose(track_of_starts(recording.annotations, starts))
     if not track:
         return ()
-    row = int(np.flatnonzero(recordings.trial == trial)[0])
-    return tuple(recordings.annotations.of_recording(row).of(track).names().tolist())
+    marks = recording.annotations.of_recording(0).of(track)
+    begin = nearest_samples(marks.start, int(recording.length[0]), recording.dt)
+    begun = dict(zip(begin.tolist(), marks.names().tolist(), strict=True))
+    return tuple(begun[sample] for sample in sorted(begun) if 0 < sample < recording.length[0])
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -156,14 +156,15 @@ class Info(Command):
             head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
         elif not result["verified"]:
             head += "\nlarge: checksums not compared, tasks not examined; --check compares the checksums"
-        columns = f"{'source':34} {'session':9} {'outcome':8} arm  count  seconds (min/median/max)"
-        lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", "", columns]
-        for group in result["groups"]:
-            low, middle, high = group["seconds"]
-            lines.append(
-                f"{group['source']:34} {group['session']:9} {group['outcome']:8} {group['arm']:3} "
-                f"{group['recordings']:6d}  {low:7.2f} {middle:7.2f} {high:7.2f}"
-            )
+        lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", ""]
+        keys = ("source", "session", "outcome", "arm")
+        rows = [keys, *(tuple(str(group[key]) for key in keys) for group in result["groups"])]
+        wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        seconds = ["{:7.2f} {:7.2f} {:7.2f}".format(*group["seconds"]) for group in result["groups"]]
+        sizes = [f"{group['recordings']:5d}" for group in result["groups"]]
+        for row, count, times in zip(rows, ["count", *sizes], [" seconds (min/median/max)", *seconds], strict=True):
+            names = " ".join(f"{text:{width}}" for text, width in zip(row, wide, strict=True))
+            lines.append(f"{names}  {count}  {times}")
         lines += [f"annotations {track}: {_counts(labels)}" for track, labels in result["annotations"].items()]
         lines += [f"column {name}: {values}" for name, values in result["columns"].items()]
         for name, task in result["tasks"].items():
@@ -199,6 +200,8 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
         return {"classes": {}, "sentences": [str(error)]}
     counts = np.bincount(items.y, minlength=len(items.classes)).tolist()
     left = [f"{count} left out: {reason}." for reason, count in items.dropped.items()]
+    if len(set(recordings.arm.tolist())) > 1:
+        left.append(f"Counted is arm {arm} alone.")
     sentences = [*confounds(items, facts), *left]
     return {"classes": dict(zip(items.classes, counts, strict=True)), "sentences": sentences}
 

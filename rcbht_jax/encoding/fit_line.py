@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from rcbht_jax.encoding.segments import unrolled
 from rcbht_jax.types import Array
 
+# Samples up to which a loop is straight-line code: of 45, each repeats those before it, and a step takes minutes.
+_STRAIGHT = 32
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def residuals_after(
     zero = jnp.zeros_like(samples[0])
     rows = (jnp.arange(samples.shape[0], dtype=jnp.int32), samples)
     start = _Growing(zero, zero, zero)
-    return jax.lax.scan(add, start, rows, reverse=True, unroll=unrolled(samples.shape[0]))[1]
+    return jax.lax.scan(add, start, rows, reverse=True, unroll=unrolled(samples.shape[0], _STRAIGHT))[1]
 
 
 def best_break(
@@ -158,7 +161,7 @@ def best_break(
 
     rows = (places, samples, after, allowed, joins, n, _share(n))
     carry = (_Growing(end, line.slope, zero), jnp.full_like(zero, np.inf), jnp.zeros_like(start))
-    (whole, least, found), _ = jax.lax.scan(add, carry, rows, unroll=unrolled(samples.shape[0]))
+    (whole, least, found), _ = jax.lax.scan(add, carry, rows, unroll=unrolled(samples.shape[0], _STRAIGHT))
     return found, jnp.maximum(whole.residual - least, 0)
 
 

@@ -93,9 +93,9 @@ def accumulate(sums: tuple[Array, Array], index: Array, y: Array, count: Array, 
     return sums[0] + jnp.where(on, y, 0), sums[1] + jnp.where(on, product, 0)
 
 
-def unrolled(window: int) -> int | bool:
-    """How far a scan over the samples of a window is unrolled."""
-    return True if window <= _UNROLLED else _AT_ONCE
+def unrolled(window: int, most: int = _UNROLLED) -> int | bool:
+    """How far a scan over the samples of a window is unrolled: whole, if they are not more than ``most``."""
+    return True if window <= most else _AT_ONCE
 
 
 def gradient_label(slope: Array, limits: Array) -> Array:

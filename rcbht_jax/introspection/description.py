@@ -245,7 +245,7 @@ def describe_recording(
         recordings: any axes.
         row: which one.
         share: of an axis's usual range in this recording (1st to 99th percentile), the smallest change to report.
-        track: of annotations to name; default the first.
+        track: of annotations to name; default the first, or its harmonised variant.
         snaps: detector of snaps; default on all axes in N, its smallest fall the smallest change of the
             one that changes most.
 

@@ -1,4 +1,4 @@
-"""The colour-coded label map of a data set: one row per recording, one colour per label, six axes."""
+"""The colour-coded label map of a data set: one row per recording, one colour per label, a panel per axis."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 WIDTH, DPI = 16.0, 125  # inches, 2000 pixels
 HEAD, FOOT, GAP = 1.1, 1.3, 0.4  # inches: title, legend and tick labels, between panels
 POINTS_PER_STATE = 100  # columns of a state when time is normalised
-_LEFT = 0.115  # figure coordinates
+_LEFT, RIGHT = 0.115, 0.985  # figure coordinates
+LETTER = 0.095  # inches of one letter of a state's name, at most
+LONG = 24  # letters beside a panel
 _CAPTIONS = {
-    "word": "columns: labels in order; white: after the last label",
-    "state": "columns: time, normalised within each state; white: state missing, or no label",
+    "word": "rows: recordings by session and outcome; columns: labels in order; white: after the last label",
+    "state": "rows: recordings by session and outcome; columns: time, normalised within each state; white: state "
+    "missing, or no label",
 }
 Rows = Int[np.ndarray, " row"]
 Codes = Int8[np.ndarray, "row axis _column"]
@@ -79,13 +82,15 @@ def label_map(
         codes, caption = _cut(codes, words, caption)
     # Up to a thousand labels need one wide panel per axis; states are short and fit in two columns.
     columns = 1 if by == "word" or len(recordings.axes) == 1 else 2
-    figure, panels = _panels(recordings.axes, columns, len(rows))
+    leaning = LETTER * max(map(len, states), default=0)  # inches below the panels, for names wider than their state
+    leaning *= leaning * len(states) > WIDTH * (RIGHT - _LEFT) / columns
+    figure, panels = _panels(recordings.axes, columns, len(rows), FOOT + leaning)
     per_column = -(-len(panels) // columns)
     for axis, ax in enumerate(panels):
         _draw(ax, codes[:, axis], layer)
         ax.set_title(plain(recordings.axes[axis]), fontsize=12, loc="left", pad=4)
         _separate_sessions(ax, recordings, rows, named=axis < per_column)
-        _label_columns(ax, states, last=axis % per_column == per_column - 1)
+        _label_columns(ax, states, axis % per_column == per_column - 1, 90.0 if leaning else 0.0)
     facts = f"{LAYER_TITLES[layer]} of {len(rows)} recordings"
     text = f"{title}: {facts.lower()}\n{caption}" if title else f"{facts}\n{caption}"
     height = figure.get_figheight()
@@ -96,14 +101,14 @@ def label_map(
     return figure
 
 
-def _panels(axes: tuple[str, ...], columns: int, rows: int) -> tuple[Figure, list[Axes]]:
-    """A panel for each of ``axes``, column by column, tall enough for ``rows``."""
+def _panels(axes: tuple[str, ...], columns: int, rows: int, foot: float) -> tuple[Figure, list[Axes]]:
+    """A panel for each of ``axes``, column by column, tall enough for ``rows``, above so many inches."""
     per_column = -(-len(axes) // columns)
     panel = min(max(0.05 * rows * columns, 1.6), 3.6 * columns)  # inches
-    height = HEAD + FOOT + per_column * panel + (per_column - 1) * GAP
+    height = HEAD + foot + per_column * panel + (per_column - 1) * GAP
     figure = new_figure((WIDTH, height), DPI)
     grid = figure.add_gridspec(
-        per_column, columns, left=_LEFT, right=0.985, bottom=FOOT / height, top=1 - HEAD / height,
+        per_column, columns, left=_LEFT, right=RIGHT, bottom=foot / height, top=1 - HEAD / height,
         wspace=0.04, hspace=GAP / panel,
     )  # fmt: skip
     return figure, [figure.add_subplot(grid[axis % per_column, axis // per_column]) for axis in range(len(axes))]
@@ -192,12 +197,13 @@ def _separate_sessions(ax: Axes, recordings: Recordings, rows: Rows, named: bool
     for start in starts[1:]:
         ax.axhline(start - 0.5, color="black", linewidth=0.9, gid="session", path_effects=_RIM)
     middles = [(start + stop - 1) / 2 for start, stop in zip(starts, stops, strict=True)]
-    texts = [f"{keys[start][0]} {keys[start][1]}, {stop - start}" for start, stop in zip(starts, stops, strict=True)]
-    ax.set_yticks(middles, [plain(text) if named else "" for text in texts])
+    names = [(keys[start][0], f"{keys[start][1]}, {stop - start}") for start, stop in zip(starts, stops, strict=True)]
+    texts = [("\n" if len(" ".join(pair)) > LONG else " ").join(map(plain, pair)) for pair in names]
+    ax.set_yticks(middles, [text if named else "" for text in texts])
     ax.tick_params(axis="y", length=0)
 
 
-def _label_columns(ax: Axes, states: tuple[str, ...], last: bool) -> None:
+def _label_columns(ax: Axes, states: tuple[str, ...], last: bool, rotation: float) -> None:
     ax.tick_params(labelbottom=last)
     if not states:
         if last:
@@ -205,5 +211,6 @@ def _label_columns(ax: Axes, states: tuple[str, ...], last: bool) -> None:
         return
     for state in range(1, len(states)):
         ax.axvline(state * POINTS_PER_STATE + 0.5, color="black", linewidth=0.9, gid="state", path_effects=_RIM)
-    ax.set_xticks([(state + 0.5) * POINTS_PER_STATE for state in range(len(states))], list(map(plain, states)))
+    middles = [(state + 0.5) * POINTS_PER_STATE for state in range(len(states))]
+    ax.set_xticks(middles, list(map(plain, states)), rotation=rotation)
     ax.tick_params(axis="x", length=0)

@@ -1,4 +1,4 @@
-"""One trial: six wrench axes, each above its three layers of labels."""
+"""One trial: its wrench, axis by axis, each above its three layers of labels."""
 
 from __future__ import annotations
 
@@ -20,8 +20,15 @@ from rcbht_jax.labels import COLORS, LAYERS, name
 from rcbht_jax.plots.canvas import check_rows, label_legend, new_figure, plain, text_color
 from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
 
-INCHES, DPI = (16.0, 20.0), 100  # 1600 x 2000 pixels
-LEFT, RIGHT, BOTTOM, TOP = 0.062, 0.985, 0.105, 0.938
+WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
+LEFT, RIGHT = 0.062, 0.985  # figure coordinates
+HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
+MARGIN = 0.24  # inches above the title
+LINE, ROOM, MOST_ROWS = (
+    16,
+    2,
+    14,
+)  # of the names of states: points of a row, rows that the head has room for, and at most
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _BAND_TITLES = ("primitive", "MC", "LLB")
 _RED = "#b2182b"  # of the state boundaries
@@ -49,7 +56,7 @@ class _View:
     @property
     def pixels(self) -> float:
         """Pixels per second."""
-        return INCHES[0] * DPI * (RIGHT - LEFT) / (self.stop - self.start)
+        return WIDTH * DPI * (RIGHT - LEFT) / (self.stop - self.start)
 
 
 def trial_figure(
@@ -83,8 +90,11 @@ def trial_figure(
         raise InputError(f"Recording {index} does not exist; the data set has {len(recordings)}, counted from 0.")
     view = _view(recordings, index, seconds)
     marks = [mark for mark in state_marks(recordings, index) if view.start <= mark.seconds < view.stop]
-    figure = new_figure(INCHES, DPI)
-    panels = _panels(figure, recordings.axes)
+    names = _name_rows(marks, view)
+    head = HEAD + LINE / 72 * max(0, len({row for *_, row in names}) - ROOM)
+    count = len(recordings.axes)
+    figure = new_figure((WIDTH, round(head + FOOT + count * PANEL + (count - 1) * GAP, 2)), DPI)
+    panels = _panels(figure, recordings.axes, head)
     used: dict[str, set[int]] = {layer: set() for layer in LAYERS}
     for axis, (signal, band) in enumerate(panels):
         lanes = [_lane(getattr(tracks, layer), index, axis, view) for layer in LAYERS]
@@ -93,9 +103,10 @@ def trial_figure(
         _draw_marks((signal, band), marks)
         for layer, lane in zip(LAYERS, lanes, strict=True):
             used[layer].update(int(code) for code in lane.label)
-    _name_marks(panels[0][0], marks, view)
+    _name_marks(panels[0][0], names)
     panels[-1][1].set_xlabel("time, s", fontsize=11)
-    figure.suptitle(plain(_title(recordings, index, window, rule)), x=LEFT, y=0.988, ha="left", va="top", fontsize=14)
+    top, title = 1 - MARGIN / figure.get_figheight(), plain(_title(recordings, index, window, rule))
+    figure.suptitle(title, x=LEFT, y=top, ha="left", va="top", fontsize=14)
     _legends(figure, used)
     _key(figure, panels[0][0], marks)
     return figure
@@ -147,9 +158,12 @@ def _lane(track: LabelTrack, index: int, axis: int, view: _View) -> LabelTrack:
     return LabelTrack(**{field: values[visible] for field, values in columns.items()})
 
 
-def _panels(figure: Figure, axes: tuple[str, ...]) -> list[tuple[Axes, Axes]]:
-    """A pair of panels for each axis, signal above bands, all with one time axis."""
-    grid = figure.add_gridspec(len(axes), 1, left=LEFT, right=RIGHT, bottom=BOTTOM, top=TOP, hspace=0.13)
+def _panels(figure: Figure, axes: tuple[str, ...], head: float) -> list[tuple[Axes, Axes]]:
+    """A pair of panels for each axis, signal above bands, all with one time axis, below a head of so many inches."""
+    height = figure.get_figheight()
+    grid = figure.add_gridspec(
+        len(axes), 1, left=LEFT, right=RIGHT, bottom=FOOT / height, top=1 - head / height, hspace=GAP / PANEL
+    )
     panels: list[tuple[Axes, Axes]] = []
     for axis, title in enumerate(axes):
         pair = grid[axis].subgridspec(2, 1, height_ratios=(2.5, 1.0), hspace=0)
@@ -184,16 +198,17 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primit
 
 def _draw_bands(ax: Axes, lanes: list[LabelTrack], view: _View) -> None:
     for row, (layer, lane) in enumerate(zip(LAYERS, lanes, strict=True)):
-        start, stop = lane.t0 * view.dt, lane.t1 * view.dt
+        order = np.argsort(lane.t0 - lane.t1, kind="stable")  # short ones last, on top of the rims of long ones
+        start, stop = lane.t0[order] * view.dt, lane.t1[order] * view.dt
         low, high = np.full(len(start), row + 0.06), np.full(len(start), row + 0.94)
         corners = [(start, low), (start, high), (stop, high), (stop, low)]
-        # White rims separate equal neighbours, but would hide spans of a few pixels.
-        rims = np.where((stop - start) * view.pixels > 6, 0.8, 0.0)
+        # White rims separate equal neighbours, but would hide spans of a few pixels; those below one would not be seen.
+        pixels, colors = (stop - start) * view.pixels, [COLORS[layer][code - 1] for code in lane.label[order]]
         band = PolyCollection(
             list(np.stack([np.stack(corner, -1) for corner in corners], 1)),
-            facecolors=[COLORS[layer][code - 1] for code in lane.label],
-            edgecolors="white",
-            linewidths=rims,
+            facecolors=colors,
+            edgecolors=["white" if wide else color for wide, color in zip(pixels > 6, colors, strict=True)],
+            linewidths=np.select([pixels > 6, pixels < 1], [0.8, 72 / DPI], 0.0),
         )
         band.set_gid(layer)
         ax.add_collection(band, autolim=False)
@@ -219,19 +234,28 @@ def _draw_marks(axes: tuple[Axes, Axes], marks: list[Mark]) -> None:
             ax.axvline(mark.seconds, color=_RED, linewidth=1.3, linestyle=_STYLE[mark.dashed], gid="state")
 
 
-def _name_marks(ax: Axes, marks: list[Mark], view: _View) -> None:
-    """Names of the states above the topmost axes, one line up where they would overlap."""
+def _name_rows(marks: list[Mark], view: _View) -> list[tuple[Mark, bool, int]]:
+    """Names of the states: whether they stand right of their line, and the row, one up where they would overlap."""
     ends: list[float] = []
+    found = []
     for mark in marks:
         width = (len(mark.text) * 7.6 + 10) / view.pixels
         fits = mark.seconds + width < view.stop
         left = mark.seconds if fits else mark.seconds - width
         row = next((row for row, end in enumerate(ends) if end <= left), len(ends))
-        ends[row : row + 1] = [left + width]
+        if row < MOST_ROWS:
+            ends[row : row + 1] = [left + width]
+            found.append((mark, fits, row))
+    return found
+
+
+def _name_marks(ax: Axes, names: list[tuple[Mark, bool, int]]) -> None:
+    """Names of the states above the topmost axes."""
+    for mark, fits, row in names:
         ax.annotate(
             plain(mark.text),
             (mark.seconds, 1.0),
-            (3 if fits else -3, 5 + 16 * row),
+            (3 if fits else -3, 5 + LINE * row),
             xycoords=ax.get_xaxis_transform(),
             textcoords="offset points",
             ha="left" if fits else "right",
@@ -258,7 +282,7 @@ def _title(recordings: Recordings, index: int, window: int | None, rule: str) ->
 def _legends(figure: Figure, used: dict[str, set[int]]) -> None:
     for layer, left in zip(LAYERS, (LEFT, 0.37, 0.64), strict=True):
         if used[layer]:
-            label_legend(figure, layer, used[layer], (left, 0.008), 2)
+            label_legend(figure, layer, used[layer], (left, 0.16 / figure.get_figheight()), 2)
 
 
 def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
@@ -269,7 +293,8 @@ def _key(figure: Figure, ax: Axes, marks: list[Mark]) -> None:
         if any(mark.dashed == dashed for mark in marks):
             handles.append(Line2D([], [], color=_RED, linewidth=1.3, linestyle=_STYLE[dashed]))
             texts.append(text)
+    corner = RIGHT, 1 - MARGIN / figure.get_figheight()
     figure.legend(
-        handles, texts, loc="upper right", bbox_to_anchor=(RIGHT, 0.988), ncols=len(texts),
+        handles, texts, loc="upper right", bbox_to_anchor=corner, ncols=len(texts),
         fontsize=11, frameon=False, borderpad=0, borderaxespad=0,
     )  # fmt: skip

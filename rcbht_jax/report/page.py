@@ -61,6 +61,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     facts = {
         "dt": data.recordings.dt,
         "axes": data.recordings.axes,
+        "units": data.recordings.units,
         "layers": LAYERS,
         "names": {layer: [name(layer, code) for code in range(len(MEANING[layer]) + 1)] for layer in LAYERS},
         "meanings": {layer: ["", *MEANING[layer]] for layer in LAYERS},

@@ -1,9 +1,9 @@
 "use strict";
 const byId = id => document.getElementById(id);
 const facts = JSON.parse(byId("facts").textContent);
-const { axes, layers, names, meanings, colors, dt } = facts;
+const { axes, units, layers, names, meanings, colors, dt } = facts;
 const LINES = ["#b35806", "#1b7837", "#2166ac", "#762a83", "#b2182b", "#35978f"];
-const RED = "#b2182b", LEFT = 52, RIGHT = 8;
+const RED = "#b2182b", LEFT = Math.max(52, ...axes.map(name => Math.min(180, 12 + 7 * name.length))), RIGHT = 8;
 const plot = byId("plot");
 
 // What is shown: one trial, a span of time, one axis or all (-1), and the word that is spoken about.
@@ -33,7 +33,7 @@ async function trialOf(number) {
       vmax: take(Float32Array, all), vmin: take(Float32Array, all), avg: take(Float32Array, all), grad: take(Float32Array, all) };
   });
   const samples = about.beliefs.map(b => summed(take(Int32Array, b.steps)));
-  const differences = take(Uint16Array, 6 * n);
+  const differences = take(Uint16Array, axes.length * n);
   packed.forEach((layer, l) => { if (layer) layer.code = take(Uint8Array, layer.t0.length); });
   const beliefs = about.beliefs.map((b, i) => ({ ...b, sample: samples[i], p: take(Uint8Array, b.steps * b.classes.length) }));
   const wrench = axes.map((_, a) => {
@@ -87,14 +87,16 @@ async function show(number) {
 
 // ---- words ----
 
+const unitOf = a => units[a] && " " + units[a];
+
 function say(l, a, index) {
   view.lane = [l, a];
   view.word = index;
-  const word = view.trial.words[l][a][index], layer = layers[l], unit = a < 3 ? "N" : "Nm", t = n => (n * dt).toFixed(3);
+  const word = view.trial.words[l][a][index], layer = layers[l], unit = unitOf(a), t = n => (n * dt).toFixed(3);
   const known = word.emit < 0 ? "" : `, known at ${t(word.emit)} s`;
   byId("word").textContent = `${axes[a]} ${layer}: ${names[layer][word.code]} (${meanings[layer][word.code]}), ` +
-    `${t(word.t0)} to ${t(word.t1)} s${known}; mean ${word.avg.toPrecision(3)} ${unit}, slope ${word.grad.toPrecision(3)} ${unit}/s, ` +
-    `${word.vmin.toPrecision(3)} to ${word.vmax.toPrecision(3)} ${unit}.` + believed(word.t1 * dt);
+    `${t(word.t0)} to ${t(word.t1)} s${known}; mean ${word.avg.toPrecision(3)}${unit}, slope ${word.grad.toPrecision(3)}${unit || " 1"}/s, ` +
+    `${word.vmin.toPrecision(3)} to ${word.vmax.toPrecision(3)}${unit}.` + believed(word.t1 * dt);
   byId("word").style.borderLeftColor = colors[layer][word.code];
   byId("layer").value = l;
   requestAnimationFrame(draw);
@@ -113,9 +115,9 @@ function wordAt(x, y) {
 function listWords() {
   const l = byId("layer").value * 1, a = view.axis < 0 ? view.lane[1] : view.axis, layer = layers[l], list = byId("list");
   if (!list.closest("details").open) return;
-  const found = inView(l, a), unit = a < 3 ? "N" : "Nm";
+  const found = inView(l, a);
   byId("caption").textContent = `${axes[a]} ${layer}: ${found.length} words between ${view.from.toFixed(2)} and ${view.to.toFixed(2)} s` +
-    (found.length > 300 ? "; the first 300 are listed" : "") + `; means in ${unit}, slopes in ${unit}/s`;
+    (found.length > 300 ? "; the first 300 are listed" : "") + (units[a] ? `; means in ${units[a]}, slopes in ${units[a]}/s` : "");
   list.replaceChildren(...found.slice(0, 300).map(word => {
     const line = document.createElement("tr"), t = n => (n * dt).toFixed(3), n = v => v.toPrecision(3);
     const texts = [`${names[layer][word.code]} (${meanings[layer][word.code]})`, t(word.t0), t(word.t1), word.emit < 0 ? "" : t(word.emit),

@@ -43,7 +43,7 @@ function draw() {
 
 function drawSignal(pen, width, a, top, height) {
   const values = view.trial.wrench[a], first = Math.max(0, Math.floor(view.from / dt) - 1);
-  const last = Math.min(values.length, Math.ceil(view.to / dt) + 2), unit = a < 3 ? "N" : "Nm";
+  const last = Math.min(values.length, Math.ceil(view.to / dt) + 2);
   let low = Infinity, high = -Infinity;
   for (let i = first; i < last; i++) { low = Math.min(low, values[i]); high = Math.max(high, values[i]); }
   if (high - low < 1e-3) { high += 5e-4; low -= 5e-4; }
@@ -54,7 +54,7 @@ function drawSignal(pen, width, a, top, height) {
   pen.fillStyle = "#fafafa";
   pen.fill();
   pen.clip();
-  pen.strokeStyle = LINES[a];
+  pen.strokeStyle = LINES[a % LINES.length];
   pen.lineWidth = 1.2;
   pen.beginPath();
   const per = Math.max(1, (last - first) / (2 * (width - LEFT - RIGHT)));
@@ -84,7 +84,7 @@ function drawSignal(pen, width, a, top, height) {
   pen.fillText(high.toPrecision(3), LEFT - 4, top + 10);
   pen.fillText(low.toPrecision(3), LEFT - 4, top + height - 2);
   pen.textAlign = "left";
-  if (view.axis >= 0) pen.fillText(unit, LEFT + 4, top + 12);
+  if (view.axis >= 0) pen.fillText(units[a], LEFT + 4, top + 12);
   pen.font = "12px system-ui, sans-serif";
 }
 

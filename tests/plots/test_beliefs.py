@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
+from matplotlib.figure import Figure
 
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
@@ -16,6 +17,7 @@ from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.io.store import write_recordings
 from rcbht_jax.plots.beliefs import belief_map
 from rcbht_jax.robots.snap_assembly import snap_recordings
+from rcbht_jax.types import Recordings
 from tests.support.introspection_models import model, trial
 
 
@@ -38,6 +40,22 @@ def test_the_numbers_are_those_of_the_stream():
     assert "push" in [text.get_text() for text in panels[0].texts]
     with pytest.raises(InputError, match="no belief among the events"):
         belief_map([start])
+
+
+def test_every_line_has_the_name_of_what_begins_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Of the recording that is asked for, also where nothing begins at its start."""
+    wrench = np.concatenate([trial(0, 52, 150), trial(2, 53, 150)])
+    marks = [(0, "s", "other", 0.0, 1.5), (1, "s", "late", 0.3, 0.9), (1, "s", "last", 0.9, 1.5)]
+    pair = Recordings.from_arrays([wrench, wrench], 200.0, trial="t", arm=["R", "L"], annotations=marks)
+    write_recordings(tmp_path / "s.zarr", pair, {})
+    model_files.save(tmp_path / "m", model())
+    figures: list[Figure] = []
+    monkeypatch.setattr("rcbht_jax.plots.save", lambda figure, _: figures.append(figure))
+    words = ["plot", "beliefs", str(tmp_path / "s.zarr"), "t", "--arm", "L", "-m", str(tmp_path / "m"), "-o", "b.png"]
+    assert main(words) == 0
+    assert [(text.get_text(), round(text.xy[0], 2)) for text in figures[0].axes[0].texts] == [
+        ("late", pytest.approx(0.3, abs=0.03)), ("last", pytest.approx(0.9, abs=0.03)),
+    ]  # fmt: skip
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

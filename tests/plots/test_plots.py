@@ -95,6 +95,7 @@ def _check_bands(figure: Figure, tracks: LabelTracks, index: int) -> None:
             assert isinstance(band, PolyCollection)
             used = np.asarray(track.label[index, axis]) > 0
             codes, t0, t1 = (np.asarray(x[index, axis])[used] for x in (track.label, track.t0, track.t1))
+            codes, t0, t1 = (x[np.argsort(t0 - t1, kind="stable")] for x in (codes, t0, t1))  # short ones on top
             spans = [(path.vertices[:, 0].min(), path.vertices[:, 0].max()) for path in band.get_paths()]
             np.testing.assert_allclose(spans, np.stack([t0, t1], -1) * DT)
             assert all(row < y < row + 1 for path in band.get_paths() for y in path.vertices[:, 1])

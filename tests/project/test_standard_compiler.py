@@ -31,3 +31,19 @@ def test_bits_are_equal_with_the_compiler_of_the_users() -> None:
     counts = re.search(r"(\d+) passed(?:, (\d+) skipped)?", done.stdout)
     assert counts, done.stdout
     assert sum(int(count or 0) for count in counts.groups()) == len(EXACT)  # golden data may be absent
+
+
+def test_words_that_fit_keep_up_with_a_sensor_of_1_khz() -> None:
+    """A step of straight-line code over so many samples took minutes: fused, each repeated all before it."""
+    code = (
+        "import numpy as np, rcbht_jax as rj\n"
+        "from rcbht_jax.encoding.fit import FitConfig\n"
+        "from rcbht_jax.encoding.tolerance import FitLimits\n"
+        "limits = FitLimits(np.tile([4.0, 3, 2, 1], (2, 1)), np.full(2, 0.1))\n"
+        "print(len(rj.Encoder(FitConfig(5, 0.001), limits).push(np.zeros((500, 2)))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=as_users_compile(), capture_output=True, text=True, timeout=120,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["100"]

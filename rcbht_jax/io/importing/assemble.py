@@ -62,7 +62,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     if not kept:
         raise InputError(f"{source} holds no usable recording. The first reason: {report.skipped[0][1]}")
     if uneven:
-        text = f"{uneven} recordings were not sampled evenly and were interpolated at {1 / period:.6g} Hz."
+        were = "recording was" if uneven == 1 else "recordings were"
+        text = f"{uneven} {were} not sampled evenly and interpolated at {1 / period:.6g} Hz."
         report.remarks.append(text)
     _remarks(report, period, rates, filtered)
     report.imported = [record.name for record in kept]
@@ -78,7 +79,8 @@ def _remarks(report: ImportReport, period: float, rates: Counter[str], filtered:
     if rates:
         listed = ", ".join(f"{rate} ({count})" for rate, count in rates.most_common(6))
         low = f"; {filtered} of them low-passed before, at {0.4 / period:.4g} Hz" if filtered else ""
-        text = f"{sum(rates.values())} recordings were resampled to {1 / period:.6g} Hz, from {listed}{low}."
+        were = "recording was" if sum(rates.values()) == 1 else "recordings were"
+        text = f"{sum(rates.values())} {were} resampled to {1 / period:.6g} Hz, from {listed}{low}."
         report.remarks.append(text)
 
 

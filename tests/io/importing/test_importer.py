@@ -97,7 +97,7 @@ def test_mixed_rates_become_the_most_common_one(tmp_path: Path) -> None:
     assert imported.recordings.note.tolist() == ["", "", "", "filtered;resampled:2000"]
     [remark] = [remark for remark in imported.report.remarks if "resampled" in remark]
     assert remark.startswith(
-        "1 recordings were resampled to 500 Hz, from 2000 Hz (1); 1 of them low-passed before, at 200 Hz"
+        "1 recording was resampled to 500 Hz, from 2000 Hz (1); 1 of them low-passed before, at 200 Hz"
     )
     asked = read_source(tmp_path, mapping=Mapping(rate=100.0))
     assert asked.recordings.dt == 0.01

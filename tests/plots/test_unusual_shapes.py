@@ -1,0 +1,71 @@
+"""Pictures of recordings unlike a wrench of six axes: nothing overlaps, and nothing is too short to be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from rcbht_jax.labels import COLORS, LLB
+from rcbht_jax.plots import label_map, trial_figure
+from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+
+SAMPLES = 200_000  # of a long recording: 1000 s
+
+
+def words(axes: int, spans: list[tuple[int, int, int]]) -> LabelTracks:
+    """Labels (code, t0, t1), the same on every layer and axis of one recording."""
+    code, t0, t1 = (np.tile(np.array(column, np.int32), (1, axes, 1)) for column in zip(*spans, strict=True))
+    zero = np.zeros(code.shape)
+    track = LabelTrack(code.astype(np.int8), t0, t1, t1, zero, zero, zero, zero)
+    return LabelTracks(track, track, track)
+
+
+def overlapping(figure: Figure, texts: list[Text]) -> list[tuple[str, str]]:
+    figure.canvas.draw()
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts if text.get_text() and text.get_visible()]
+    return [(a, b) for n, (a, one) in enumerate(boxes) for b, other in boxes[n + 1 :] if one.overlaps(other)]
+
+
+@pytest.mark.parametrize("axes", [1, 12])
+def test_any_number_of_axes_gets_the_same_room(axes: int) -> None:
+    names = [f"M{number}_right" for number in range(axes)]
+    recordings = Recordings.from_arrays(np.zeros((1, 400, axes)), 200.0, axes=names, units=["Nm"] * axes)
+    figure = trial_figure(recordings, words(axes, [(1, 0, 400)]), 0)
+    heights = [ax.get_position().height * figure.get_figheight() for ax in figure.axes]
+    assert heights == pytest.approx([1.79, 0.72] * axes, abs=0.01)  # inches
+    bands = [text for ax in figure.axes[1::2] for text in ax.get_yticklabels()]
+    assert not overlapping(figure, [*bands, *(ax.yaxis.label for ax in figure.axes[::2])])
+
+
+def test_names_of_many_states_do_not_cover_each_other_nor_the_title() -> None:
+    marks = [(0, "step", f"a long name of step {number}", number * 0.4, number * 0.4 + 0.4) for number in range(25)]
+    recordings = Recordings.from_arrays(np.zeros((1, 2000, 1)), 200.0, axes=["grip"], units=["N"], annotations=marks)
+    tracks = words(1, [(1, 0, 2000)])
+    figure = trial_figure(recordings, tracks, 0)
+    names = list(figure.axes[0].texts)
+    title = [text for text in figure.findobj(Text) if text.get_text() == figure.get_suptitle()]
+    key = figure.legends[-1].get_texts()
+    assert len(names) == 25
+    assert not overlapping(figure, [*names, *title, *key])
+    figure = label_map(recordings, tracks, "llb", by="state")
+    named = figure.axes[0].get_xticklabels()
+    legend = [figure.legends[-1].get_title(), *figure.legends[-1].get_texts()]
+    assert len(named) == 25
+    assert not overlapping(figure, [*named, *legend])
+
+
+def test_a_contact_is_seen_in_a_long_recording() -> None:
+    recordings = Recordings.from_arrays(np.zeros((1, SAMPLES, 1)), 200.0, axes=["grip"], units=["N"])
+    middle = SAMPLES // 2
+    tracks = words(1, [(LLB.FX, 0, middle), (LLB.CT, middle, middle + 10), (LLB.FX, middle + 10, SAMPLES)])
+    figure = trial_figure(recordings, tracks, 0)
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255  # type: ignore[attr-defined]
+    band = figure.axes[1]
+    x, y = band.transData.transform((middle / 200, 2.2))
+    near = pixels[round(pixels.shape[0] - y), round(x) - 2 : round(x) + 3]
+    fixed, contact = (np.array(to_rgb(COLORS["llb"][code - 1])) for code in (LLB.FX, LLB.CT))
+    assert np.abs(near - contact).sum(-1).min() < 0.6 * np.abs(fixed - contact).sum()

@@ -1,0 +1,46 @@
+"""The report of recordings that are no wrench of six axes: their samples, words, names and units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcbht_jax.cli.main import main
+from rcbht_jax.io.label_store import read_tracks
+from rcbht_jax.io.store import write_recordings
+from rcbht_jax.labels import name
+from rcbht_jax.types import Recordings
+from tests.support.browser import browser
+
+
+@pytest.mark.parametrize("units", [("mN",), ("Nm", "Nm", "", "N", "N", "N", "N")])
+def test_report_of_any_number_of_axes(units: tuple[str, ...], tmp_path: Path) -> None:
+    axes = [f"a_long_name_{number}" for number in range(len(units))]
+    force = np.random.default_rng(0).normal(size=(1, 401, len(axes))) * 0.02
+    force[:, 200:] += np.interp(np.arange(201), [0, 4, 100, 200], [0, 4, 4, 9])[:, None]
+    recordings = Recordings.from_arrays(force, 200.0, axes=axes, units=list(units))
+    store, page = tmp_path / "s.zarr", tmp_path / "s.html"
+    write_recordings(store, recordings, {})
+    assert main(["encode", str(store), "--rule", "fit"]) == 0
+    assert main(["report", str(store), "-o", str(page)]) == 0
+    tracks, _ = read_tracks(store, "online-W5-fit")
+    with browser(1280, 900) as driver:
+        driver.get(page.as_uri())
+        driver.implicitly_wait(5)
+        assert driver.find_element("css selector", "#plot[aria-label^='trial-0']")
+        decoded = np.array(driver.execute_script("return view.trial.wrench.map(values => Array.from(values))"))
+        np.testing.assert_allclose(decoded.T, force[0], atol=1e-3)
+        for axis, unit in enumerate(units):
+            driver.execute_script("say(2, arguments[0], 1)", axis)
+            said = driver.find_element("id", "word").text
+            second = tracks.llb.label[0, axis][tracks.llb.label[0, axis] > 0][1]
+            assert said.startswith(f"{axes[axis]} llb: {name('llb', int(second))} (")
+            assert said.count(f"{unit}/s") == 1
+            assert (" N" in said, " Nm" in said) == (unit in ("N", "Nm"), unit == "Nm")
+        measure = (
+            "const pen = plot.getContext('2d'); pen.font = '12px system-ui'; return pen.measureText(axes[0]).width"
+        )
+        assert driver.execute_script(measure) + 4 <= driver.execute_script("return LEFT")
+        assert [entry["message"] for entry in driver.get_log("browser")] == []
