@@ -100,20 +100,18 @@ class MonitorWatch(Command):
     snap: SnapSize = ()
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
         recordings = _read(self.store, self.where)
         series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
-        if recordings.axes != file.axes or not np.isclose(1 / recordings.dt, monitor.rate):
+        check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
+        if not np.isclose(1 / recordings.dt, monitor.rate):
             raise InputError(
-                f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
-                f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
+                f"{self.store} has {1 / recordings.dt:g} samples per second; {self.monitor} learned {monitor.rate:g}."
             )
-        for axis, taught, here in zip(file.axes, file.units, recordings.units, strict=False):
-            if taught and here and taught != here:
-                raise InputError(f"{self.monitor} learned {axis} in {taught}; {self.store} has it in {here}.")
         alarms, snaps = 0, detector_of(self.snap, monitor.rate)
         columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)
         for row, part in enumerate(series):

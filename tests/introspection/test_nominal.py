@@ -161,7 +161,7 @@ def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
     with reading(path, nominal_file.FORMAT, gaps=("described",)) as (meta, arrays):
         del meta["units"]  # as files were written before
         write_archive(path, meta, arrays)
-    assert nominal_file.load(path).units == ()
+    assert nominal_file.load(path).units == ("", "")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match="not a readable"):
         nominal_file.load(path)
