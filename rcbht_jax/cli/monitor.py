@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from rcbht_jax._util.cells import number_of
 from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -160,7 +161,7 @@ class MonitorEvaluate(Command):
         monitor = _monitor(recordings, self.score_rate, self.levels)
         with progress_bar("evaluate", "groups", len(np.unique(groups))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update)
-        onset = _numbers(recordings.column(self.onset)) if self.onset else None
+        onset = np.array(list(map(number_of, recordings.column(self.onset).tolist()))) if self.onset else None
         limits = thresholds(watched, self.false_alarms)
         result = judge(watched, limits, onset)
         without = sorted(result["groups"].keys() - limits)
@@ -204,7 +205,7 @@ def _read(store: Path, where: tuple[str, ...]) -> Recordings:
         if not equals:
             raise InputError(f"--where {condition}: expected COLUMN=VALUE.")
         column = recordings.column(name)
-        chosen &= column == _number(value) if column.dtype.kind in "fiu" else column.astype(str) == value
+        chosen &= column == number_of(value) if column.dtype.kind in "fiu" else column.astype(str) == value
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
     return recordings.take(np.flatnonzero(chosen))
@@ -234,18 +235,6 @@ def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...])
     rate = 1 / recordings.dt
     numbers = tuple(recordings.axes.index(name) for name in levels)
     return NominalMonitor(rate=rate, score_rate=min(score_rate, rate), levels=numbers)
-
-
-def _numbers(column: NDArray[Any]) -> NDArray[np.float64]:
-    """Numbers of a column, NaN where it holds none."""
-    return np.array([_number(value) for value in column.tolist()], np.float64)
-
-
-def _number(value: Any) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        return np.nan
 
 
 def _line(event: str, about: dict[str, str], **more: Any) -> None:
