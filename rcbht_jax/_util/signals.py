@@ -84,7 +84,7 @@ def check_axes(
     """
     if tuple(axes) != tuple(learned):
         raise InputError(f"{where} has the axes {', '.join(axes)}; the model learned {', '.join(learned)}.")
-    for axis, here, taught in zip(axes, units, learned_units, strict=True):
+    for axis, here, taught in zip(axes, units, learned_units, strict=False):  # old files of monitors have no units
         if here and taught and here != taught:
             raise InputError(f"{where} has {axis} in {here}; the model learned it in {taught}.")
 

@@ -28,7 +28,7 @@ class MonitorFile:
     monitor: NominalMonitor
     axes: tuple[str, ...]  # names
     where: tuple[str, ...]  # which recordings taught, COLUMN=VALUE each
-    units: tuple[str, ...]  # of the axes, "" = not stated
+    units: tuple[str, ...] = ()  # of the axes, "" = not stated; none in files written before units were kept
 
 
 def save(path: Path | str, file: MonitorFile) -> None:
@@ -63,8 +63,6 @@ def load(path: Path | str) -> MonitorFile:
         bank = Bank(**arrays, **numbers)
         monitor = NominalMonitor(**meta["parameters"])
         axes, peaks = checked_texts("its axes", meta["axes"]), archive["peaks"]
-        # files written before units were kept have none
-        units = checked_texts("its units", meta.get("units") or [""] * len(axes))
         moments, channels = bank.reference.shape
         if (
             bank.described.ndim != 4
@@ -72,9 +70,9 @@ def load(path: Path | str) -> MonitorFile:
             or bank.scale.shape != bank.described.shape[2:]
             or bank.described.shape[2] != channels
             or channels != len(axes) + len(monitor.levels)
-            or len(units) != len(axes)
+            or len(meta.get("units", [])) not in (0, len(axes))
             or not np.isfinite(peaks).all()
         ):
             raise InputError(f"{path} is damaged: its arrays do not fit each other.")
-        where = checked_texts("its groups", meta["where"])
+        where, units = checked_texts("its groups", meta["where"]), checked_texts("its units", meta.get("units", []))
         return MonitorFile(monitor.restore(len(axes), bank, peaks), axes, where, units)

@@ -39,7 +39,7 @@ KNOWN_PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
 STABLEHLO, STATE, META = "chain.stablehlo", "state.npz", "chain.json"
 
 
-def export_chain(model: IntrospectionModel, platforms: Sequence[str]) -> bytes:
+def export_chain(model: IntrospectionModel, platforms: Sequence[str] = PLATFORMS) -> bytes:
     """The serialised chain of a model; see the module."""
     chain = Chain.of(model)
     start = begin_stream(chain.config, chain.views, len(model.axes))

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.labels import AXES, UNITS
 from rcbht_jax.plots.canvas import new_figure, plain
 
 _NAMES = ("impulse", "big", "medium", "small")
@@ -20,9 +21,9 @@ def threshold_figure(
     data: CalibrationData,
     window: int,
     thresholds: GradientThresholds,
-    base: GradientThresholds,
-    axes: Sequence[str],
-    units: Sequence[str],
+    base: GradientThresholds | None = None,
+    axes: Sequence[str] = AXES,
+    units: Sequence[str] = UNITS,
 ) -> Figure:
     """Histograms of the windows' absolute slopes on a logarithmic scale, with the limits as lines.
 
@@ -56,7 +57,8 @@ def threshold_figure(
             for k, limit in enumerate(limits):
                 label = _NAMES[k] if (row, column) == (0, 0) else None
                 panel.axvline(limit, color=_COLORS[k], linewidth=1.6, label=label)
-                panel.axvline(np.asarray(base.limits)[row, k], color=_COLORS[k], linewidth=1.0, linestyle=":")
+                if base is not None:
+                    panel.axvline(np.asarray(base.limits)[row, k], color=_COLORS[k], linewidth=1.0, linestyle=":")
             panel.set_xscale("log")
             panel.set_yscale("symlog", linthresh=10)
             panel.tick_params(labelsize=7)

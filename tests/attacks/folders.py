@@ -55,7 +55,7 @@ def _make_monitor(path: Path) -> None:
     rng = np.random.default_rng(0)
     monitor = NominalMonitor(rate=20, score_rate=20, memory=0.05)
     monitor.fit([rng.normal(size=(40, 2)) for _ in range(8)])
-    nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fx", "Fy"), (), ("N", "N")))
+    nominal_file.save(path, nominal_file.MonitorFile(monitor, ("Fx", "Fy"), ()))
 
 
 def _make_work(path: Path) -> None:
