@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from experiments._lib.catalogue import DATA
 from experiments._lib.tasks import failure_types, states
+from rcbht_jax.encoding.batch import encode_batch
+from rcbht_jax.encoding.encoder import EncoderConfig
+from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.io.hiro.importer import read_hiro
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Split
 from rcbht_jax.learning.tasks import LabelledIntervals, TaskSpec, labelled_intervals
-from rcbht_jax.types import Recordings
+from rcbht_jax.types import LabelTracks, Recordings
 
 FOLDS = 5
 REAL, SIM1 = "REAL_HIRO_ONE_SA_SUCCESS", "SIM_HIRO_ONE_SA_SUCCESS"
@@ -105,6 +108,11 @@ def recorded() -> Recordings:
 def of_sources(recordings: Recordings, sources: tuple[str, ...]) -> Recordings:
     """The recordings of some data sets."""
     return recordings.take(np.isin(recordings.source, sources))
+
+
+def published_words(recordings: Recordings) -> LabelTracks:
+    """Labels by the published rule, window 5, with the preset's thresholds."""
+    return encode_batch(EncoderConfig(dt=recordings.dt), preset(), recordings.wrench, recordings.length)
 
 
 def segments(recordings: Recordings, items: LabelledIntervals) -> list[Floats]:

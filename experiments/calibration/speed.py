@@ -28,6 +28,7 @@ from rcbht_jax.encoding.encoder import EncoderConfig
 SOURCES = ("SIM_HIRO_ONE_SA_SUCCESS", "REAL_HIRO_ONE_SA_SUCCESS")
 DT = 0.005
 SEED = 0
+NUMPY_TRIALS = 6  # of the data, which the NumPy taxonomy encodes
 
 
 def from_store(path: Path) -> CalibrationData:
@@ -53,9 +54,9 @@ def load(path: Path) -> CalibrationData:
         return CalibrationData(stored["wrench"], windows, stored["edges"], stored["y"], classes, stored["trial"])
 
 
-def numpy_rate(data: CalibrationData, trials: int = 6, clock: Callable[[], float] = time.perf_counter) -> float:
+def numpy_rate(data: CalibrationData, clock: Callable[[], float] = time.perf_counter) -> float:
     """Samples (one axis, one time) per second of the NumPy taxonomy, trial after trial."""
-    rows = np.linspace(0, len(data) - 1, trials).astype(int)
+    rows = np.linspace(0, len(data) - 1, NUMPY_TRIALS).astype(int)
     samples, start = 0, clock()
     for row in rows:
         length = int(data.windows.length[row])

@@ -22,12 +22,9 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import BENCHMARKS, FOLDS, recorded, rounded, segments
+from experiments._lib.benchmarks import BENCHMARKS, FOLDS, of_sources, published_words, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.classification.table1_ours import papers_features
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import COSTS, KERNELS, Grid, SvmSpec, predictions
@@ -53,7 +50,7 @@ class Data:
     @cache  # noqa: B019 (one object lives as long as the program)
     def part(self, name: str) -> tuple[Recordings, LabelledIntervals]:
         spec = BENCHMARKS[name].task
-        trials = self.recordings.take(np.isin(self.recordings.source, spec.sources))
+        trials = of_sources(self.recordings, spec.sources)
         return trials, labelled_intervals(trials, spec)
 
     @cache  # noqa: B019
@@ -63,8 +60,7 @@ class Data:
             return papers_features(encode_dataset(trials), items)
         if features == STATISTICS:
             return raw.statistics(segments(trials, items))
-        tracks = encode_batch(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
-        return extract_features(tracks, items, FeatureSpec()).values
+        return extract_features(published_words(trials), items, FeatureSpec()).values
 
 
 def learner(x: NDArray[np.floating], items: LabelledIntervals, features: str) -> validation.Estimator:

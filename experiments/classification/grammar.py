@@ -126,15 +126,11 @@ class Experiment:
                 weights = {key: x.weights(method.spec) for key, x in features.items()}
                 matrices = {key: x.values for key, x in features.items()}
                 learner = counted(validation.nested_svm(matrices, items.y, items.trial, method.grid, weights), chosen)
-            repeats = self.repeats_of(benchmark)
+            repeats = fewer_repeats(benchmark, self.repeats)
             score = self.benchmarks[benchmark].score(learner, items, repeats, self.seed)
             return {**score, "repeats": repeats, "columns": columns, "chosen": dict(chosen.most_common())}
 
         return make
-
-    def repeats_of(self, benchmark: str) -> int:
-        """Fewer where there are many items."""
-        return max(2, self.repeats // 2) if benchmark == "failure types" else self.repeats
 
     def about(self) -> dict[str, Any]:
         methods = {
@@ -154,6 +150,11 @@ class Experiment:
             "repeats": self.repeats,
             "benchmarks": {name: b.about(self.items(name)) for name, b in self.benchmarks.items()},
         }
+
+
+def fewer_repeats(benchmark: str, repeats: int) -> int:
+    """Half as many where there are many items."""
+    return max(2, repeats // 2) if benchmark == "failure types" else repeats
 
 
 def counted(learner: validation.Estimator, chosen: Counter[str]) -> validation.Estimator:

@@ -26,7 +26,7 @@ from experiments._lib.benchmarks import BENCHMARKS, CONFOUNDS, FAILURES, FOLDS, 
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.tasks import failure_types
-from experiments.classification.grammar import BATCHES, by_batch, of_both
+from experiments.classification.grammar import BATCHES, by_batch, fewer_repeats, of_both
 from experiments.classification.probes import held_out
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.metrics import rule_of_three
@@ -75,11 +75,7 @@ class Experiment:
             return Benchmark(failure_types(), (train,), (test,)).splits(items, 1, self.seed)
         if name in ACROSS:
             return BENCHMARKS[name].splits(items, 1, self.seed)
-        return validation.repeated_folds(items.y, items.trial, FOLDS, self.repeats_of(name), self.seed)
-
-    def repeats_of(self, name: str) -> int:
-        """Fewer where there are many items."""
-        return max(2, self.repeats // 2) if name == "failure types" else self.repeats
+        return validation.repeated_folds(items.y, items.trial, FOLDS, fewer_repeats(name, self.repeats), self.seed)
 
     def learner(self, name: str, row: str) -> validation.Estimator:
         items = self.items(name)

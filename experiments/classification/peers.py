@@ -18,11 +18,8 @@ from typing import Any
 import tyro
 
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, recorded, segments
+from experiments._lib.benchmarks import BENCHMARKS, FOLDS, items_of, published_words, recorded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.recipes import FULL, PLAIN
 from rcbht_jax.learning import validation
@@ -65,8 +62,7 @@ class Experiment:
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self) -> LabelTracks:
         """Labels of all recordings; made when a row needs them."""
-        config = EncoderConfig(dt=self.recordings.dt)
-        return encode_batch(config, preset(), self.recordings.wrench, self.recordings.length)
+        return published_words(self.recordings)
 
     @cache  # noqa: B019
     def data(self, benchmark: str) -> tuple[LabelledIntervals, raw.Segments]:

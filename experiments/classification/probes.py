@@ -21,11 +21,8 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import raw_learners as raw
-from experiments._lib.benchmarks import FOLDS, recorded, rounded, segments
+from experiments._lib.benchmarks import FOLDS, published_words, recorded, rounded, segments
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning import validation
 from rcbht_jax.learning.svm import Grid, Split
@@ -65,8 +62,7 @@ class Experiment:
 
     @cache  # noqa: B019 (one object lives as long as the program)
     def tracks(self) -> LabelTracks:
-        config = EncoderConfig(dt=self.recordings.dt)
-        return encode_batch(config, preset(), self.recordings.wrench, self.recordings.length)
+        return published_words(self.recordings)
 
     @cache  # noqa: B019
     def items(self, question: str) -> LabelledIntervals:

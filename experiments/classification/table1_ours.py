@@ -29,11 +29,19 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments._lib import tasks
-from experiments._lib.benchmarks import FAILURES, FOLDS, REAL, REAL_FAILURES, SIM1, SIM2, recorded, rounded
+from experiments._lib.benchmarks import (
+    FAILURES,
+    FOLDS,
+    REAL,
+    REAL_FAILURES,
+    SIM1,
+    SIM2,
+    of_sources,
+    published_words,
+    recorded,
+    rounded,
+)
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
-from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.features import FeatureSpec, longest
 from rcbht_jax.io.store import read_recordings
 from rcbht_jax.learning import validation
@@ -95,7 +103,7 @@ class Data:
     @cache  # noqa: B019
     def recordings(self, sources: tuple[str, ...]) -> Recordings:
         if sources[0] not in SIMULATED:
-            return self.authors().take(np.isin(self.authors().source, sources))
+            return of_sources(self.authors(), sources)
         target = self.folder / f"table1-{SIMULATED[sources[0]]}.zarr"
         if not target.exists():
             spec = DomainRandomization(nominal_share=SHARE, longest=LONGEST)
@@ -106,9 +114,7 @@ class Data:
     @cache  # noqa: B019
     def tracks(self, sources: tuple[str, ...], labels: str) -> LabelTracks:
         trials = self.recordings(sources)
-        if labels == "offline":
-            return encode_dataset(trials)
-        return encode_batch(EncoderConfig(dt=trials.dt), preset(), trials.wrench, trials.length)
+        return encode_dataset(trials) if labels == "offline" else published_words(trials)
 
 
 def papers_features(tracks: LabelTracks, items: LabelledIntervals) -> NDArray[np.float32]:

@@ -35,6 +35,7 @@ from tqdm import tqdm
 from experiments._lib.catalogue import EXTERNAL
 from experiments._lib.results_io import write_result
 from rcbht_jax import labels
+from rcbht_jax._util.cells import number_of
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.arrays import encode
 from rcbht_jax.introspection.alarms import conformal_threshold
@@ -94,7 +95,7 @@ def read_executions() -> Recordings:
 
 def of_skill(recordings: Recordings, skill: str) -> Executions:
     rows = np.flatnonzero(recordings.columns["skill"].astype(str) == skill)
-    onset = [_number(value) for value in recordings.columns["anomaly_rel"][rows]]
+    onset = [number_of(value) for value in recordings.columns["anomaly_rel"][rows]]
     return Executions(
         [recordings.wrench[row, : recordings.length[row]].astype(np.float64) for row in rows],
         recordings.outcome[rows] == "success",
@@ -102,13 +103,6 @@ def of_skill(recordings: Recordings, skill: str) -> Executions:
         np.array(onset),
         recordings.columns["anomaly"][rows].astype(str),
     )
-
-
-def _number(value: Any) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        return np.nan
 
 
 def methods(rate: float, channels: str) -> dict[str, Monitor]:

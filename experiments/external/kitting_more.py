@@ -28,6 +28,7 @@ from experiments._lib.benchmarks import rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.intervals import bootstrap
 from experiments.external import kitting, method
+from rcbht_jax._util.cells import number_of
 from rcbht_jax.introspection.nominal_peers import GaussianProcessBand
 from rcbht_jax.learning import metrics, validation
 from rcbht_jax.learning.svm import Split
@@ -65,7 +66,7 @@ class Experiment:
     def anomalies(self, several: bool, until_onset: bool) -> tuple[Recordings, LabelledIntervals]:
         """Anomalous executions of known type: whole, or until the anomaly."""
         every = self.recordings()
-        kind, onset = every.columns["anomaly"].astype(str), np.array(list(map(_seconds, every.columns["anomaly_rel"])))
+        kind, onset = every.columns["anomaly"].astype(str), np.array(list(map(number_of, every.columns["anomaly_rel"])))
         rows = np.flatnonzero((every.outcome != "success") & (kind != "") & (onset * 1 / every.dt >= method.SHORT * 2))
         if several:
             rows = rows[[len(np.unique(every.session[rows][kind[rows] == kind[row]])) > 1 for row in rows]]
@@ -120,13 +121,6 @@ def skill_alone(recordings: Recordings, items: LabelledIntervals) -> validation.
 
 def commonest(recordings: Recordings, items: LabelledIntervals) -> validation.Estimator:
     return validation.majority(items.y)
-
-
-def _seconds(value: Any) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        return np.nan
 
 
 def main(seed: int = 0, only: Only = ALL_ROWS) -> None:

@@ -61,11 +61,9 @@ def seating(preset: str, trials: int = TRIALS) -> dict[str, Any]:
     }
 
 
-def success_map(
-    offsets: tuple[float, ...] = OFFSETS, rolls: tuple[float, ...] = ROLLS, per_cell: int = PER_CELL
-) -> np.ndarray:
+def success_map() -> np.ndarray:
     """Share of seated trials [roll, y, x] of the hand displaced by x and y (mm) and turned by roll (degrees)."""
-    cells = [(r, y, x) for r in rolls for y in offsets for x in offsets for _ in range(per_cell)]
+    cells = [(r, y, x) for r in ROLLS for y in OFFSETS for x in OFFSETS for _ in range(PER_CELL)]
     spec = DomainRandomization(nominal_share=1.0, shift=(0.0, 0.0), turn=(0.0, 0.0))
     preset, trials = preset_of(MAP_PRESET), []
     for index, (r, y, x) in enumerate(cells):
@@ -77,20 +75,20 @@ def success_map(
     seated = np.concatenate(
         [native.simulate(scene, stack(trials[i : i + BLOCK])).seated for i in range(0, len(trials), BLOCK)]
     )
-    return seated.all(1).reshape(len(rolls), len(offsets), len(offsets), per_cell).mean(-1)
+    return seated.all(1).reshape(len(ROLLS), len(OFFSETS), len(OFFSETS), PER_CELL).mean(-1)
 
 
-def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: tuple[float, ...] = ROLLS) -> Figure:
+def map_figure(shares: np.ndarray) -> Figure:
     """Heat maps over x and y, one per roll; the recorded outcomes of session B on that without roll."""
-    figure = new_figure((2.4 * len(rolls) + 1.0, 3.5), 110)
+    figure = new_figure((2.4 * len(ROLLS) + 1.0, 3.5), 110)
     figure.set_layout_engine("constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(rolls), sharex=True, sharey=True))
-    half = (offsets[1] - offsets[0]) / 2
-    span, session = (offsets[0] - half, offsets[-1] + half), preset_of(MAP_PRESET)
-    for panel, roll, share in zip(panels, rolls, shares, strict=True):
+    panels = np.atleast_1d(figure.subplots(1, len(ROLLS), sharex=True, sharey=True))
+    half = (OFFSETS[1] - OFFSETS[0]) / 2
+    span, session = (OFFSETS[0] - half, OFFSETS[-1] + half), preset_of(MAP_PRESET)
+    for panel, roll, share in zip(panels, ROLLS, shares, strict=True):
         image = panel.imshow(share, origin="lower", extent=(*span, *span), vmin=0, vmax=1, cmap="RdYlGn")
         panel.set(
-            title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=offsets[1::2], yticks=offsets[1::2]
+            title=f"roll {roll:+g}°" if roll else "roll 0°", xlabel="x, mm", xticks=OFFSETS[1::2], yticks=OFFSETS[1::2]
         )
         if roll == 0:
             for cell in session.placements:
@@ -106,9 +104,9 @@ def map_figure(shares: np.ndarray, offsets: tuple[float, ...] = OFFSETS, rolls: 
     return figure
 
 
-def simulated_snaps(session: str, count: int | None = None) -> dict[str, Any]:
+def simulated_snaps(session: str) -> dict[str, Any]:
     """Snaps in the raw force of a session's seated trials."""
-    params, scene = sessions.trials_of(preset_of(session), count, seed=SEED), get_scenario(session).scene()
+    params, scene = sessions.trials_of(preset_of(session), seed=SEED), get_scenario(session).scene()
     recorder = Recorder(scene, len(params.command_delay))
     return seated_snaps(native.simulate(scene, params, watch=recorder.watch), recorder)
 

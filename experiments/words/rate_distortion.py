@@ -66,8 +66,8 @@ def point(at: str, words: Floats, residual: Floats, seconds: float) -> dict[str,
     }
 
 
-def significant(value: float, digits: int = 4) -> float:
-    return float(f"{value:.{digits}g}")
+def significant(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def of_approximations(data: Part, at: str, found: Iterable[Sequence[Approximation]]) -> dict[str, Any]:

@@ -25,3 +25,15 @@ def text_of(written: str) -> str:
     ('=HYPERLINK(A1)', "'tis")
     """
     return written[1:] if written.startswith("'") and _FORMULA.match(written) else written
+
+
+def number_of(value: Any) -> float:
+    """The number that a cell holds, NaN where it holds another text.
+
+    >>> number_of("1.5"), number_of("")
+    (1.5, nan)
+    """
+    try:
+        return float(value)
+    except ValueError:
+        return float("nan")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,21 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
         return wrench.to_numpy(), _coordinate_names(wrench)
     values = np.ma.filled(wrench.astype(np.float64), np.nan) if np.ma.isMaskedArray(wrench) else np.asarray(wrench)
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def check_axes(
+    axes: Sequence[str], units: Sequence[str], learned: Sequence[str], learned_units: Sequence[str], where: str
+) -> None:
+    """Refuse a signal whose values a model would take for others; ``where`` names it, and a unit "" is not stated.
+
+    Raises:
+        InputError: other axes than were learned, another order, or another unit where both are stated.
+    """
+    if tuple(axes) != tuple(learned):
+        raise InputError(f"{where} has the axes {', '.join(axes)}; the model learned {', '.join(learned)}.")
+    for axis, here, taught in zip(axes, units, learned_units, strict=False):  # old files of monitors have no units
+        if here and taught and here != taught:
+            raise InputError(f"{where} has {axis} in {here}; the model learned it in {taught}.")
 
 
 def _frame_values(frame: Any) -> NDArray[Any]:

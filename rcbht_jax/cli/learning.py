@@ -99,10 +99,6 @@ class _Learning(Command):
         how = {name: read_tracks_attrs(self.store, name) for names in grammars for name in names}
         return {"+".join(names): track_batches(self.store, {name: name for name in names}) for names in grammars}, how
 
-    def read_data(self) -> tuple[Recordings, WrenchFacts]:
-        """The recordings without their samples, and what is needed of these."""
-        return table_and_facts(self.store)
-
 
 def table_and_facts(store: Path) -> tuple[Recordings, WrenchFacts]:
     """The recordings of a store without their samples, and what is needed of these, which are read part by part."""
@@ -140,7 +136,7 @@ class Evaluate(_Learning):
         protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         folds = 1 if self.train_on else self.folds * self.repeats
-        recordings, facts = self.read_data()
+        recordings, facts = table_and_facts(self.store)
         with progress_bar("evaluate", "folds", folds) as bar:
             result = evaluate(recordings, grammars, self.spec, families, protocol, how, bar.update, facts=facts)
         return {"tracks": " ".join(grammars), **result.to_json()}
@@ -191,7 +187,7 @@ class Train(_Learning):
 
         grammars, how = self.read_tracks()
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
-        (recordings, facts), grid = self.read_data(), self.grid
+        (recordings, facts), grid = table_and_facts(self.store), self.grid
         with progress_bar("train", "folds", grid.inner) as bar:
             model = train(recordings, grammars, self.spec, families, grid, how, self.seed, bar.update, facts)
         save(self.out, model)

@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from rcbht_jax._util.cells import number_of
 from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -100,20 +101,18 @@ class MonitorWatch(Command):
     snap: SnapSize = ()
 
     def run(self) -> dict[str, Any]:
+        from rcbht_jax._util.signals import check_axes
         from rcbht_jax.introspection.nominal_file import load
 
         file = load(self.monitor)
         recordings = _read(self.store, self.where)
         series = _series(recordings)
         monitor, level = file.monitor, file.monitor.threshold(self.false_alarms)
-        if recordings.axes != file.axes or not np.isclose(1 / recordings.dt, monitor.rate):
+        check_axes(recordings.axes, recordings.units, file.axes, file.units, str(self.store))
+        if not np.isclose(1 / recordings.dt, monitor.rate):
             raise InputError(
-                f"{self.monitor} learned {', '.join(file.axes)} at {monitor.rate:g} Hz; {self.store} has "
-                f"{', '.join(recordings.axes)} at {1 / recordings.dt:g} Hz."
+                f"{self.store} has {1 / recordings.dt:g} samples per second; {self.monitor} learned {monitor.rate:g}."
             )
-        for axis, taught, here in zip(file.axes, file.units, recordings.units, strict=False):
-            if taught and here and taught != here:
-                raise InputError(f"{self.monitor} learned {axis} in {taught}; {self.store} has it in {here}.")
         alarms, snaps = 0, detector_of(self.snap, monitor.rate)
         columns = [] if snaps is None else snaps.columns(recordings.axes, recordings.dt)
         for row, part in enumerate(series):
@@ -162,7 +161,7 @@ class MonitorEvaluate(Command):
         monitor = _monitor(recordings, self.score_rate, self.levels)
         with progress_bar("evaluate", "groups", len(np.unique(groups))) as bar:
             watched = hold_out(monitor, series, nominal, groups, bar.update)
-        onset = _numbers(recordings.column(self.onset)) if self.onset else None
+        onset = np.array(list(map(number_of, recordings.column(self.onset).tolist()))) if self.onset else None
         limits = thresholds(watched, self.false_alarms)
         result = judge(watched, limits, onset)
         without = sorted(result["groups"].keys() - limits)
@@ -206,7 +205,7 @@ def _read(store: Path, where: tuple[str, ...]) -> Recordings:
         if not equals:
             raise InputError(f"--where {condition}: expected COLUMN=VALUE.")
         column = recordings.column(name)
-        chosen &= column == _number(value) if column.dtype.kind in "fiu" else column.astype(str) == value
+        chosen &= column == number_of(value) if column.dtype.kind in "fiu" else column.astype(str) == value
     if not chosen.any():
         raise InputError(f"{store} has no recording with {' and '.join(where)}.")
     return recordings.take(np.flatnonzero(chosen))
@@ -236,18 +235,6 @@ def _monitor(recordings: Recordings, score_rate: float, levels: tuple[str, ...])
     rate = 1 / recordings.dt
     numbers = tuple(recordings.axes.index(name) for name in levels)
     return NominalMonitor(rate=rate, score_rate=min(score_rate, rate), levels=numbers)
-
-
-def _numbers(column: NDArray[Any]) -> NDArray[np.float64]:
-    """Numbers of a column, NaN where it holds none."""
-    return np.array([_number(value) for value in column.tolist()], np.float64)
-
-
-def _number(value: Any) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        return np.nan
 
 
 def _line(event: str, about: dict[str, str], **more: Any) -> None:

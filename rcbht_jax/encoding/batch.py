@@ -39,10 +39,6 @@ class Schedule:
     offset: NDArray[np.int64]
     samples: int
 
-    def padding(self, length: NDArray[np.int32]) -> float:
-        """Share of the computed samples that belong to no recording."""
-        return 1.0 - float(length.sum()) / (self.recording.size * self.samples)
-
 
 def plan(length: NDArray[np.int32], samples: int, most_slots: int = _MOST_SLOTS) -> Schedule:
     """Longest recording first onto the slot that is free first; slots are a power of two, as many as keep busy.

@@ -94,7 +94,7 @@ def word_weights(words: ClippedSpans, kind: str) -> Float[np.ndarray, "interval 
     return ratio((words.value["vmax"] - words.value["vmin"]) * words.duration, words.value["whole"])
 
 
-def histogram(weighing: Sequence[str] = ("time", "count")) -> Callable[[ClippedSpans], Block]:
+def histogram(weighing: Sequence[str]) -> Callable[[ClippedSpans], Block]:
     """Share of each label in the sum of all, by each weighing in turn."""
 
     def make(words: ClippedSpans) -> Block:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.signals import check_axes
 from rcbht_jax._util.untrusted import checked_fields, checked_number, checked_texts
 from rcbht_jax._util.url_path import as_path
 from rcbht_jax.encoding.rules import (
@@ -149,21 +150,8 @@ class IntrospectionModel:
         return tuple(self.extra.get("units", [UNIT_OF.get(axis, "") for axis in self.axes]))
 
     def check_axes(self, axes: Sequence[str], units: Sequence[str], where: str) -> None:
-        """Refuse a signal whose values the model would take for others.
-
-        Args:
-            axes: names of the signal's axes, in order.
-            units: of each; "" = not stated.
-            where: what has this signal, for the error.
-
-        Raises:
-            InputError: other axes, another order, or another unit.
-        """
-        if tuple(axes) != self.axes:
-            raise InputError(f"{where} has the axes {', '.join(axes)}; the model reads {', '.join(self.axes)}.")
-        for axis, taught, here in zip(axes, self.units, units, strict=True):
-            if taught and here and taught != here:
-                raise InputError(f"{where} has {axis} in {here}; the model learned it in {taught}.")
+        """Refuse a signal whose values the model would take for others: :func:`~rcbht_jax._util.signals.check_axes`."""
+        check_axes(axes, units, self.axes, self.units, where)
 
     @property
     def thresholds(self) -> GradientThresholds | FitLimits:

@@ -123,6 +123,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             InputError: recordings of other axes, units or another rate than in :meth:`fit`.
         """
         check_is_fitted(self, "second_")
+        # units that are not stated count too: norms are of the axes of one unit
         if (recordings.axes, recordings.units) != self.axes_ or not np.isclose(recordings.dt, self._dt):
             raise InputError(
                 f"The recordings have {', '.join(recordings.axes)} in {', '.join(recordings.units)} at "

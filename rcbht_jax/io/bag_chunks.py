@@ -83,7 +83,7 @@ def bound_chunks(reader: Any) -> None:
 
     >>> bound_chunks(reader)  # doctest: +SKIP
     """
-    table = {rosbag1.decompressors["bz2"]: _bz2, rosbag1.decompressors["lz4"]: _lz4}
+    table = {rosbag1.decompressors["bz2"]: _bz2, rosbag1.decompressors["lz4"]: unpack_lz4}
     for one in reader.readers:
         for key, chunk in getattr(one, "chunks", {}).items():
             if unpack := table.get(chunk.decompressor):
@@ -101,5 +101,6 @@ def _bz2(data: bytes) -> bytes:
     return bz2.BZ2Decompressor().decompress(data, MAX_CHUNK + 1)
 
 
-def _lz4(data: bytes) -> bytes:
+def unpack_lz4(data: bytes) -> bytes:
+    """As much of a chunk as shows whether it is too large."""
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=MAX_CHUNK + 1))

@@ -18,9 +18,9 @@ from typing import Any, BinaryIO, NamedTuple
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax._util.untrusted import MAX_BAG_BYTES, MAX_CHANNELS, MAX_CHUNK, MAX_SCHEMA, check_declared, check_file
 from rcbht_jax.errors import InputError
+from rcbht_jax.io.bag_chunks import unpack_lz4
 
 with needs_extra("stream"):
-    import lz4.frame  # comes with rosbags, as does zstd
     from rosbags.rosbag2 import storage_mcap
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -328,16 +328,12 @@ def _chunk(file: BinaryIO, at: int, length: int) -> _Chunk:
     return _Chunk(crc, unpacked)
 
 
-def _lz4(data: bytes) -> bytes:
-    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=MAX_CHUNK + 1))
-
-
 def _zstd(data: bytes) -> bytes:
     zstd: Any = vars(storage_mcap)["zstd"]  # of Python 3.14, or a package that stands in for it
     return bytes(zstd.ZstdDecompressor().decompress(data, MAX_CHUNK + 1))
 
 
-_UNPACK: dict[bytes, Callable[[bytes], bytes]] = {b"": bytes, b"lz4": _lz4, b"zstd": _zstd}
+_UNPACK: dict[bytes, Callable[[bytes], bytes]] = {b"": bytes, b"lz4": unpack_lz4, b"zstd": _zstd}
 
 
 def _record(kind: int, content: bytes) -> bytes:

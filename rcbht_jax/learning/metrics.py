@@ -81,20 +81,19 @@ def corrected_interval(scores: Floats, test_to_train: float, level: float = 0.95
     return mean, max(0.0, mean - half), min(1.0, mean + half)
 
 
-def wilson(good: float, trials: int, z: float = Z) -> tuple[float, float]:
+def wilson(good: float, trials: int) -> tuple[float, float]:
     """95 % interval of a share, never of zero width (Wilson 1927).
 
     Args:
         good: how many of them; may be a fraction, for a trial some of whose items are right.
         trials: how many, > 0.
-        z: quantile of the normal distribution.
 
     >>> [round(end, 3) for end in wilson(35, 35)]
     [0.901, 1.0]
     """
-    share, spread = good / trials, z * z / trials
+    share, spread = good / trials, Z * Z / trials
     middle = (share + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
+    half = Z / (1 + spread) * np.sqrt(share * (1 - share) / trials + spread / (4 * trials))
     return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
 
 

@@ -56,7 +56,7 @@ class LatchVariation(Variation):
     chip: Range = (0.8e-3, 2.0e-3)  # m, fault chip: something on the seat keeps the hook above its lip; chosen
 
 
-def draw_latch(spec: LatchVariation, rng: np.random.Generator) -> LatchParts:
+def draw(spec: LatchVariation, rng: np.random.Generator) -> LatchParts:
     """The parts' numbers of one trial."""
     stiffness = HOOK.stiffness * uniform(rng, spec.beam)
     return LatchParts(stiffness, uniform(rng, spec.overlap), uniform(rng, spec.clearance), np.asarray(0.0))
@@ -78,7 +78,7 @@ def add_catch(spec: mujoco.MjSpec, body: mujoco.MjsBody, x: float, height: float
     mark(body, MARKS[1], (x, 0.0, height))
 
 
-def write_latch(writer: FieldWriter, own: LatchParts) -> None:
+def write(writer: FieldWriter, own: LatchParts) -> None:
     """Spring and lip of a trial."""
     stiffness, overlap = np.asarray(own.stiffness), np.asarray(own.overlap)
     writer.spring(f"TAB_{NAME}", stiffness, 2 * np.sqrt(stiffness * ARMATURE))
@@ -113,6 +113,6 @@ def _chip(trial: AssemblyTrial, spec: LatchVariation, rng: np.random.Generator) 
     return with_own(trial, seat=uniform(rng, spec.chip))
 
 
-LATCH_FAULTS: dict[str, FaultOf] = {
+FAULTS: dict[str, FaultOf] = {
     "broken-hook": _broken, "stiff-hook": _stiff, "worn-hook": _worn, "chip": _chip,
 }  # fmt: skip

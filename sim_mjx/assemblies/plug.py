@@ -11,30 +11,17 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from sim_mjx.assemblies import latch
 from sim_mjx.assemblies.assembly import Assembly, Phase, Range
 from sim_mjx.assemblies.draw import COMMON_FAULTS
 from sim_mjx.assemblies.fields import MALE, FieldWriter, ball, box, touch
-from sim_mjx.assemblies.latch import (
-    HOOK,
-    LATCH_FAULTS,
-    MARKS,
-    NAME,
-    TRAVEL,
-    LatchParts,
-    LatchVariation,
-    add_catch,
-    add_hook,
-    draw_latch,
-    is_caught,
-    write_latch,
-)  # fmt: skip
 from sim_mjx.assemblies.pressing import APPROACH, PULL, REST, SEARCH, PressTask, at_bottom, draw_task, press
 from sim_mjx.assembly.hook import first_touch
 
 PIN, APART, SHAFT = 2.5e-3, 10e-3, 8e-3  # m: radius, from the middle to a pin's axis, shaft's sphere above the end
 LEAD = 7e-3  # m, of the pins into the socket when the hook meets its lip
 BEHIND = 9e-3  # m, from the middle to the lip's edge
-DEPTH = LEAD + TRAVEL  # m, of the floor below the mouth
+DEPTH = LEAD + latch.TRAVEL  # m, of the floor below the mouth
 WALL = 10e-3  # m, half the thickness of the outer walls
 PINS = (("L", 1.0), ("R", -1.0))
 MIDDLE = APART - PIN  # m, half the breadth of the middle wall without clearance
@@ -51,7 +38,7 @@ WALLS = {
 
 
 @dataclass(frozen=True)
-class PlugVariation(LatchVariation):
+class PlugVariation(latch.LatchVariation):
     """What varies between trials; see :class:`Variation`."""
 
     shift: Range = (-2.5e-3, 2.5e-3)  # m, where the controller believes the mouth to be; chosen: needs a search
@@ -67,7 +54,7 @@ def _male(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
                       size=(PIN, 0.0, 0.0), mass=0.0, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
     body.add_geom(name="PLUG", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.006, 0.015, 0.008), pos=(0.0, 0.0, 0.022),
                   mass=0.04, contype=0, conaffinity=0, group=2, rgba=MALE)  # fmt: skip
-    add_hook(spec, body, BEHIND, LEAD + first_touch(HOOK))
+    latch.add_hook(spec, body, BEHIND, LEAD + first_touch(latch.HOOK))
 
 
 def _female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
@@ -79,24 +66,24 @@ def _female(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
             for name in ("FRONT", "BACK", wall, f"MIDDLE_{pin}"):
                 touch(spec, f"{kind}_{pin}", f"WALL_{name}")
         touch(spec, f"PIN_{pin}", "FLOOR")
-    add_catch(spec, body, BEHIND, 0.0)
+    latch.add_catch(spec, body, BEHIND, 0.0)
 
 
-def _write(writer: FieldWriter, own: LatchParts) -> None:
-    write_latch(writer, own)
+def _write(writer: FieldWriter, own: latch.LatchParts) -> None:
+    latch.write(writer, own)
     clearance, up = np.asarray(own.clearance)[..., None], np.array([0.0, 0.0, 1.0])
     for name, (place, _, outward) in WALLS.items():
         writer.place(f"WALL_{name}", np.array(place) + clearance * np.array(outward))
     writer.place("FLOOR", -(DEPTH + 0.002) * up + np.asarray(own.seat)[..., None] * up)
 
 
-def _draw(spec: PlugVariation, rng: np.random.Generator) -> tuple[PressTask, LatchParts]:
+def _draw(spec: PlugVariation, rng: np.random.Generator) -> tuple[PressTask, latch.LatchParts]:
     task = draw_task(spec, rng, press=25.0, bottom=2e-3 - DEPTH, gain=3e-4, moment_gain=0.1, drop=1.4e-3)
-    return task, draw_latch(spec, rng)
+    return task, latch.draw(spec, rng)
 
 
 PLUG = Assembly(
     "plug", _male, _female, _write, (APPROACH, SEARCH, Phase("insertion", press, at_bottom), PULL, REST), _draw,
-    (MARKS,), is_caught, {**COMMON_FAULTS, **LATCH_FAULTS}, PlugVariation, timeout=14.0, reach=0.11, start=0.015,
-    tabs=(NAME,),
+    (latch.MARKS,), latch.is_caught, {**COMMON_FAULTS, **latch.FAULTS}, PlugVariation, timeout=14.0, reach=0.11,
+    start=0.015, tabs=(latch.NAME,),
 )  # fmt: skip

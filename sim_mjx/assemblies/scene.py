@@ -40,7 +40,7 @@ def scene(
         InputError: the robot does not reach the start, or a mark is missing.
     """  # fmt: skip
     steps = substeps or assembly.substeps
-    spec = _spec(assembly, robot)
+    spec, _ = _compiled(assembly, robot)
     set_solver(spec, steps, iterations, ls_iterations)
     for name in (name for pair in assembly.marks for name in pair):
         if spec.geom(name) is None:
@@ -53,19 +53,18 @@ def scene(
     return Scene(model, program, joints, forces, tips, marks, places, write, steps, assembly.seated, 0.0)
 
 
-def _spec(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
-    """The scene's elements, which compile.
+def _compiled(assembly: Assembly, robot: Robot) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The scene's elements, and the model that they make.
 
     Raises:
         InputError: MuJoCo cannot make a model of robot and parts.
     """
     try:
         spec = _elements(assembly, robot)
-        spec.compile()
+        return spec, spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).removeprefix("Error: ").split())
         raise InputError(f"MuJoCo makes no model of {assembly.name} on {robot.name}: {reason.rstrip('.')}.") from error
-    return spec
 
 
 def _elements(assembly: Assembly, robot: Robot) -> mujoco.MjSpec:
@@ -100,7 +99,7 @@ def _fields(model: mujoco.MjModel, assembly: Assembly, place: Float64[np.ndarray
 @cache
 def controller(assembly: Assembly, robot: Robot) -> Controller:
     """The controller, the same object for every scene, so that engines compile it once."""
-    chain = serial_chain(_spec(assembly, robot).compile(), TIP)
+    chain = serial_chain(_compiled(assembly, robot)[1], TIP)
     return Controller(assembly, chain, np.asarray(robot.place, np.float32))
 
 
@@ -111,7 +110,7 @@ def home(assembly: Assembly, robot: Robot) -> tuple[float, ...]:
     Raises:
         InputError: the arm does not get there within its limits.
     """
-    model = _spec(assembly, robot).compile()
+    _, model = _compiled(assembly, robot)
     data, site = mujoco.MjData(model), model.site(TIP).id
     rows = [model.joint(name).qposadr[0] for name in robot.joints]
     dofs = [model.joint(name).dofadr[0] for name in robot.joints]

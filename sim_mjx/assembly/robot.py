@@ -47,12 +47,11 @@ class Tool:
     radius: float = 0.02  # m, of the ball that has its inertia
 
 
-def new_robot(arms: Sequence[str] = ("R",), servo: Servo | None = None, tool: Tool | None = None) -> mujoco.MjSpec:
+def new_robot(arms: Sequence[str] = ("R",), tool: Tool | None = None) -> mujoco.MjSpec:
     """A model specification with the robot alone, to which a scene adds its parts.
 
     Args:
         arms: which arms it has.
-        servo: of every arm; None = the stiff default.
         tool: of every arm; None = the default.
 
     Returns:
@@ -72,7 +71,7 @@ def new_robot(arms: Sequence[str] = ("R",), servo: Servo | None = None, tool: To
     chest = spec.worldbody.add_body(name="CHEST", pos=(0.0, 0.0, CHEST_HEIGHT))
     _add_visual(chest, (0.0, 0.12, 0.35), (0.0, -0.12, 0.35), 0.06)
     for arm in arms:
-        _add_arm(spec, chest, arm, servo or Servo(), tool or Tool())
+        _add_arm(spec, chest, arm, Servo(), tool or Tool())
     return spec
 
 

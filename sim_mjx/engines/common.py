@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
+from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
@@ -31,6 +33,11 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
     except jax.errors.JaxRuntimeError:
         return {}
     return _CPU_OPTIONS
+
+
+def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:
+    """Lane by lane one of two trees of arrays [lane, ...]."""
+    return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
 
 
 def sane(values: Float[np.ndarray, "*batch reading"]) -> Bool[np.ndarray, "*batch"]:

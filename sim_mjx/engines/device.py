@@ -25,7 +25,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect
+from sim_mjx.engines.common import SETTLING, collect, select_lanes
 from sim_mjx.engines.quiet import mjx
 
 LANES = 16
@@ -211,7 +211,7 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
 
     def period(state: State, _: None) -> tuple[State, Log]:
         body, settling = state.body, state.tick < 0
-        loop = _chosen(state.tick > 0, state.loop, _begin(layout, fixed, body))
+        loop = select_lanes(state.tick > 0, state.loop, _begin(layout, fixed, body))
         joints = home + body.qpos[:, jnp.array(layout.joints)]
         loop, ends, log = jax.vmap(layout.program.control)(fixed.params, loop, joints, _raw(layout, body))
         before, after = (jnp.where(settling[:, None], 0.0, ends[:, i] - home) for i in (0, 1))
@@ -221,11 +221,6 @@ def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
         return State(moved, loop, state.tick + 1), Log(log.wrench, log.joints, log.phase, past)
 
     return jax.lax.scan(period, state, length=STRETCH)
-
-
-def _chosen(which: Array, first: Any, second: Any) -> Any:
-    """Lane by lane one of two trees of arrays [lane, ...]."""
-    return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), first, second)
 
 
 def _substeps(layout: Layout, fixed: Fixed, body: Any, ctrl: Callable[[Array], Array]) -> tuple[Any, Array]:

@@ -24,7 +24,7 @@ from sim_mjx.assembly.rollout import Program, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
-from sim_mjx.engines.common import SETTLING, compiler_options
+from sim_mjx.engines.common import SETTLING, compiler_options, select_lanes
 from sim_mjx.engines.device import Fixed, Layout, Log, Outcome, State
 
 Trial = tuple[Hashable, int]  # key of its batch, and number in it
@@ -289,15 +289,12 @@ def _programs(backend: str) -> _Programs:
 def _refill(layout: Layout, fixed: Fixed, state: State, pool: Any, rows: Array) -> tuple[Fixed, State]:
     """New trials in the lanes whose row of the pool is not negative."""
     new, taken = rows >= 0, jnp.maximum(rows, 0)
-
-    def chosen(first: Array, second: Array) -> Array:
-        return jnp.where(new.reshape(-1, *[1] * (first.ndim - 1)), first, second)
-
-    fields, params = jax.tree.map(lambda leaf, old: chosen(leaf[taken], old), pool, (fixed.fields, fixed.params))
+    drawn = jax.tree.map(lambda leaf: leaf[taken], pool)
+    fields, params = select_lanes(new, drawn, (fixed.fields, fixed.params))
     fixed = Fixed(fixed.model, fields, params, fixed.empty)
     fresh = device.start(layout, fixed)
     body = device.kept(fresh.body, state.body, new)
-    loop, tick = jax.tree.map(chosen, (fresh.loop, fresh.tick), (state.loop, state.tick))
+    loop, tick = select_lanes(new, (fresh.loop, fresh.tick), (state.loop, state.tick))
     return fixed, State(body, loop, tick)
 
 

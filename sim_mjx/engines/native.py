@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane
+from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane, select_lanes
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 THREADS = 8  # of a process; more wait for each other's turn for longer than their physics takes
@@ -271,11 +271,8 @@ def _compiled(program: Program) -> tuple[Callable[..., Any], ...]:
     """Begin and control of all lanes."""
 
     def begin(params: Any, loop: Any, fresh: Any, raw: Any) -> Any:
-        def chosen(new: Any, old: Any) -> Any:
-            return jnp.where(fresh.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
         started = jax.vmap(program.begin)(params, raw)
-        return started if loop is None else jax.tree.map(chosen, started, loop)
+        return started if loop is None else select_lanes(fresh, started, loop)
 
     options = compiler_options("cpu")
     control = jax.jit(jax.vmap(program.control), compiler_options=options, donate_argnums=1)

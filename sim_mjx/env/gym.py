@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
 from rcbht_jax.errors import InputError
+from sim_mjx.engines.common import select_lanes
 from sim_mjx.env.environment import Environment, State
 from sim_mjx.env.loading import jit
 
@@ -125,12 +125,8 @@ def _reset(env: Environment, count: int, key: Any) -> State:
 
 def _step(env: Environment, state: State, actions: Any, key: Any) -> State:
     """Step the running episodes, and begin those that follow ended ones."""
-    stepped, fresh, ended = jax.vmap(env.step)(state, actions), _reset(env, len(actions), key), state.done > 0.5
-
-    def chosen(new: Any, old: Any) -> Any:
-        return jnp.where(ended.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-    return jax.tree.map(chosen, fresh, stepped)
+    stepped, fresh = jax.vmap(env.step)(state, actions), _reset(env, len(actions), key)
+    return select_lanes(state.done > 0.5, fresh, stepped)
 
 
 def _started(state: State | None) -> State:

@@ -82,7 +82,7 @@ def test_another_unit_is_refused(store: Path, model: Path, capsys: pytest.Captur
     other = store.parent / "milli.zarr"
     write_recordings(other, replace(read_recordings(store), units=("mN", "m")), {})
     assert main(["monitor", "watch", str(other), "-m", str(model), "--false-alarms", "0.1"]) == 2
-    assert f"learned Fz in N; {other} has it in mN." in capsys.readouterr().err
+    assert f"{other} has Fz in mN; the model learned it in N." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

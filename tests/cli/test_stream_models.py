@@ -49,7 +49,7 @@ def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, cap
     right = rj.Recordings.from_arrays([trial(1, 3)], rate=200, trial=["one"])
     turned = replace(right, wrench=right.wrench[..., ::-1], axes=right.axes[::-1], units=right.units[::-1])
     milli = replace(right, wrench=1000 * right.wrench, units=("mN",) * 3 + ("Nm",) * 3)
-    for store, said in ((turned, "has the axes Mz, My, Mx, Fz, Fy, Fx; the model reads Fx"), (milli, "has Fx in mN")):
+    for store, said in ((turned, "has the axes Mz, My, Mx, Fz, Fy, Fx; the model learned Fx"), (milli, "has Fx in mN")):
         write_recordings(tmp_path / "s.zarr", store, {}, overwrite=True)
         trials = ["one"] if command == "plot beliefs" else []
         out = ["-o", str(tmp_path / "x.html")] if command == "report" else ["-o", str(tmp_path / "x.png")]

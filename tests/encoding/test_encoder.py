@@ -13,16 +13,15 @@ from hypothesis import strategies as st
 from jaxtyping import TypeCheckError
 
 from rcbht_jax.encoding import encoder
-from rcbht_jax.encoding.batch import encode_batch, plan
+from rcbht_jax.encoding.batch import Schedule, encode_batch, plan
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.stream import Encoder
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
-from rcbht_jax.types import LabelTrack, LabelTracks
 from tests.support import oracle
+from tests.support.tracks import layers, published
 from tests.support.trees import assert_trees_equal
 
-FIELDS = ("label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
 SAMPLES = 231
 CONFIGS = {
     "default": (EncoderConfig(), {}),
@@ -50,15 +49,6 @@ def wrench_of(seed: int, style: str, samples: int = SAMPLES, axes: int = 6) -> n
         return np.repeat(knots, 10, 0)[:samples]
     times = np.arange(samples) / 10
     return np.stack([np.interp(times, np.arange(len(knots)), knot) for knot in knots.T], 1)
-
-
-def published(track: LabelTrack, lane: tuple[int, ...]) -> list[tuple[float, ...]]:
-    used = np.asarray(track.label)[lane] > 0
-    return list(zip(*(np.asarray(getattr(track, name))[lane][used].tolist() for name in FIELDS), strict=True))
-
-
-def layers(tracks: LabelTracks) -> tuple[LabelTrack, ...]:
-    return tracks.primitive, tracks.mc, tracks.llb
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -139,14 +129,19 @@ def test_every_sample_is_scheduled_once_in_order(lengths: list[int], samples: in
         assert len(set(slot)) == 1
         assert (np.diff(piece) == 1).all()
         assert schedule.offset[piece, slot].tolist() == list(range(0, max(size, 1), samples))
-    assert 0 <= schedule.padding(length) <= 1
+    assert 0 <= padding(schedule, length) <= 1
+
+
+def padding(schedule: Schedule, length: np.ndarray) -> float:
+    """Share of the steps that encode no sample."""
+    return 1 - length.sum() / (schedule.recording.size * schedule.samples)
 
 
 def test_padding_of_the_recorded_data_costs_less_than_a_quarter(hiro_recordings) -> None:
     length = hiro_recordings.length
-    assert plan(length, 64 * 5).padding(length) < 0.25
+    assert padding(plan(length, 64 * 5), length) < 0.25
     real = np.char.startswith(hiro_recordings.source, "REAL")
-    assert plan(length[real], 64 * 5).padding(length[real]) < 0.25
+    assert padding(plan(length[real], 64 * 5), length[real]) < 0.25
 
 
 def test_recordings_before_and_after_each_other_do_not_mix() -> None:

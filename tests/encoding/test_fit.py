@@ -22,11 +22,11 @@ from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.encoding.tolerance import FitLimits, auto_tolerance
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import LLB, Primitive
-from rcbht_jax.types import LabelTrack, LabelTracks, Recordings
+from rcbht_jax.types import LabelTracks, Recordings
 from tests.support.fit_oracle import FitOracle, least_squares, near
+from tests.support.tracks import layers, published
 from tests.support.trees import assert_trees_equal
 
-FIELDS = ("label", "t0", "t1", "emit", "vmax", "vmin", "avg", "grad")
 SAMPLES, AXES = 333, ("Fx", "Fz", "My")
 TOLERANCE = np.array([0.137, 0.41, 0.0523])
 LIMITS = FitLimits(preset("hiro", AXES).limits, TOLERANCE)
@@ -58,15 +58,6 @@ def wrench_of(seed: int, style: str) -> np.ndarray:
     where = np.floor(times) if style == "steps" else times
     clean = np.stack([np.interp(where, np.arange(len(knots)), knot) for knot in knots.cumsum(0).T], 1)
     return clean + rng.normal(size=clean.shape) * 0.003
-
-
-def published(track: LabelTrack, lane: tuple[int, ...]) -> list[tuple[float, ...]]:
-    used = np.asarray(track.label)[lane] > 0
-    return list(zip(*(np.asarray(getattr(track, name))[lane][used].tolist() for name in FIELDS), strict=True))
-
-
-def layers(tracks: LabelTracks) -> tuple[LabelTrack, ...]:
-    return tracks.primitive, tracks.mc, tracks.llb
 
 
 def batch(config: FitConfig, wrench: np.ndarray, length: int, limits: FitLimits = LIMITS) -> LabelTracks:

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from sklearn.base import clone
 
+from rcbht_jax._util.signals import check_axes
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection import nominal_file
 from rcbht_jax.introspection.neighbours import AROUND, make_bank
@@ -161,7 +162,9 @@ def test_a_file_gives_the_same_scores(tmp_path: Path) -> None:
     with reading(path, nominal_file.FORMAT, gaps=("described",)) as (meta, arrays):
         del meta["units"]  # as files were written before
         write_archive(path, meta, arrays)
-    assert nominal_file.load(path).units == ()
+    old = nominal_file.load(path)
+    assert old.units == ()
+    check_axes(("Fz", "Mx"), ("mN", "Nm"), old.axes, old.units, "a store")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(InputError, match="not a readable"):
         nominal_file.load(path)

@@ -50,6 +50,14 @@ def test_round_trip_keeps_everything(model, tmp_path):
         assert getattr(back, name) == getattr(model, name)
 
 
+@pytest.fixture
+def path(model, tmp_path):
+    """A file of the model."""
+    path = tmp_path / "m"
+    save(path, model)
+    return path
+
+
 def rewritten(path, **changes):
     """The same file with some members replaced."""
     with np.load(path) as archive:
@@ -58,9 +66,7 @@ def rewritten(path, **changes):
         np.savez(out, **{**members, **changes})
 
 
-def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
-    path = tmp_path / "m"
-    save(path, model)
+def test_arrays_that_do_not_fit_are_refused(model, path):
     rewritten(path, intercept=np.zeros(1))
     with pytest.raises(InputError, match=r"intercept has the shape \(1,\)"):
         load(path)
@@ -70,9 +76,7 @@ def test_arrays_that_do_not_fit_are_refused(model, tmp_path):
         load(path)
 
 
-def test_a_model_of_another_command_is_named(model, tmp_path):
-    path = tmp_path / "m"
-    save(path, model)
+def test_a_model_of_another_command_is_named(path):
     with pytest.raises(InputError, match='made by "rcbht train"; this needs a file of "rcbht train-online"'):
         introspection.load(path)
     with reading(path, FORMAT) as (meta, arrays):
@@ -83,9 +87,7 @@ def test_a_model_of_another_command_is_named(model, tmp_path):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("name", ["center", "width", "support", "dual", "intercept"])
-def test_arrays_that_are_not_finite_are_refused(model, tmp_path, name, value):
-    path = tmp_path / "m"
-    save(path, model)
+def test_arrays_that_are_not_finite_are_refused(model, name, value, path):
     values = getattr(model.svm, name).copy()
     values.flat[0] = value
     rewritten(path, **{name: values})
@@ -94,9 +96,7 @@ def test_arrays_that_are_not_finite_are_refused(model, tmp_path, name, value):
 
 
 @pytest.mark.parametrize("gamma", [-1.0, 0.0, 1e999])
-def test_a_width_of_the_kernel_that_is_none_is_refused(model, tmp_path, gamma):
-    path = tmp_path / "m"
-    save(path, model)
+def test_a_width_of_the_kernel_that_is_none_is_refused(gamma, path):
     with np.load(path) as archive:
         meta = json.loads(str(archive["meta"]))
     rewritten(path, meta=np.array(json.dumps(meta | {"gamma": gamma})))
@@ -104,17 +104,13 @@ def test_a_width_of_the_kernel_that_is_none_is_refused(model, tmp_path, gamma):
         load(path)
 
 
-def test_code_in_a_file_is_refused(model, tmp_path):
-    path = tmp_path / "m"
-    save(path, model)
+def test_code_in_a_file_is_refused(path):
     rewritten(path, dual=np.array([{"a": 1}], dtype=object))
     with pytest.raises(InputError, match="Python objects"):
         load(path)
 
 
-def test_other_formats_and_damage_are_refused(model, tmp_path):
-    path = tmp_path / "m"
-    save(path, model)
+def test_other_formats_and_damage_are_refused(model, tmp_path, path):
     whole = path.read_bytes()
     for content in (b"", b"hello", whole[: len(whole) // 2], whole[:200] + b"\0" * 60 + whole[260:]):
         path.write_bytes(content)
@@ -167,10 +163,8 @@ def test_what_cannot_be_written_is_refused(model, tmp_path):
         {"version": 1.0},
     ],
 )  # fmt: skip
-def test_names_in_a_model_are_texts(change, model, tmp_path):
+def test_names_in_a_model_are_texts(change, path):
     """They become labels of beliefs, cells of tables and parts of pages."""
-    path = tmp_path / "m"
-    save(path, model)
     with np.load(path) as archive:
         meta = json.loads(str(archive["meta"]))
     rewritten(path, meta=np.array(json.dumps({**meta, **change})))

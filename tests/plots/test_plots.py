@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -304,11 +304,8 @@ def test_settings_are_untouched_and_threads_work(recordings: Recordings, tracks:
     def draw(layer: str, path: Path) -> None:
         save(label_map(recordings, tracks, layer), path)
 
-    threads = [threading.Thread(target=draw, args=pair) for pair in zip(LAYERS, paths, strict=True)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(draw, LAYERS, paths))
     assert all(path.is_file() for path in paths)
     assert dict(mpl.rcParams) == before
 

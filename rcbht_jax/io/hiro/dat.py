@@ -37,17 +37,17 @@ class TimedTable:
     dt: float  # s between rows
 
 
-def read_table(path: Path, columns: int, max_bytes: int = MAX_TEXT_BYTES) -> Float64[np.ndarray, "row {columns}"]:
+def read_table(path: Path, columns: int) -> Float64[np.ndarray, "row {columns}"]:
     """Read a table of finite numbers.
 
     >>> read_table(Path("trial/R_Torques.dat"), 7).shape  # doctest: +SKIP
     (2060, 7)
 
     Raises:
-        InputError: the file is missing, larger than ``max_bytes``, empty, or has a line that is not exactly
+        InputError: the file is missing, larger than ``MAX_TEXT_BYTES``, empty, or has a line that is not exactly
             ``columns`` finite numbers.
     """
-    raw = read_bytes(path, max_bytes, empty=True)
+    raw = read_bytes(path, MAX_TEXT_BYTES, empty=True)
     if not raw.strip():
         raise InputError(f"{path} is empty; expected lines of {columns} numbers.")
     table = _read_fast(raw)
@@ -61,22 +61,22 @@ def read_table(path: Path, columns: int, max_bytes: int = MAX_TEXT_BYTES) -> Flo
     return table
 
 
-def read_timed(path: Path, quantity: str, max_bytes: int = MAX_TEXT_BYTES) -> TimedTable:
+def read_timed(path: Path, quantity: str) -> TimedTable:
     """Read a signal file: time (s) and six columns of ``quantity`` (a key of ``LIMITS``).
 
     Raises:
         InputError: as :func:`read_table`; also fewer than two rows, time stamps that do not increase or are uneven,
             a time step outside 0.1 ms .. 1 s, or magnitudes that suggest other units.
     """
-    table = read_table(path, 7, max_bytes)
+    table = read_table(path, 7)
     if len(table) < 2:
         raise InputError(f"{path} has one line; expected at least two, to know the time step.")
-    dt = _time_step(path, table[:, 0], max_bytes)
+    dt = _time_step(path, table[:, 0])
     limit, hint = LIMITS[quantity]
     large = np.argwhere(np.abs(table[:, 1:]) > limit)
     if len(large):
         row, column = large[0]
-        where = f"{path}, line {_line_of_row(read_bytes(path, max_bytes), int(row))}, column {column + 2}"
+        where = f"{path}, line {_line_of_row(read_bytes(path, MAX_TEXT_BYTES), int(row))}, column {column + 2}"
         value = table[row, column + 1]
         raise InputError(f"{where}: {value:g} is too large for {quantity} (limit {limit:g}); {hint}?")
     return TimedTable(table[:, 0], table[:, 1:], dt)
@@ -102,14 +102,14 @@ def read_state_times(path: Path) -> Float64[np.ndarray, " state"]:
     return times
 
 
-def _time_step(path: Path, time: Float64[np.ndarray, " row"], max_bytes: int) -> float:
+def _time_step(path: Path, time: Float64[np.ndarray, " row"]) -> float:
     """The constant time step of a file, s; an InputError names the line where it is not constant."""
     step = np.diff(time)
     dt = float(np.median(step))
     uneven = np.flatnonzero((step <= 0) | (np.abs(step - dt) > DT_TOLERANCE * abs(dt)))
     if len(uneven):
         row = int(uneven[0]) + 1
-        where = f"{path}, line {_line_of_row(read_bytes(path, max_bytes), row)}"
+        where = f"{path}, line {_line_of_row(read_bytes(path, MAX_TEXT_BYTES), row)}"
         if step[row - 1] <= 0:
             raise InputError(
                 f"{where}: time {time[row]:g} s does not come after {time[row - 1]:g} s; expected time to increase."

@@ -157,11 +157,12 @@ def _read(
     found: list[tuple[Record, Item]] = []
     used: dict[str, tuple[Mapping, list[Understood]]] = {}
     beside: list[Table] = []
+    listing: Table | None = None
     if not base.table and source.is_dir():
-        base = marks.with_table(source, base, items, report.remarks)
+        base, listing = marks.with_table(source, base, items, report.remarks)
     tables = {base.table, *(track.file for track in base.annotations)} - {""}
     files = [item.name or spelled(item.path.name) for item in items if item.name not in tables]
-    rows = marks.rows_of(source, base, files, report.warnings)
+    rows = marks.rows_of(source, base, files, report.warnings, listing)
     for item in progress(items):
         if item.name in tables:
             continue

@@ -165,7 +165,9 @@ def _lines(path: Path) -> list[str]:
         raise InputError(f"{path} is not text.") from None
 
 
-def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tuple[str, str]]) -> dict[str, Row]:
+def rows_of(
+    source: Path, mapping: Mapping, files: list[str], warnings: list[tuple[str, str]], table: Table | None
+) -> dict[str, Row]:
     """The table of recordings: file -> column -> text.
 
     Args:
@@ -173,6 +175,7 @@ def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tup
         mapping: names the table, its column of files and the columns to read.
         files: names of all files of recordings.
         warnings: gets what is odd: a file that is named twice, a word that means several files.
+        table: what the file holds, if :func:`with_table` has found it.
 
     Raises:
         InputError: the table is missing, not CSV or a JSON list of objects, or lacks a column that the mapping names.
@@ -186,7 +189,8 @@ def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tup
             raise InputError(f"{path} is not a list of objects, one per recording.")
         rows = [{str(key): _word(value) for key, value in row.items()} for row in content]
     else:
-        [table] = read_csv(path, path.name)
+        if table is None:
+            [table] = read_csv(path, path.name)
         columns = {key: [text(value) for value in values] for key, values in table.columns.items()}
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     there = dict.fromkeys(key for row in rows for key in row)
@@ -207,8 +211,10 @@ def rows_of(source: Path, mapping: Mapping, files: list[str], warnings: list[tup
     return found
 
 
-def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: list[str]) -> Mapping:
-    """The mapping with the one CSV of a folder that lists its recordings, a row for each; as it is if there is none.
+def with_table(
+    source: Path, mapping: Mapping, items: Iterable[Item], remarks: list[str]
+) -> tuple[Mapping, Table | None]:
+    """The mapping with the one CSV of a folder that lists its recordings, a row for each, and that table, if any.
 
     Args:
         source: a folder.
@@ -220,7 +226,7 @@ def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: l
     tables = ((item.name, _listing(source, item.path, names)) for item in items if item.kind == "csv")
     found = [(file, *listing) for file, listing in tables if listing]
     if len(found) != 1:
-        return mapping
+        return mapping, None
     [(file, key, table)] = found
     columns = dict(mapping.columns)
     for title, values in table.columns.items():
@@ -233,7 +239,7 @@ def with_table(source: Path, mapping: Mapping, items: Iterable[Item], remarks: l
         if value.column in table.columns:
             columns[name] = replace(value, column="", table=value.column)
     remarks.append(f"{file} lists the recordings, named in its column {key!r}; its other columns describe them.")
-    return replace(mapping, table=file, key=key, columns=columns)
+    return replace(mapping, table=file, key=key, columns=columns), table
 
 
 def _listing(source: Path, path: Path, names: Names) -> tuple[str, Table] | None:

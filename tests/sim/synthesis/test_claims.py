@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -48,19 +49,14 @@ def foreign(folder: Path, seconds: float, text: str | None = None, number: int =
 
 def test_of_many_at_once_one_holds_it(folder: Path) -> None:
     for _ in range(20):
-        start, got = threading.Barrier(8), []
+        start = threading.Barrier(8)
 
-        def one(start: threading.Barrier = start, got: list[claims.Claim] = got) -> None:
+        def one(_: int, start: threading.Barrier = start) -> claims.Claim | None:
             start.wait()
-            claim = claims.take(folder, "7")
-            if claim is not None:
-                got.append(claim)
+            return claims.take(folder, "7")
 
-        threads = [threading.Thread(target=one) for _ in range(8)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(8) as pool:
+            got = list(filter(None, pool.map(one, range(8))))
         assert len(got) <= 1  # two that see each other may both step back
         for claim in got:
             claim.release()

@@ -9,8 +9,8 @@ import random
 import signal
 import subprocess
 import sys
-import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -79,17 +79,9 @@ def test_workers_killed_at_random_moments_give_the_same_bytes(tmp_path: Path, wh
 
 
 def test_the_same_command_called_twice_shares_the_work(tmp_path: Path, whole: dict[str, bytes]) -> None:
-    target, logs, reports = tmp_path / "trials.zarr", [tmp_path / "a", tmp_path / "b"], []
-    threads = [
-        threading.Thread(
-            target=lambda log=log: reports.append(synthesise(target, SHARDED, simulate=logging_engine(log, 0.05)))
-        )
-        for log in logs
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    target, logs = tmp_path / "trials.zarr", [tmp_path / "a", tmp_path / "b"]
+    with ThreadPoolExecutor() as pool:
+        reports = list(pool.map(lambda log: synthesise(target, SHARDED, simulate=logging_engine(log, 0.05)), logs))
     assert [report.stored for report in reports] == [60, 60]
     assert tree(target) == whole
     both = [set(calls(log)) for log in logs]
