@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
 from rcbht_jax._util.digest import content_hash
-from rcbht_jax.calibration.label_durations import Samples, Windows, device_lines, fit_windows
+from rcbht_jax.calibration.label_durations import AXES, Samples, Windows, device_lines, fit_windows
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.errors import InputError
@@ -65,11 +65,16 @@ def calibration_data(recordings: Recordings, items: LabelledIntervals, config: A
         config: window and sampling period.
 
     Raises:
-        InputError: the sentences cover both arms, the sampling periods differ, or the recordings have different numbers
-            of sentences, or time between them.
+        InputError: other than six axes, the sentences cover both arms, the sampling periods differ, or the recordings
+            have different numbers of sentences, or time between them.
     """
     if len(items.intervals) != 1:
         raise InputError("Thresholds are calibrated on the sentences of one arm; choose the right or the left one.")
+    if len(recordings.axes) != AXES:
+        raise InputError(
+            f"Thresholds for classes are calibrated on the {AXES} axes of a wrench, not on {len(recordings.axes)}; the "
+            "method rest takes any axes."
+        )
     if config.dt != recordings.dt:
         raise InputError(f"The encoder has a sampling period of {config.dt} s, the recordings of {recordings.dt} s.")
     (spans,) = items.intervals

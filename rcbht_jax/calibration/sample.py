@@ -23,7 +23,7 @@ class Sample:
 
     Attributes:
         recordings: all of the store, or of a large one those of some trials.
-        trials: how many trials the store has for the task; None = all of it is here.
+        trials: how many trials the store has for the task; None = all of them are here.
         data_hash: of the whole store.
     """
 
@@ -52,7 +52,8 @@ def read_sample(path: Path, spec: TaskSpec) -> Sample:
     room = max(1, SAMPLE_BYTES // (row * arms))
     kept = np.unique(np.linspace(0, trial.max(), min(room, trial.max() + 1)).round().astype(np.int64))
     digest = data_hash(table, (batch.wrench for batch in read_batches(path)), longest)
-    return Sample(read_rows(path, chosen[np.isin(trial, kept)]), int(trial.max()) + 1, digest)
+    trials = int(trial.max()) + 1
+    return Sample(read_rows(path, chosen[np.isin(trial, kept)]), None if len(kept) == trials else trials, digest)
 
 
 def _trials(table: Recordings, rows: NDArray[np.int64]) -> NDArray[np.int64]:

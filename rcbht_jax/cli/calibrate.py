@@ -37,6 +37,13 @@ if TYPE_CHECKING:
     from rcbht_jax.learning.tasks import TaskSpec
     from rcbht_jax.types import Recordings
 
+_READ_BY = {  # options by the methods that read them; the others refuse them
+    ("context",): ("own_axes",),
+    ("search",): ("groups", "candidates", "generations", "rungs", "checkpoint"),
+    ("gradient",): ("steps", "loss", "straight_through"),
+    ("search", "gradient"): ("thresholds", "devices", "seed"),
+    ("context", "search", "gradient"): ("robot", "task", "boundaries", "arm", "objective", "rest_weight", "plot"),
+}
 _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
 
 
@@ -90,7 +97,7 @@ class Calibrate(RuleCommand):
     devices: Annotated[str | None, option("GPUs of this machine that share the work (search, gradient).", "1")] = None
     rest_weight: float = 1.0
     """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = rest does not matter. The
-    context method then takes what rest does as the least constant limit."""
+    context method takes what rest does as the least constant limit, unless this is 0."""
     plot: Path | None = None
     """Figure to write: the thresholds over the gradients of each axis and state."""
     seed: int = 0
@@ -116,10 +123,13 @@ class Calibrate(RuleCommand):
             )
         if self.rule == "fit" and self.plot is not None:
             raise InputError("--plot shows the slopes of windows, which --rule fit does not name; leave it out.")
-        if self.method == "context" and self.thresholds is not None:
-            raise InputError("--thresholds is for the methods search and gradient; the method context reads --robot.")
-        if self.devices is not None and self.method not in ("search", "gradient"):
-            raise InputError("--devices is for the methods search and gradient; leave it out.")
+        for methods, options in _READ_BY.items():
+            for name in options:
+                if self.method not in methods and getattr(self, name) != getattr(type(self), name):
+                    raise InputError(
+                        f"--{name.replace('_', '-')} is for --method {' or '.join(methods)}; with {self.method} leave "
+                        "it out."
+                    )
         self._chosen_devices()  # wrong ones are said before the work
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
@@ -129,21 +139,27 @@ class Calibrate(RuleCommand):
         sample = read_sample(self.store, spec)
         recordings = sample.recordings
         config = self.config(recordings.dt)
-        data = calibration_data(recordings, labelled_intervals(recordings, spec), config)
+        items = labelled_intervals(recordings, spec)
+        data = calibration_data(recordings, items, config)
         start = time.perf_counter()
-        teachers = recordings.take(np.flatnonzero(np.isin(recordings.trial, data.trial)))
+        teachers = recordings.take(np.unique(items.intervals[0].recording))
         base = self.limits(config, self.read_limits(recordings, self.store)[0], teachers)
-        thresholds, details = getattr(self, f"_{self.method}")(recordings, data, config, base)
+        rest = self._rest_of(teachers, config)
+        thresholds, details = getattr(self, f"_{self.method}")(teachers, data, config, base, rest)
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
-        both = score_candidates(data, config, jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds))
+        pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds)
+        both = score_candidates(data, config, pair)
+        penalties = np.zeros(2) if rest is None else rest.penalty(pair)
         result = {
             "method": self.method,
             "trials": len(data),
             **_of(sample),
             "classes": list(data.classes),
-            "value": float(both[1] @ weights),
-            "preset_value": float(both[0] @ weights),
+            "value": float(both[1] @ weights - penalties[1]),
+            "preset_value": float(both[0] @ weights - penalties[0]),
+            "rest_penalty": float(penalties[1]),
+            "preset_rest_penalty": float(penalties[0]),
             "scores": dict(zip(SCORES, both[1].tolist(), strict=True)),
             "preset_scores": dict(zip(SCORES, both[0].tolist(), strict=True)),
             **details,
@@ -230,32 +246,34 @@ class Calibrate(RuleCommand):
         write_limits(self.out, limits, provenance, recordings.axes)
         return self._said(limits, recordings, time.perf_counter() - start) | result
 
-    def _slopes(self, recordings: Recordings, data: CalibrationData) -> RestSlopes | RestRuns | None:
+    def _rest_of(self, teachers: Recordings, config: AnyConfig) -> RestSlopes | RestRuns | None:
         from rcbht_jax.calibration.rest import RestSlopes
         from rcbht_jax.calibration.rest_runs import RestRuns
         from rcbht_jax.encoding.fit import FitConfig
 
         if self.rest_weight == 0:
             return None
-        rows = np.flatnonzero(np.isin(recordings.trial, data.trial))
-        config, some = self.config(recordings.dt), recordings.take(rows)
         if isinstance(config, FitConfig):
-            return RestRuns.of(some, config, self.rest_weight)
-        return RestSlopes.of(some, self.window, self.rest_weight)
+            return RestRuns.of(teachers, config, self.rest_weight)
+        return RestSlopes.of(teachers, self.window, self.rest_weight)
 
     def _context(
-        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+        self,
+        teachers: Recordings,
+        data: CalibrationData,
+        config: AnyConfig,
+        base: AnyLimits,
+        rest: RestSlopes | RestRuns | None,
     ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration import contextual
         from rcbht_jax.calibration.rest import QUIET, RestSlopes
         from rcbht_jax.encoding.encoder import EncoderConfig
 
-        rows = np.flatnonzero(np.isin(recordings.trial, data.trial) & (recordings.arm == self.arm))
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
-        slopes = self._slopes(recordings, data)
-        least = np.quantile(slopes.steep, QUIET, axis=1) if isinstance(slopes, RestSlopes) else 0.0
+        least = np.quantile(rest.steep, QUIET, axis=1) if isinstance(rest, RestSlopes) else 0.0
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
-        context = contextual.calibrate(recordings, rows, config, self.robot or "hiro", copy, least)
+        every = np.arange(len(teachers))
+        context = contextual.calibrate(teachers, every, config, self.robot or "hiro", copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _chosen_devices(self) -> list[jax.Device] | None:
@@ -264,7 +282,12 @@ class Calibrate(RuleCommand):
         return None if self.devices is None else jax.devices()[: wanted(self.devices, len(jax.devices()))]
 
     def _search(
-        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+        self,
+        teachers: Recordings,
+        data: CalibrationData,
+        config: AnyConfig,
+        base: AnyLimits,
+        rest: RestSlopes | RestRuns | None,
     ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.objective import Objective
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
@@ -277,17 +300,21 @@ class Calibrate(RuleCommand):
             generations=self.generations,
             seed=self.seed,
         )
-        slopes = self._slopes(recordings, data)
         with progress_bar("search", "candidates") as bar:
             best = search(
                 data, config, options, devices=self._chosen_devices(), checkpoint=self.checkpoint, progress=bar.update,
-                rest=slopes,
+                rest=rest,
             )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 
     def _gradient(
-        self, recordings: Recordings, data: CalibrationData, config: AnyConfig, base: AnyLimits
+        self,
+        teachers: Recordings,
+        data: CalibrationData,
+        config: AnyConfig,
+        base: AnyLimits,
+        rest: RestSlopes | RestRuns | None,
     ) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate
 
@@ -298,7 +325,7 @@ class Calibrate(RuleCommand):
             seed=self.seed,
             temperature=FIT_TEMPERATURE if self.rule == "fit" else GradientOptions.temperature,
         )
-        devices, rest = self._chosen_devices(), self._slopes(recordings, data)
+        devices = self._chosen_devices()
         with progress_bar("train", "steps", self.steps) as bar:
             trained = calibrate(data, config, base, options, devices=devices, progress=bar.update, rest=rest)
         losses = [trained.history[0][1], trained.history[-1][1]]

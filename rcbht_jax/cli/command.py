@@ -328,10 +328,11 @@ def checked_tolerance(rule: str, tolerance: tuple[float, ...], axes: int | None 
 
 def _robot(recordings: Recordings, store: Path) -> str:
     """HIRO where the store is an import of its trials or a simulation of them; else its limits are unknown."""
+    from rcbht_jax.io.joining import importer_of
     from rcbht_jax.io.store import read_attrs
     from rcbht_jax.labels import AXES
 
-    return "hiro" if recordings.axes == AXES and read_attrs(store).get("importer", "hiro") == "hiro" else "auto"
+    return "hiro" if recordings.axes == AXES and importer_of(read_attrs(store)) == "hiro" else "auto"
 
 
 def progress_bar(name: str, unit: str, total: int | None = None, **options: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from rcbht_jax.io.tare import tare
 from rcbht_jax.types import Recordings
 
 _KEPT = ("importer", "frames")  # attributes that the joined store has where all stores agree
-SIMULATED = "hiro"  # what a store without an importer is: a simulation of HIRO's trials, with its axes and units
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,17 @@ def _attrs(paths: Sequence[Path], taken: dict[str, int], tare_seconds: float) ->
         {"store": path.name, "content_sha256": attrs.get("content_sha256"), "recordings": taken[str(path)]}
         for path, attrs in zip(paths, every, strict=True)
     ]
-    said = {name: {str(attrs.get(name, SIMULATED if name == "importer" else "")) for attrs in every} for name in _KEPT}
+    every = [{**attrs, "importer": importer_of(attrs)} for attrs in every]
+    said = {name: {str(attrs.get(name, "")) for attrs in every} for name in _KEPT}
     same = {name: values.pop() for name, values in said.items() if len(values) == 1}
     kept = {"importer": "joined", **{name: value for name, value in same.items() if value}}
     return {**kept, "joined": joined, "tare_s": tare_seconds}
+
+
+def importer_of(attrs: Mapping[str, Any]) -> str:
+    """What made a store: a simulation of HIRO's trials, which names no importer, counts as theirs; "" = not known.
+
+    >>> importer_of({"simulated": {}}), importer_of({"importer": "csv"}), importer_of({"robot": "mine"})
+    ('hiro', 'csv', '')
+    """
+    return str(attrs.get("importer", "hiro" if "simulated" in attrs else ""))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rcbht_jax as rj
+from rcbht_jax.calibration import sample
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
@@ -19,6 +21,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.model import load
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings, write_recordings
+from rcbht_jax.learning.tasks import TaskSpec
 from tests.calibration.test_contextual import recordings
 
 
@@ -48,6 +51,7 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
     assert provenance["trial_names"] == ["t0", "t1", "t2", "t3"]
     assert provenance["config"]["window"] == 5
     assert figure.exists() == bool(plot)
+    assert said["value"] == pytest.approx(said["scores"]["accuracy"] + said["scores"]["fit"] - said["rest_penalty"])
     if method == "search":
         assert said["value"] >= said["preset_value"] - 1e-5
     assert main(["encode", str(store), "--thresholds", str(out)]) == 0
@@ -120,7 +124,7 @@ def test_limits_of_the_fit_rule_go_wherever_limits_go(store, tmp_path, capsys):
 
 
 def test_devices_that_are_not_there_or_not_used_are_refused(store, tmp_path, capsys):
-    for method, devices, sentence in (("search", "9", "this machine has 1"), ("rest", "all", "search and gradient")):
+    for method, devices, sentence in (("search", "9", "this machine has 1"), ("rest", "all", "search or gradient")):
         words = ["calibrate", str(store), "-o", str(tmp_path / "no.json"), "--method", method, "--devices", devices]
         assert main(words) == 2
         assert sentence in capsys.readouterr().err
@@ -151,6 +155,44 @@ def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_u
     np.testing.assert_array_equal(read_limits(path)[0].limits, preset().limits)
 
 
+def test_the_objective_counts_rest_and_trials_of_other_sources_teach_nothing(tmp_path, capsys):
+    calm = replace(recordings(trials=4), source=np.full(4, "calm"))
+    rng = np.random.default_rng(0)
+    shaken = replace(
+        calm, source=np.full(4, "shaken"), wrench=(calm.wrench + rng.normal(0, 5, calm.wrench.shape)).astype(np.float32)
+    )
+    write_recordings(tmp_path / "both.zarr", rj.Recordings.join([calm, shaken]), {"importer": "hiro"})
+    write_recordings(tmp_path / "calm.zarr", calm, {"importer": "hiro"})
+    said = []
+    for name in ("both", "calm"):
+        words = ["--method", "search", "--source", "calm", "--candidates", "4", "--generations", "0", "--json"]
+        assert main(["calibrate", str(tmp_path / f"{name}.zarr"), "-o", str(tmp_path / f"{name}.json"), *words]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    assert said[0]["preset_rest_penalty"] == said[1]["preset_rest_penalty"]
+    assert said[0]["limits"] == said[1]["limits"]
+
+
+def test_a_sample_of_all_chosen_trials_is_no_part(store, monkeypatch):
+    monkeypatch.setattr(sample, "SAMPLE_BYTES", 0)
+    assert sample.read_sample(store, TaskSpec("states")).trials == 4
+    row = 4 * 6 * read_recordings(store).wrench.shape[1]
+    monkeypatch.setattr(sample, "SAMPLE_BYTES", 2 * row)
+    some = TaskSpec("states", sources=(str(read_recordings(store).source[0]),))
+    chosen = np.flatnonzero(read_recordings(store).source == some.sources[0])
+    assert sample.read_sample(store, some).trials == (None if len(chosen) <= 2 else len(chosen))
+
+
+@pytest.mark.parametrize("axes", [1, 9])
+def test_other_than_six_axes_are_refused_by_methods_of_classes(tmp_path, capsys, axes):
+    wrench = np.random.default_rng(0).normal(size=(4, 200, axes))
+    names = [f"c{number}" for number in range(axes)]
+    made = rj.Recordings.from_arrays(wrench, 200, axes=names, tool=["a", "b"] * 2)
+    write_recordings(tmp_path / "s.zarr", made, {})
+    words = ["--method", "search", "--task", "tool", "-o", str(tmp_path / "x.json")]
+    assert main(["calibrate", str(tmp_path / "s.zarr"), *words]) == 2
+    assert f"on the 6 axes of a wrench, not on {axes}" in capsys.readouterr().err
+
+
 def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
     for words, expected in (
         (["-o", str(tmp_path / "no" / "x.json")], "is not a folder"),
@@ -160,6 +202,8 @@ def test_wrong_calls_end_with_one_sentence(store, tmp_path, capsys):
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--plot", "x.png"], "leave it out"),
         (["-o", str(tmp_path / "x.json"), "--tolerance", "0.1"], "--rule fit"),
         (["-o", str(tmp_path / "x.json"), "--rule", "fit", "--method", "rest", "--tolerance", "1"], "leave out"),
+        (["-o", str(tmp_path / "x.json"), "--method", "rest", "--plot", "x.png"], "--plot is for --method context or"),
+        (["-o", str(tmp_path / "x.json"), "--method", "gradient", "--checkpoint", "x.json"], "for --method search;"),
     ):
         assert main(["calibrate", str(store), *words]) == 2
         assert expected in capsys.readouterr().err

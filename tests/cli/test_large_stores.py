@@ -158,9 +158,10 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """The search itself is left out: what it is given, and what is said of it, is looked at."""
-    monkeypatch.setattr(Calibrate, "_search", lambda self, recordings, data, config, base: (base, {}))
+    monkeypatch.setattr(Calibrate, "_search", lambda self, teachers, data, config, base, rest: (base, {}))
     monkeypatch.setattr(search, "score_candidates", lambda *_: np.zeros((2, len(SCORES))))
-    words = ["calibrate", stored, "--method", method, "--session", "b", "--task", "outcome", "-o", tmp_path / "l.json"]
+    words = ["calibrate", stored, "--method", method, "--session", "b", "-o", tmp_path / "l.json"]
+    words += ["--task", "outcome"] if method == "search" else []
     assert "of_trials" not in said(capsys, *words)
     of_all = json.loads((tmp_path / "l.json").read_text())
     batched = request.getfixturevalue("batched")

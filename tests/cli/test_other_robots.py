@@ -52,6 +52,17 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
     return json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
+def test_a_wrench_of_an_unknown_robot_is_not_taken_for_hiros(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrench = np.random.default_rng(0).normal(size=(2, 400, 6))
+    wrench[:, 200:] += 5
+    mine = Recordings.from_arrays(wrench * 1000, 200, units=("mN",) * 3 + ("mNm",) * 3)
+    for attrs, method in (({"robot": "mine"}, "auto"), ({"simulated": {}}, "preset"), ({"importer": "hiro"}, "preset")):
+        write_recordings(tmp_path / "s.zarr", mine, attrs, overwrite=True)
+        assert run(capsys, "encode", tmp_path / "s.zarr")["thresholds_from"]["method"] == method
+
+
 def test_info_lists_what_the_store_can_answer(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     info = run(capsys, "info", store)
     assert info["axes"] == {"grip": "N", "twist": "Nm"}

@@ -12,7 +12,7 @@ import pytest
 from rcbht_jax.cli import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
-from rcbht_jax.io.joining import join_stores
+from rcbht_jax.io.joining import importer_of, join_stores
 from rcbht_jax.types import Recordings
 from tests.support.store_cases import same
 
@@ -75,11 +75,14 @@ def test_exact_copies_are_taken_once_and_other_recordings_of_the_name_refused(tm
 
 def test_presets_of_a_robot_apply_only_where_all_stores_are_of_it(tmp_path: Path) -> None:
     simulated, hiro = (
-        written(tmp_path / "s.zarr", recordings(1)),
+        written(tmp_path / "s.zarr", recordings(1), simulated={}),
         written(tmp_path / "h.zarr", recordings(2), importer="hiro"),
     )
     join_stores([simulated, hiro], tmp_path / "one.zarr")
     assert store.read_attrs(tmp_path / "one.zarr")["importer"] == "hiro"
+    mine = written(tmp_path / "m.zarr", recordings(4), robot="mine")  # whose maker is not known
+    join_stores([mine, written(tmp_path / "n.zarr", recordings(5))], tmp_path / "unknown.zarr")
+    assert importer_of(store.read_attrs(tmp_path / "unknown.zarr")) == "joined"
     other = written(tmp_path / "o.zarr", recordings(3), importer="csv")
     join_stores([hiro, other], tmp_path / "two.zarr")
     assert store.read_attrs(tmp_path / "two.zarr")["importer"] == "joined"
