@@ -143,7 +143,9 @@ def _measure(check: Result | None) -> str:
 
 
 ENCODED = ("time first", "row by row", "compact", "scan")
-SYNTHESIS = (("utilisation", 2), ("host_memory_peak_GB", 1), ("store_GB", 1))  # measures and their digits
+SYNTHESIS = (  # measures and their digits
+    ("utilisation", 2), ("host_memory_peak_GB", 1), ("host_memory_with_writers_GB", 1), ("store_GB", 1),
+)  # fmt: skip
 
 
 @table("solver", *DEVICES)
@@ -180,7 +182,7 @@ def synthesis(result: Result) -> str:
     for name, row in result["rows"].items():
         rest = [f"{row[key]:.{digits}f}" if key in row else "–" for key, digits in SYNTHESIS]
         lines.append((name, row["card"], f"{row['seconds']:.0f}", f"{row['trials'] / row['seconds']:.0f}", *rest))
-    head = ("", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "store, GB")
+    head = ("", "GPU", "seconds", "trials a second", "lanes busy", "host memory, GB", "with writers, GB", "store, GB")
     return markdown(head, lines)
 
 

@@ -10,9 +10,12 @@ from typing import Any
 
 import pytest
 
+from rcbht_jax._util import compile_cache
 from rcbht_jax.cli import main
 from rcbht_jax.io.store import read_recordings
+from sim_mjx.synthesis import launch, pipeline
 from sim_mjx.synthesis.draft import Draft
+from sim_mjx.synthesis.pipeline import SynthesisReport
 from tests.support.fake_simulation import tree
 
 SHORT = ["--preset", "C", "--trials", "6", "--seed", "3", "--shard", "2", "--max-seconds", "0.1"]
@@ -79,3 +82,23 @@ def test_a_full_disk_is_one_sentence(
     assert main.main(["simulate", str(tmp_path / "t.zarr"), *SHORT]) == 1
     assert "disk is full" in capsys.readouterr().err
     assert not (tmp_path / "t.zarr").exists()
+
+
+@pytest.mark.parametrize("chosen", [None, "true"])
+def test_a_gpu_s_memory_is_taken_as_needed_unless_the_user_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: str | None
+) -> None:
+    monkeypatch.setattr(os, "environ", {name: value for name, value in os.environ.items() if "XLA" not in name})
+    if chosen is not None:
+        os.environ[launch.AS_NEEDED[0]] = chosen
+    seen: list[str | None] = []
+
+    def simulated(*_: Any, **__: Any) -> SynthesisReport:
+        seen.append(os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE"))
+        return SynthesisReport(6, 6, [], 0, {})
+
+    monkeypatch.setattr(pipeline, "synthesise", simulated)
+    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
+    for engine in ("native", "warp"):
+        assert main.main(["simulate", str(tmp_path / "one.zarr"), *SHORT, "--engine", engine, "--processes", "1"]) == 0
+    assert seen == [chosen, chosen or "false"]
