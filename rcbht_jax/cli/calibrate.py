@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -45,6 +45,16 @@ _READ_BY = {  # options by the methods that read them; the others refuse them
     ("context", "search", "gradient"): ("robot", "task", "boundaries", "arm", "objective", "rest_weight", "plot"),
 }
 _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
+
+
+class _Given(NamedTuple):
+    """What a method calibrates with."""
+
+    teachers: Recordings
+    data: CalibrationData
+    config: AnyConfig
+    base: AnyLimits
+    rest: RestSlopes | RestRuns | None
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,7 @@ class Calibrate(RuleCommand):
         teachers = recordings.take(np.unique(items.intervals[0].recording))
         base = self.limits(config, self.read_limits(recordings, self.store)[0], teachers)
         rest = self._rest_of(teachers, config)
-        thresholds, details = getattr(self, f"_{self.method}")(teachers, data, config, base, rest)
+        thresholds, details = getattr(self, f"_{self.method}")(_Given(teachers, data, config, base, rest))
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
         pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds)
@@ -257,23 +267,17 @@ class Calibrate(RuleCommand):
             return RestRuns.of(teachers, config, self.rest_weight)
         return RestSlopes.of(teachers, self.window, self.rest_weight)
 
-    def _context(
-        self,
-        teachers: Recordings,
-        data: CalibrationData,
-        config: AnyConfig,
-        base: AnyLimits,
-        rest: RestSlopes | RestRuns | None,
-    ) -> tuple[AnyLimits, dict[str, Any]]:
+    def _context(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration import contextual
         from rcbht_jax.calibration.rest import QUIET, RestSlopes
         from rcbht_jax.encoding.encoder import EncoderConfig
 
         copy = contextual.OWN if self.own_axes else contextual.AUTHORS_COPY
+        rest, config = given.rest, given.config
         least = np.quantile(rest.steep, QUIET, axis=1) if isinstance(rest, RestSlopes) else 0.0
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
-        every = np.arange(len(teachers))
-        context = contextual.calibrate(teachers, every, config, self.robot or "hiro", copy, least)
+        every = np.arange(len(given.teachers))
+        context = contextual.calibrate(given.teachers, every, config, self.robot or "hiro", copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _chosen_devices(self) -> list[jax.Device] | None:
@@ -281,19 +285,12 @@ class Calibrate(RuleCommand):
 
         return None if self.devices is None else jax.devices()[: wanted(self.devices, len(jax.devices()))]
 
-    def _search(
-        self,
-        teachers: Recordings,
-        data: CalibrationData,
-        config: AnyConfig,
-        base: AnyLimits,
-        rest: RestSlopes | RestRuns | None,
-    ) -> tuple[AnyLimits, dict[str, Any]]:
+    def _search(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.objective import Objective
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
 
         options = SearchOptions(
-            space=SearchSpace(base, _GROUPS[self.groups]),
+            space=SearchSpace(given.base, _GROUPS[self.groups]),
             objective=Objective.of(dict.fromkeys(self.objective, 1.0)),
             candidates=self.candidates,
             rungs=self.rungs,
@@ -302,20 +299,13 @@ class Calibrate(RuleCommand):
         )
         with progress_bar("search", "candidates") as bar:
             best = search(
-                data, config, options, devices=self._chosen_devices(), checkpoint=self.checkpoint, progress=bar.update,
-                rest=rest,
+                given.data, given.config, options, devices=self._chosen_devices(), checkpoint=self.checkpoint,
+                progress=bar.update, rest=given.rest,
             )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
 
-    def _gradient(
-        self,
-        teachers: Recordings,
-        data: CalibrationData,
-        config: AnyConfig,
-        base: AnyLimits,
-        rest: RestSlopes | RestRuns | None,
-    ) -> tuple[AnyLimits, dict[str, Any]]:
+    def _gradient(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate
 
         options = GradientOptions(
@@ -325,9 +315,11 @@ class Calibrate(RuleCommand):
             seed=self.seed,
             temperature=FIT_TEMPERATURE if self.rule == "fit" else GradientOptions.temperature,
         )
-        devices = self._chosen_devices()
         with progress_bar("train", "steps", self.steps) as bar:
-            trained = calibrate(data, config, base, options, devices=devices, progress=bar.update, rest=rest)
+            trained = calibrate(
+                given.data, given.config, given.base, options, devices=self._chosen_devices(), progress=bar.update,
+                rest=given.rest,
+            )  # fmt: skip
         losses = [trained.history[0][1], trained.history[-1][1]]
         return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}
 
