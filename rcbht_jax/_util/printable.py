@@ -1,9 +1,10 @@
-"""Text of other people's files as it may be shown and written."""
+"""Text of other people's files and processes as it may be shown and written."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from typing import IO
 
 _BYTES = re.compile("[\udc80-\udcff]")  # what stands for a byte that is not UTF-8 in the name of a file (PEP 383)
 
@@ -36,3 +37,14 @@ def spelled(name: object) -> str:
     'run-\\xff.csv'
     """
     return _BYTES.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:x}", str(name))
+
+
+def last_line(report: IO[bytes]) -> str:
+    """What a process said last in a file that it wrote to; "" = nothing.
+
+    >>> import io
+    >>> last_line(io.BytesIO(b"begun\\nno space left\\n"))
+    'no space left'
+    """
+    report.seek(0)
+    return (report.read().decode(errors="replace").strip().splitlines() or [""])[-1]

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcbht_jax._util.printable import last_line
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.parts import Field, Layout, Part, put
 
@@ -108,7 +109,7 @@ class PartProcess:
         except OSError:
             answer = ""
         if not answer:
-            raise RuntimeError(f"a process that writes parts ended: {self._last_line() or 'it did not say why.'}")
+            raise RuntimeError(f"a process that writes parts ended: {last_line(self._report) or 'it did not say why.'}")
         error = json.loads(answer)
         if error is not None:
             raise _KINDS.get(error["kind"], RuntimeError)(error["reason"])
@@ -124,10 +125,6 @@ class PartProcess:
         """Wait until it has ended."""
         self._process.wait()
         self._report.close()
-
-    def _last_line(self) -> str:
-        self._report.seek(0)
-        return (self._report.read().decode(errors="replace").strip().splitlines() or [""])[-1]
 
 
 def _answer(message: Mapping[str, Any]) -> dict[str, str] | None:

@@ -24,11 +24,7 @@ WIDTH, DPI = 16.0, 100  # inches, 1600 pixels; six axes are 2000 pixels high
 LEFT, RIGHT = 0.062, 0.985  # figure coordinates
 HEAD, FOOT, PANEL, GAP = 1.24, 2.1, 2.505, 0.326  # inches: title and two rows of names, legends, an axis, between two
 MARGIN = 0.24  # inches above the title
-LINE, ROOM, MOST_ROWS = (
-    16,
-    2,
-    14,
-)  # of the names of states: points of a row, rows that the head has room for, and at most
+LINE, ROOM, MOST_ROWS = 16, 2, 14  # of names of states: points of a row, rows that fit into the head, most rows
 _FIELDS = tuple(field.name for field in fields(LabelTrack))
 _BAND_TITLES = ("primitive", "MC", "LLB")
 _RED = "#b2182b"  # of the state boundaries

@@ -18,9 +18,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import last_line
 from rcbht_jax.errors import InputError
 
 _LOOK = 0.2  # s between two looks at the workers
@@ -225,12 +226,6 @@ def _ending(status: int, report: Any) -> str:
     if status < 0:
         return f"it was ended by {signal.Signals(-status).name}."
     return last_line(report).removeprefix("rcbht: ") or f"exit status {status}."
-
-
-def last_line(report: IO[bytes]) -> str:
-    """What a process said last; "" = nothing."""
-    report.seek(0)
-    return (report.read().decode(errors="replace").strip().splitlines() or [""])[-1]
 
 
 def _stop(workers: Sequence[subprocess.Popen[bytes]]) -> None:

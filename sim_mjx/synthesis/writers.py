@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any
@@ -61,10 +62,7 @@ class Writers:
             return
         process = self._idle.get()
         try:
-            copied = part_process.shared(self._draft.path, self._draft.parts_of(shard, *given.pop()))
-            try:
+            with closing(part_process.shared(self._draft.path, self._draft.parts_of(shard, *given.pop()))) as copied:
                 process.write(copied)
-            finally:
-                copied.close()
         finally:
             self._idle.put(process)

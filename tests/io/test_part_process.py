@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,11 +43,8 @@ def process() -> Iterator[PartProcess]:
 
 
 def written(process: PartProcess, path: Path, *some: Part) -> None:
-    copied = shared(path, some)
-    try:
+    with closing(shared(path, some)) as copied:
         process.write(copied)
-    finally:
-        copied.close()
 
 
 def test_the_same_bytes_and_errors_as_in_this_process(tmp_path: Path, process: PartProcess) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax._util.printable import spelled
+from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing import conform
@@ -62,8 +62,8 @@ def assemble(records: list[Record], source: Path, rate: float | None, report: Im
     if not kept:
         raise InputError(f"{source} holds no usable recording. The first reason: {report.skipped[0][1]}")
     if uneven:
-        were = "recording was" if uneven == 1 else "recordings were"
-        text = f"{uneven} {were} not sampled evenly and interpolated at {1 / period:.6g} Hz."
+        were = plural(uneven, "recording was", "recordings were")
+        text = f"{were} not sampled evenly and interpolated at {1 / period:.6g} Hz."
         report.remarks.append(text)
     _remarks(report, period, rates, filtered)
     report.imported = [record.name for record in kept]
@@ -79,8 +79,8 @@ def _remarks(report: ImportReport, period: float, rates: Counter[str], filtered:
     if rates:
         listed = ", ".join(f"{rate} ({count})" for rate, count in rates.most_common(6))
         low = f"; {filtered} of them low-passed before, at {0.4 / period:.4g} Hz" if filtered else ""
-        were = "recording was" if sum(rates.values()) == 1 else "recordings were"
-        text = f"{sum(rates.values())} {were} resampled to {1 / period:.6g} Hz, from {listed}{low}."
+        were = plural(rates.total(), "recording was", "recordings were")
+        text = f"{were} resampled to {1 / period:.6g} Hz, from {listed}{low}."
         report.remarks.append(text)
 
 
