@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from typing import IO
+from io import BufferedIOBase
 
 _BYTES = re.compile("[\udc80-\udcff]")  # what stands for a byte that is not UTF-8 in the name of a file (PEP 383)
 
@@ -39,7 +39,7 @@ def spelled(name: object) -> str:
     return _BYTES.sub(lambda found: f"\\x{ord(found[0]) - 0xDC00:x}", str(name))
 
 
-def last_line(report: IO[bytes]) -> str:
+def last_line(report: BufferedIOBase) -> str:
     """What a process said last in a file that it wrote to; "" = nothing.
 
     >>> import io
