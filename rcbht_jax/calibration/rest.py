@@ -22,6 +22,7 @@ from rcbht_jax.types import Array, LabelTrack, Recordings
 BLOCK = 0.5  # s, over which rest and movement are separated
 QUIET = 0.99  # share of the windows at rest that shall be constant
 MARGIN = 1.5  # on that: rest differs from recording to recording, and one window spoils a composition
+HELD = 0.05  # share of the blocks that may be stiller than rest is
 STEPS = np.array([70.0, 46.0, 23.0]) / 70.0  # impulse, big and medium limit of the authors' preset, by its impulse
 LEAST = np.array([8.0, 4.0, 2.0])  # the same limits in constant limits at least
 
@@ -72,7 +73,7 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
         here, moved = steep[used, axis], activity[used, axis]
         if not (here > 0).any():
             raise InputError(f"The axis {name} never changes; leave it out.")
-        quiet = moved <= max(_border(moved), float(moved.min()))  # rounding must not leave it without any
+        quiet = moved <= _border(moved)
         rest[used, axis] = quiet
         constant = MARGIN * max(float(np.quantile(here[quiet], QUIET)), 1e-3 * float(here.max()))
         impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])
@@ -190,13 +191,18 @@ def _block_means(
 
 
 def _border(activity: Float[np.ndarray, " block"]) -> float:
-    """Steepness between the two groups of blocks: where the variance of the logarithm within them is least (Otsu)."""
-    level = np.sort(np.log(np.maximum(activity, 1e-6 * activity.max())))
+    """Steepness up to which blocks are at rest: the variance of the logarithm within the groups is least (Otsu).
+
+    Blocks in which a sensor held its value count like the stillest others: they are not a group by themselves.
+    """
+    stillest = max(np.quantile(activity, HELD), activity[activity > 0].min(), 1e-6 * activity.max())
+    order = np.sort(np.maximum(activity, stillest))
+    level = np.log(order)
     count = np.arange(1, len(level))
     total = level.cumsum()
     left, right = total[:-1] / count, (total[-1] - total[:-1]) / (len(level) - count)
     between = count * (len(level) - count) * (left - right) ** 2
-    return float(np.exp(level[between.argmax()])) if len(between) and between.max() > 0 else float(np.exp(level[-1]))
+    return float(order[between.argmax()]) if len(between) and between.max() > 0 else float(order[-1])
 
 
 def _contact_steepness(

@@ -154,3 +154,25 @@ def test_calibration_penalises_a_rest_that_is_not_constant():
     gradient = jax.grad(slopes.soft_penalty)(jnp.asarray(limits[10]))
     assert (np.asarray(gradient)[:, 3] < 0).all()  # a higher constant limit lowers the penalty
     assert not np.asarray(gradient)[:, :3].any()
+
+
+def test_limits_scale_with_the_unit_exactly() -> None:
+    for seed in range(20):  # a border that is rounded moves a block to the other group in about a third of them
+        recordings, _ = pushes(seed=seed)
+        limits = np.asarray(rest_thresholds(recordings).thresholds.limits, np.float64)
+        small = Recordings.from_arrays(recordings.wrench * 2.0**-10, RATE, axes=("grip", "twist"))
+        tiny = Recordings.from_arrays(recordings.wrench * np.float32(1e-3), RATE, axes=("grip", "twist"))
+        assert np.array_equal(np.asarray(rest_thresholds(small).thresholds.limits, np.float64), limits * 2.0**-10)
+        np.testing.assert_allclose(np.asarray(rest_thresholds(tiny).thresholds.limits), limits * 1e-3, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("held", "trials"), [(0.0, 1), (0.0, 4), (1e-7, 1)])
+def test_held_blocks_are_not_the_whole_of_rest(held: float, trials: int) -> None:
+    recordings, _ = pushes()
+    wrench = recordings.wrench.copy()
+    noise = held * np.random.default_rng(0).normal(size=(trials, 150, 2))
+    wrench[:trials, :150] = wrench[:trials, :1] + noise  # 2 or 8 % of the time
+    found = rest_thresholds(Recordings.from_arrays(wrench, RATE, axes=("grip", "twist")))
+    limits = np.asarray(rest_thresholds(recordings).thresholds.limits)
+    assert (found.rest.mean((0, 1)) > 0.6).all()
+    np.testing.assert_allclose(np.asarray(found.thresholds.limits), limits, rtol=0.15)  # they dilute the quantile
