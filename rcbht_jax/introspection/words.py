@@ -148,9 +148,9 @@ class WordIntrospector:
         Encoder(self.config, self._limits).push(np.zeros((self.config.window, len(self.axes))))
         self.provisional()
 
-    def begin(self) -> list[Event]:
-        """Start a sub-task with the next sample; words do not depend on it."""
-        return [SubtaskStarted(self.received, self._now(), self.received, False)]
+    def begin(self, label: str = "") -> list[Event]:
+        """Start a sub-task with the next sample, of this name; words do not depend on it."""
+        return [SubtaskStarted(self.received, self._now(), self.received, False, label)]
 
     def reset(self) -> None:
         """Start a new trial: forget everything received."""

@@ -35,6 +35,8 @@ class Sample:
 class Begin:
     """A sub-task begins with the next sample."""
 
+    label: str = ""  # its name, if it is known
+
 
 @dataclass(frozen=True)
 class Reset:

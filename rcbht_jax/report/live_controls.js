@@ -87,7 +87,7 @@ function key() {
 }
 
 function log(event, kind) {
-  const rest = Object.entries(event).filter(([k]) => !["event", "sample", "time"].includes(k));
+  const rest = Object.entries(event).filter(([k, v]) => !["event", "sample", "time"].includes(k) && v !== "");
   const said = event.event === "Notice" ? `${event.kind}: ${event.text}` : `${event.event} ${rest.map(([k, v]) => k + "=" + (typeof v === "number" ? +v.toFixed(3) : v)).join(" ")}`;
   const base = kept.trials.at(-1)?.base ?? 0;
   const same = event.event === "Notice" && [...byId("events").children].slice(0, 6).find(node => node.dataset.notice === event.kind);
