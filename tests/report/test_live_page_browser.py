@@ -282,13 +282,14 @@ def test_beliefs_seconds_apart_and_frames_that_were_lost():
 
 
 def test_a_page_that_was_paused_is_live_when_the_server_comes_back():
+    port = 0
     with browser(1000, 700) as driver:
-        for number in range(2):
+        for _ in range(2):
             session = session_of(("grip",), ("N",))
-            with PageServer(session, port=0 if not number else port) as server:
-                port = server.server_address[1]
-                if not number:
+            with PageServer(session, port=port) as server:
+                if not port:
                     driver.get(server.url)
+                port = server.server_address[1]
                 feed(Frames(session, server.broadcast), readings(1, 100))
                 wait_for(driver, f"kept.t.length === 100 && about.stream === '{server.about['stream']}'")
                 assert driver.execute_script("return [view.live, byId('pause').textContent]") == [True, "Pause"]
