@@ -211,6 +211,8 @@ class Source(RuleCommand):
             return read_live(_standard_input(), self.timeout)
         path = as_path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
+        if model is not None and not _is_store(path):  # of ROS, or of a trial in HIRO's layout
+            model.check_wrench(str(path))
         if is_bag(path):
             return read_bag(path, self.topic)
         if _is_store(path):

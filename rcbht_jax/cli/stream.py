@@ -310,9 +310,12 @@ def _left_out(session: Session) -> int:
 
 def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event]) -> None:
     """Write one message's part of the MCAP; a reading has the time of its own stamp."""
-    from rcbht_jax.events import Belief, Word
+    from rcbht_jax.events import Belief, TrialStarted, Word
     from rcbht_jax.io.messages import Sample
 
+    for event in events:
+        if isinstance(event, TrialStarted):
+            mcap.trial(event.time)
     if isinstance(message, Sample) and len(message.wrench) == len(session.introspector.axes):
         mcap.wrench(session.time if message.time is None else message.time, message.wrench)
     for event in events:
