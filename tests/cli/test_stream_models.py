@@ -15,6 +15,7 @@ import rcbht_jax as rj
 from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection import session
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.io.messages import Sample
 from rcbht_jax.io.rosbags import McapWriter, read_bag
@@ -32,10 +33,22 @@ def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(t
     stamps = [{}] * 200 if rate is None else [{"time": k / rate} for k in range(200)]
     lines = [json.dumps({"wrench": [0.1 * k] * 6, **stamp}).encode() + b"\n" for k, stamp in enumerate(stamps)]
     monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
-    session, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
-    assert session.introspector.axes == named.axes
-    assert session.introspector.config.dt == pytest.approx(named.encoder.dt)
-    assert session.introspector.config != named.encoder
+    opened, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
+    assert opened.introspector.axes == named.axes
+    assert opened.introspector.config.dt == pytest.approx(named.encoder.dt)
+    assert opened.introspector.config != named.encoder
+
+
+@pytest.mark.parametrize(("speed", "live", "recorded"), [(None, 0.0, 1.0), (2.0, 2.0, 2.0)])
+def test_a_live_source_is_not_played_at_a_pace(model_path, tmp_path, monkeypatch, speed, live, recorded):
+    """By its stamps the page stayed as late as it was at the start, where the encoder compiles."""
+    speeds = []
+    monkeypatch.setattr(session, "paced", lambda messages, pace: [speeds.append(pace), messages][1])
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"")}))
+    write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([trial(1, 3)], rate=200), {})
+    for source in ("-", str(tmp_path / "s.zarr")):
+        Serve(source=source, model=model_path, speed=speed, rule="paper").opened(words=True)
+    assert speeds == [live, recorded]
 
 
 def test_the_beginning_is_read_at_the_rate_of_the_encoder():
