@@ -58,8 +58,8 @@ class Source(RuleCommand):
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
     speed: float | None = None
-    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, and 1 for "rcbht serve" of a recording; lines on
-    standard input are read as they come."""
+    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, and 1 for "rcbht serve" of a recording; lines
+    on standard input are read as they come."""
     snap: SnapSize = ()
     max_gap: float | None = None
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
