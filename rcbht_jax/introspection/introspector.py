@@ -215,6 +215,7 @@ class Introspector:
         jax.block_until_ready(self._call())
         if self._words:
             self.provisional()
+            self.finish()
 
     def provisional(self) -> list[Word]:
         """Words that are not published yet, with labels that may still change; nothing changes."""

@@ -147,6 +147,7 @@ class WordIntrospector:
         """Compile the encoder now, which takes a second or two, not in the first :meth:`push`."""
         Encoder(self.config, self._limits).push(np.zeros((self.config.window, len(self.axes))))
         self.provisional()
+        self.finish()
 
     def begin(self, label: str = "") -> list[Event]:
         """Start a sub-task with the next sample, of this name; words do not depend on it."""
