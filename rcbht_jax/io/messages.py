@@ -75,7 +75,7 @@ def read_lines(source: LineReader) -> Iterator[Message]:
 
     >>> import io
     >>> list(read_lines(io.BytesIO(b'{"begin": true}')))
-    [Begin()]
+    [Begin(label='')]
     """
     while raw := source.readline(MAX_LINE):
         if len(raw) == MAX_LINE and not raw.endswith(b"\n"):
