@@ -229,8 +229,7 @@ def test_a_session_says_what_the_introspector_says():
 
 def beliefs(events: list[object]) -> list[tuple[object, ...]]:
     """Events in order, without the stamps, whose last digit depends on how the samples were cut."""
-    said = {Belief: "probabilities", SubtaskStarted: "label"}
-    return [(type(e), e.sample, getattr(e, said.get(type(e), "sample"))) for e in events]
+    return [(type(e), e.sample, getattr(e, "probabilities", getattr(e, "label", ()))) for e in events]
 
 
 @pytest.mark.parametrize("begins", [(203,), (0, 60, 60, 150, 203)])
@@ -387,15 +386,13 @@ def test_store_and_folder_say_the_same(hiro_store, hiro_dir, hiro_recordings):
     from_folder = list(read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name))
     assert from_store.pop(0) == Reset(name)
     assert [type(m) for m in from_store] == [type(m) for m in from_folder]
-    for messages in (from_store, from_folder):
-        assert [m.label for m in messages if isinstance(m, Begin)] == ["rotation", "insertion", "mating"]
+    assert [m.label for m in from_store + from_folder if type(m) is Begin] == ["rotation", "insertion", "mating"] * 2
     wrench = np.array([m.wrench for m in from_folder if isinstance(m, Sample)], np.float32)
     np.testing.assert_array_equal(wrench, hiro_recordings.wrench[row, : hiro_recordings.length[row]])
     begins = [k for k, m in enumerate(from_store) if isinstance(m, Begin)]
     onsets = np.rint(hiro_recordings.starts(HARMONISED)[row, 1:] / DT).astype(int)
     assert begins == (onsets + np.arange(3)).tolist()
-    unmarked = read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none")
-    assert not [message for message in unmarked if isinstance(message, Begin)]
+    assert Begin not in {type(m) for m in read_folder(hiro_dir / "REAL_HIRO_ONE_SA_SUCCESS" / name, starts="none")}
     for wrong in (
         lambda: play(hiro_recordings, ("x",)), lambda: read_folder(hiro_dir), lambda: play(read_recordings(hiro_dir)),
     ):  # fmt: skip
