@@ -61,7 +61,9 @@ class Bridge:
         self._latest = 0.0  # s, when the latest message was received
         self.session: Session | None = None
         if self._parameters["model"]:
-            self._open(Introspector(load(Path(self._parameters["model"])), words=True))
+            model = load(Path(self._parameters["model"]))
+            model.check_wrench("A wrench of ROS")
+            self._open(Introspector(model, words=True))
 
     def wrench(self, message: Any, received: float) -> None:
         """A geometry_msgs/WrenchStamped that was received at some time, s."""

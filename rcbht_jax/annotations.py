@@ -23,22 +23,6 @@ def nearest_samples(times: Float[np.ndarray, "..."], most: int, dt: float) -> Fl
     return np.rint(times.clip(-dt, (most + 1) * dt) / dt)
 
 
-def begin_samples(starts: Float[np.ndarray, " interval"], length: int, dt: float) -> list[int]:
-    """The samples of a recording at which intervals begin, each once, in order.
-
-    Args:
-        starts: of the intervals, s; NaN = unknown; those outside the recording are left out.
-        length: samples of the recording.
-        dt: s between samples.
-
-    Example:
-        >>> begin_samples(np.array([0.0, 1.5, 0.5, np.nan, 1e300]), 20, 0.1)
-        [0, 5, 15]
-    """
-    found = nearest_samples(starts, length, dt)
-    return np.unique(found[(found >= 0) & (found < length)]).astype(int).tolist()
-
-
 def _empty(dtype: type) -> NDArray[Any]:
     return np.zeros(0, dtype)
 
@@ -196,12 +180,27 @@ class Annotations:
         first, last = np.searchsorted(self.recording, [recording, recording + 1]).tolist()
         return self._rows(slice(first, last))
 
-    def begins(self, recording: int, track: str = "") -> Float[np.ndarray, " interval"]:
-        """Starts of the intervals of a track (default: see :meth:`choose`) in one recording, s, in order of time."""
+    def begins(self, recording: int, length: int, dt: float, track: str = "") -> dict[int, str]:
+        """The samples of one recording at which intervals of a track begin, in order, each with the label that begins.
+
+        Args:
+            recording: its number.
+            length: samples of the recording; intervals that begin outside it are left out.
+            dt: s between samples.
+            track: default see :meth:`choose`; a recording without tracks has no intervals.
+
+        Example:
+            >>> marks = Annotations.from_starts("phase", ["rest", "push", "pull"], [[0.0, 0.5, 1e300]], [2.0])
+            >>> marks.begins(0, 20, 0.1)
+            {0: 'rest', 5: 'push'}
+        """
         name = self.choose(track)
         if not name:
-            return np.zeros(0)
-        return self.of_recording(recording).of(name).start
+            return {}
+        marks = self.of_recording(recording).of(name)
+        found = nearest_samples(marks.start, length, dt).tolist()
+        labels = zip(found, marks.names().tolist(), strict=True)
+        return {int(sample): label for sample, label in labels if 0 <= sample < length}
 
     def of_samples(self, recording: int, track: str, length: int, dt: float) -> Int[np.ndarray, " sample"]:
         """Code of the label of each sample of one recording; -1 where a track annotates nothing.

@@ -50,6 +50,7 @@ class SubtaskStarted(Event):
 
     begin: int  # sample
     detected: bool
+    label: str = ""  # its name; "" = nobody has said it
 
 
 @dataclass(frozen=True)

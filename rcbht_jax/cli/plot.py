@@ -141,26 +141,11 @@ class PlotBeliefs(Command):
         starts = "none" if detect else self.starts
         events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        names = () if detect else _names(recordings, self.starts)
-        save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
+        save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}"), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:
         return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
-
-
-def _names(recording: Recordings, starts: str) -> tuple[str, ...]:
-    """Labels of the intervals of the only recording whose beginning is announced, in order: not of one at its start."""
-    from rcbht_jax.annotations import nearest_samples
-    from rcbht_jax.io.playback import track_of_starts
-
-    track = recording.annotations.choose(track_of_starts(recording.annotations, starts))
-    if not track:
-        return ()
-    marks = recording.annotations.of_recording(0).of(track)
-    begin = nearest_samples(marks.start, int(recording.length[0]), recording.dt)
-    begun = dict(zip(begin.tolist(), marks.names().tolist(), strict=True))
-    return tuple(begun[sample] for sample in sorted(begun) if 0 < sample < recording.length[0])
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -57,8 +57,9 @@ class Source(RuleCommand):
     """Beliefs per second; 0 = one per window; default about 10."""
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
-    speed: float = 0.0
-    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
+    speed: float | None = None
+    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, and 1 for "rcbht serve" of a recording; lines
+    on standard input are read as they come."""
     snap: SnapSize = ()
     max_gap: float | None = None
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
@@ -70,6 +71,7 @@ class Source(RuleCommand):
     compile_cache: CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--k": "--certainty", "--bridge": "--max-gap", "--silent": "--timeout"}
+    SPEED: ClassVar[float] = 0.0  # of a recording, where none is chosen
     OWN_WORDS: ClassVar[bool] = False  # whether --rule is about words that are shown beside a model's beliefs
 
     def opened(self, words: bool = False, say: Callable[[str], None] = lambda _: None) -> tuple[Session, Messages]:
@@ -93,7 +95,7 @@ class Source(RuleCommand):
         live, messages = self.source == "-", self._messages(model)
         compile_cache.use(self.compile_cache)
         if live:  # its beginning must not be read faster than it is played
-            messages = paced(messages, self.speed)
+            messages = paced(messages, self.pace)
         introspector: AnyIntrospector
         if model is None:
             introspector, messages = self._words(messages, say)
@@ -107,7 +109,14 @@ class Source(RuleCommand):
                 introspector = Together(introspector, others)
         if snaps := detector_of(self.snap, 1 / introspector.config.dt):
             introspector = Together(introspector, snaps=snaps)
-        return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.speed)
+        return Session(introspector, self.max_gap, self.tare), messages if live else paced(messages, self.pace)
+
+    @property
+    def pace(self) -> float:
+        """Playback speed; a live source has its own, and would stay late for as long as it waited at the start."""
+        if self.speed is not None:
+            return self.speed
+        return 0.0 if self.source == "-" else self.SPEED
 
     def waits(self) -> bool:
         """Whether the beginning of a live stream decides how it is encoded, so that :meth:`opened` waits for it.
@@ -131,8 +140,8 @@ class Source(RuleCommand):
         Raises:
             InputError: says which.
         """
-        if not 0 <= self.speed < float("inf"):
-            raise InputError(f"The playback speed is {self.speed}; expected zero or more.")
+        if not 0 <= self.pace < float("inf"):
+            raise InputError(f"The playback speed is {self.pace}; expected zero or more.")
         own = {
             "--robot": self.robot is not None, "--thresholds": self.thresholds is not None,
             "--window": self.window != RuleCommand.window, "--axes": bool(self.axes),
@@ -211,6 +220,8 @@ class Source(RuleCommand):
             return read_live(_standard_input(), self.timeout)
         path = as_path(self.source)
         starts = "none" if self.starts == "detected" else self.starts
+        if model is not None and not _is_store(path):  # of ROS, or of a trial in HIRO's layout
+            model.check_wrench(str(path))
         if is_bag(path):
             return read_bag(path, self.topic)
         if _is_store(path):

@@ -179,7 +179,7 @@ class Stream(Source):
         window, revisions = session.introspector.config.window, Revisions()
         counts: Counter[str] = Counter()
         # A wrong source is refused before a file is touched, and before programs are compiled where nobody waits.
-        timed = self.source == "-" or self.speed > 0
+        timed = self.source == "-" or self.pace > 0
         first = [] if timed else list(itertools.islice(messages, 1))
         session.introspector.warm_up()
         first = first or list(itertools.islice(messages, 1))
@@ -232,8 +232,6 @@ class Serve(Source):
     """Address to serve at; 0.0.0.0 makes the page reachable from other machines."""
     port: int = 8080
     """Port; 0 = any free port."""
-    speed: float = 1.0
-    """Playback speed of a recording: 1 = real time, 0 = as fast as possible."""
     stay: Flag = True
     """Exit when the input ends, instead of showing its end until Ctrl-C."""
     rule: Annotated[
@@ -244,6 +242,7 @@ class Serve(Source):
         ),
     ] = field(default="fit", kw_only=True)
 
+    SPEED: ClassVar[float] = 1.0
     OWN_WORDS: ClassVar[bool] = True
 
     def run(self) -> dict[str, Any]:
@@ -310,9 +309,12 @@ def _left_out(session: Session) -> int:
 
 def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event]) -> None:
     """Write one message's part of the MCAP; a reading has the time of its own stamp."""
-    from rcbht_jax.events import Belief, Word
+    from rcbht_jax.events import Belief, TrialStarted, Word
     from rcbht_jax.io.messages import Sample
 
+    for event in events:
+        if isinstance(event, TrialStarted):
+            mcap.trial(event.time)
     if isinstance(message, Sample) and len(message.wrench) == len(session.introspector.axes):
         mcap.wrench(session.time if message.time is None else message.time, message.wrench)
     for event in events:

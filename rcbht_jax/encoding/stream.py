@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -32,14 +32,11 @@ def _step(config: AnyConfig, limits: Array, state: EncoderState, window: Array) 
     return rule_of(config).step(config, limits, state, window)
 
 
-@partial(jax.jit, static_argnums=0)
-def _flush(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
-    return rule_of(config).flush(config, limits, state, rest, count)
-
-
-@partial(jax.jit, static_argnums=0)
-def _provisional(config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array) -> LabelTracks:
-    return rule_of(config).provisional(config, limits, state, rest, count)
+@partial(jax.jit, static_argnums=(0, 1))
+def _held(
+    labels: Callable[..., LabelTracks], config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array
+) -> LabelTracks:
+    return labels(config, limits, state, rest, count)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -126,8 +123,8 @@ def held(
         ends: the labels are those that an end of the stream would publish, in place of provisional ones.
     """
     count = jnp.full(limits.shape[0], buffer.count, jnp.int32)
-    labels = _flush if ends else _provisional
-    return jax.tree.map(np.asarray, labels(config, limits, state, jnp.array(buffer.samples), count))
+    labels = rule_of(config).flush if ends else rule_of(config).provisional  # one program where they are the same
+    return jax.tree.map(np.asarray, _held(labels, config, limits, state, jnp.array(buffer.samples), count))
 
 
 class Encoder:

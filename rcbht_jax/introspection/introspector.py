@@ -215,6 +215,7 @@ class Introspector:
         jax.block_until_ready(self._call())
         if self._words:
             self.provisional()
+            self.finish()
 
     def provisional(self) -> list[Word]:
         """Words that are not published yet, with labels that may still change; nothing changes."""
@@ -228,15 +229,15 @@ class Introspector:
         """The words still held at the end of a stream, if words are reported; :meth:`reset` begins the next one."""
         return [*self._held(ends=True)] if self._words else []
 
-    def begin(self, detected: bool = False) -> list[Event]:
-        """Start a sub-task with the next sample; ``detected`` says that no controller announced it."""
+    def begin(self, label: str = "", detected: bool = False) -> list[Event]:
+        """Start a sub-task with the next sample, of this name; ``detected`` says that no controller announced it."""
         for number, scope in enumerate(self._chain.scopes):
             if scope == "subtask":
                 self._begins[number] = self.received
         for head, confidence in zip(self.model.heads, self._confidence, strict=True):
             if head.scope == "subtask":
                 confidence.reset()
-        return [SubtaskStarted(self.received, self._now(), self.received, detected)]
+        return [SubtaskStarted(self.received, self._now(), self.received, detected, label)]
 
     def reset(self) -> None:
         """Start a new trial: forget everything received, all levels and all alarms."""

@@ -32,7 +32,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.features.online import check_online, names
 from rcbht_jax.introspection.chain import FeatureView
-from rcbht_jax.labels import UNIT_OF
+from rcbht_jax.labels import AXES, UNIT_OF, UNITS
 from rcbht_jax.learning.model_io import check_finite, check_objects, read_svm, reading, svm_members, write_archive
 from rcbht_jax.learning.probability import ProbabilisticSvm, SvmArrays, to_arrays
 from rcbht_jax.learning.progress import ProgressArrays, ProgressCalibration, progress_arrays
@@ -152,6 +152,11 @@ class IntrospectionModel:
     def check_axes(self, axes: Sequence[str], units: Sequence[str], where: str) -> None:
         """Refuse a signal whose values the model would take for others: :func:`~rcbht_jax._util.signals.check_axes`."""
         check_axes(axes, units, self.axes, self.units, where)
+
+    def check_wrench(self, where: str) -> None:
+        """The same for a wrench by its place, Fx Fy Fz Mx My Mz in N and Nm; a model may have other names for these."""
+        named = len(self.axes) == len(AXES) and set(self.axes) != set(AXES)
+        self.check_axes(self.axes if named else AXES, UNITS, where)
 
     @property
     def thresholds(self) -> GradientThresholds | FitLimits:

@@ -41,14 +41,16 @@ class Tare:
     def __init__(self, samples: int) -> None:
         self.samples = samples
         self._held: list[list[Floats]] = [[]]  # [part][piece][time, axis]; a sub-task begins with each later part
+        self.labels = [""]  # of the sub-task that begins with each part
         self.count = 0  # samples that are held
         self._mean: Floats | None = None if samples else np.zeros(1, np.float32)
 
-    def begins(self) -> bool:
+    def begins(self, label: str = "") -> bool:
         """Note that a sub-task begins with the next sample, if there are samples held before it."""
         if self._mean is not None or not self.count:
             return False
         self._held.append([])
+        self.labels.append(label)
         return True
 
     def tared(self, samples: Floats) -> list[Floats]:
@@ -124,7 +126,7 @@ class Session:
         if isinstance(message, Sample):
             return self._sample(message)
         if isinstance(message, Begin):
-            return [] if self._tare.begins() else self.introspector.begin()
+            return [] if self._tare.begins(message.label) else self.introspector.begin(message.label)
         if isinstance(message, Reset):
             events = self.finish()
             self.introspector.reset()
@@ -161,7 +163,7 @@ class Session:
         events: list[Event] = []
         later = sum(map(len, parts))
         for number, part in enumerate(parts):
-            events += self.introspector.begin() if number else []
+            events += self.introspector.begin(self._tare.labels[number]) if number else []
             later -= len(part)
             if len(part):
                 events += self.introspector.push(part, time - later * self.introspector.config.dt)

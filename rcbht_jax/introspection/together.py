@@ -102,9 +102,9 @@ class Together:
         """Words that are not published yet, with labels that may still change."""
         return self._words.provisional()
 
-    def begin(self) -> list[Event]:
-        """Start a sub-task with the next sample."""
-        return self._main.begin()
+    def begin(self, label: str = "") -> list[Event]:
+        """Start a sub-task with the next sample, of this name."""
+        return self._main.begin(label)
 
     def finish(self) -> list[Event]:
         """The words still held at the end of a stream, where words are reported."""

@@ -147,10 +147,11 @@ class WordIntrospector:
         """Compile the encoder now, which takes a second or two, not in the first :meth:`push`."""
         Encoder(self.config, self._limits).push(np.zeros((self.config.window, len(self.axes))))
         self.provisional()
+        self.finish()
 
-    def begin(self) -> list[Event]:
-        """Start a sub-task with the next sample; words do not depend on it."""
-        return [SubtaskStarted(self.received, self._now(), self.received, False)]
+    def begin(self, label: str = "") -> list[Event]:
+        """Start a sub-task with the next sample, of this name; words do not depend on it."""
+        return [SubtaskStarted(self.received, self._now(), self.received, False, label)]
 
     def reset(self) -> None:
         """Start a new trial: forget everything received."""

@@ -35,6 +35,8 @@ class Sample:
 class Begin:
     """A sub-task begins with the next sample."""
 
+    label: str = ""  # its name, if it is known
+
 
 @dataclass(frozen=True)
 class Reset:
@@ -73,7 +75,7 @@ def read_lines(source: LineReader) -> Iterator[Message]:
 
     >>> import io
     >>> list(read_lines(io.BytesIO(b'{"begin": true}')))
-    [Begin()]
+    [Begin(label='')]
     """
     while raw := source.readline(MAX_LINE):
         if len(raw) == MAX_LINE and not raw.endswith(b"\n"):

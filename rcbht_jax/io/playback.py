@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from rcbht_jax.annotations import Annotations, begin_samples
+from rcbht_jax.annotations import Annotations
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro.trial import read_trial
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample
+from rcbht_jax.robots.snap_assembly import STATES
 from rcbht_jax.types import Recordings
 
 NONE, RECORDED = "none", "recorded"
@@ -46,16 +47,16 @@ def play(
     )
     if not chosen.any():
         raise InputError(f"{name} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
-    track = track_of_starts(recordings.annotations, starts)
+    track = _track_of_starts(recordings.annotations, starts)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
         yield Reset(str(recordings.trial[row]))
-        begins = recordings.annotations.begins(row, track) if starts != NONE else np.zeros(0)
-        yield from _trial(time, wrench, begins, recordings.dt)
+        begins = recordings.annotations.begins(row, len(wrench), recordings.dt, track) if starts != NONE else {}
+        yield from _trial(time, wrench, begins)
 
 
-def track_of_starts(annotations: Annotations, starts: str) -> str:
+def _track_of_starts(annotations: Annotations, starts: str) -> str:
     """The track whose intervals begin the sub-tasks; "" = the usual one, see :meth:`Annotations.choose`."""
     if starts == RECORDED:
         return next(iter(annotations.labels), "")
@@ -79,18 +80,18 @@ def read_folder(path: Path, arm: str = "R", starts: str = "harmonised") -> Itera
     record = records[0]
     table = record.table
     onset = record.onset_harmonised if starts == "harmonised" else record.onset
-    begins = onset if starts != NONE else onset[:0]
-    yield from _trial(table.time, table.values.astype(np.float64), begins, float(np.median(np.diff(table.time))))
+    marks = Annotations.from_starts("state", STATES, onset, table.time[-1:])
+    begins = marks.begins(0, len(table.time), float(np.median(np.diff(table.time)))) if starts != NONE else {}
+    yield from _trial(table.time, table.values.astype(np.float64), begins)
 
 
 def _trial(
     time: Float[np.ndarray, " time"],
     wrench: Float[np.ndarray, "time axis"],
-    starts: Float[np.ndarray, " interval"],
-    dt: float,
+    begins: Mapping[int, str],
 ) -> Iterator[Message]:
-    begins = set(begin_samples(starts, len(wrench), dt)) - {0}
+    """Readings, and before those at which a sub-task begins its label; the first reading begins one by itself."""
     for index, (stamp, row) in enumerate(zip(time.tolist(), wrench.tolist(), strict=True)):
-        if index in begins:
-            yield Begin()
+        if index and index in begins:
+            yield Begin(begins[index])
         yield Sample(tuple(row), stamp)

@@ -193,8 +193,9 @@ class McapWriter:
     Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where there are not six axes), ``/labels`` (codes
     and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file appears
     when the block ends; also when an error or an interruption ends it, with what was written until then, if anything
-    was. Stamps of ROS end in 2038 and begin in 1970: where the first message lies outside, it is at time zero; single
-    messages outside get the nearest stamp.
+    was. A trial whose stamps do not go on from those before begins a second after their end. Stamps of ROS end in 2038
+    and begin in 1970: where the first message lies outside, it is at time zero; single messages outside get the nearest
+    stamp.
 
     Raises:
         InputError: the folder of the file does not exist.
@@ -215,6 +216,7 @@ class McapWriter:
             self._store.register(get_types_from_msg(text, f"rcbht_msgs/msg/{kind}"))
         self._connections: dict[str, Any] = {}
         self._origin: float | None = None  # s, what is written as time zero
+        self._latest = 0.0  # s, of what is written so far
 
     def __enter__(self) -> McapWriter:
         self._exit = ExitStack()
@@ -244,12 +246,18 @@ class McapWriter:
         if self._origin is None:
             self._origin = 0.0 if 0 <= time <= LATEST else time
         nanoseconds = round(min(max(time - self._origin, 0.0), LATEST) * 1e9)
+        self._latest = max(self._latest, nanoseconds * 1e-9)
         stamp = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
         header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
         raw = self._store.serialize_cdr(types[kind](header=header, **fields), kind)
         self._writer.write(self._connections[topic], nanoseconds, raw)
+
+    def trial(self, start: float) -> None:
+        """A trial begins at a stamp, before its first message: in the file it follows the one before."""
+        if self._origin is not None and start - self._origin <= self._latest:
+            self._origin = start - self._latest - 1.0
 
     def wrench(self, time: float, values: tuple[float, ...]) -> None:
         """One reading: N and Nm of a wrench, or the values of other axes as ``rcbht_msgs/Signal``."""

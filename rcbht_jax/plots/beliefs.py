@@ -12,16 +12,16 @@ from rcbht_jax.events import Belief, Event, SubtaskStarted
 from rcbht_jax.plots.canvas import new_figure, plain
 
 
-def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] = ()) -> Figure:
+def belief_map(events: Sequence[Event], title: str = "") -> Figure:
     """Probability of every class at every belief: a panel per classifier, a row per class.
 
     >>> belief = Belief(200, 1.0, "state", "seated", 0.9, "certain", 0.1, ("searching", "seated"), (0.1, 0.9))
     >>> figure = belief_map([SubtaskStarted(100, 0.5, 99, True), belief], "trial 1")
 
     Args:
-        events: of one trial, from an introspector; lines mark the starts of sub-tasks, dashed where detected.
+        events: of one trial, from an introspector; lines with names mark the starts of sub-tasks, dashed where
+            detected.
         title: of the figure.
-        states: true classes of the sub-tasks in order, written where they start.
 
     Raises:
         InputError: there is no belief among the events.
@@ -51,22 +51,22 @@ def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] =
         bar = figure.colorbar(image, ax=panel, pad=0.015, fraction=0.04)
         bar.set_label("probability", fontsize=8)
         bar.ax.tick_params(labelsize=7)
-    _mark_starts(figure, len(heads), events, states)
+    _mark_starts(figure, len(heads), events)
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(plain(title), fontsize=10)
     figure.tight_layout()
     return figure
 
 
-def _mark_starts(figure: Figure, panels: int, events: Sequence[Event], states: Sequence[str]) -> None:
+def _mark_starts(figure: Figure, panels: int, events: Sequence[Event]) -> None:
     """Lines where sub-tasks start, and their names above the first panel."""
     starts = [event for event in events if isinstance(event, SubtaskStarted)]
     for panel in figure.axes[:panels]:
         for start in starts:
             panel.axvline(start.time, color="white", linewidth=1.5)
             panel.axvline(start.time, color="black", linewidth=0.8, linestyle="--" if start.detected else "-")
-    for start, name in zip(starts, states, strict=False):
+    for start in starts:
         figure.axes[0].annotate(
-            plain(name), (start.time, 1.0), (1, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
-            fontsize=7, rotation=20,
+            plain(start.label), (start.time, 1.0), (1, 2), xycoords=("data", "axes fraction"),
+            textcoords="offset points", fontsize=7, rotation=20,
         )  # fmt: skip

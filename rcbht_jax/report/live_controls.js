@@ -87,8 +87,8 @@ function key() {
 }
 
 function log(event, kind) {
-  const rest = Object.entries(event).filter(([k]) => !["event", "sample", "time"].includes(k));
-  const said = event.event === "Notice" ? `${event.kind}: ${event.text}` : `${event.event} ${rest.map(([k, v]) => k + "=" + (typeof v === "number" ? +v.toFixed(3) : v)).join(" ")}`;
+  const rest = Object.entries(event).filter(([k, v]) => !["event", "sample", "time"].includes(k) && v !== "");
+  const said = event.event === "Notice" ? `${event.kind}: ${event.text}` : `${event.event} ${rest.map(([k, v]) => k + "=" + (typeof v === "number" ? +(Math.abs(v) < 1 ? v.toPrecision(3) : v.toFixed(3)) : v)).join(" ")}`;
   const base = kept.trials.at(-1)?.base ?? 0;
   const same = event.event === "Notice" && [...byId("events").children].slice(0, 6).find(node => node.dataset.notice === event.kind);
   const count = same ? +same.dataset.count + 1 : 1; // one line for what happens again and again
@@ -133,9 +133,9 @@ function readOut(now) {
   shownAt = now;
   const t = view.cursor ?? Math.min(view.to, kept.latest), place = Math.max(0, lower(kept.t, t + 1e-6) - 1), l = layersShown().at(-1), layer = about.layers[l];
   byId("moment").textContent = view.cursor === null && view.live ? "Now" : `At ${ownTime(t).toFixed(3)} s`;
-  const there = kept.t.length && Math.abs(kept.t[place] - t) < GAP, at = t - 1e-6;
+  const there = kept.t.length && Math.abs(kept.t[place] - t) < gap(), at = t - 1e-6;
   [...byId("now").rows].slice(1).forEach((row, a) => {
-    row.cells[1].textContent = there ? `${kept.v[a][place].toFixed(3)} ${about.units[a]}` : "–";
+    row.cells[1].textContent = there ? `${kept.v[a][place].toFixed(view.groups.find(group => group.axes.includes(a)).digits)} ${about.units[a]}` : "–";
     const held = kept.provisional[l][a], word = wordAt(kept.words[l][a], at);
     const other = word ?? wordAt(held, at) ?? (held.length && at >= held.at(-1)[1] ? held.at(-1) : null);
     row.cells[2].textContent = other ? `${about.names[layer][other[0]]} ${about.meanings[layer][other[0]]}` : "–";

@@ -113,12 +113,14 @@ function inView(list, of) {
   return [begin, Math.min(list.length, lower(list, view.to, of) + 1)];
 }
 
-function signal(canvas, { unit, axes }) {
+function signal(canvas, group) {
+  const { unit, axes } = group;
   const height = axes.length === about.axes.length ? 220 : 150, [pen, width, x] = prepare(canvas, height), [begin, end] = inView(kept.t);
   let low = Infinity, high = -Infinity;
   for (const a of axes) for (let i = begin; i < end; i++) { low = Math.min(low, kept.v[a][i]); high = Math.max(high, kept.v[a][i]); }
   if (!(high > low)) [low, high] = begin < end ? [low - .5, high + .5] : [0, 1];
   const size = step(high - low, 4), top = Math.ceil(high / size + .05) * size, bottom = Math.floor(low / size - .05) * size;
+  group.digits = Math.max(3, digits(size) + 2);
   const y = v => 20 + (height - 26) * (top - v) / (top - bottom);
   grid(pen, width, height, x);
   pen.textAlign = "right";
@@ -126,7 +128,7 @@ function signal(canvas, { unit, axes }) {
     pen.strokeStyle = n ? colors().grid : colors().line;
     line(pen, LEFT, y(n * size), width - RIGHT, y(n * size));
     pen.fillStyle = colors().soft;
-    pen.fillText((n * size).toFixed(digits(size)), LEFT - 5, y(n * size) + 4);
+    pen.fillText(digits(size) > 4 ? (+(n * size).toPrecision(3)).toExponential() : (n * size).toFixed(digits(size)), LEFT - 5, y(n * size) + 4);
   }
   clip(pen, width, height);
   axes.forEach(a => trace(pen, a, begin, end, x, y, width));
@@ -148,13 +150,14 @@ function trace(pen, a, begin, end, x, y, width) {
   pen.strokeStyle = lineColor(a);
   pen.lineWidth = 1.5;
   pen.beginPath();
-  for (let i = begin; i < end; i += Math.max(1, per)) {
-    const gap = i > 0 && time[i] - time[i - 1] > Math.max(GAP, 4 * about.dt);
-    if (per < 2) { if (gap) pen.moveTo(x(time[i]), y(values[i])); else pen.lineTo(x(time[i]), y(values[i])); continue; }
-    let small = Infinity, large = -Infinity;
-    for (let k = i; k < Math.min(end, i + per); k++) { small = Math.min(small, values[k]); large = Math.max(large, values[k]); }
-    pen.lineTo(x(time[i]), y(small));
-    pen.lineTo(x(time[i]), y(large));
+  for (let i = begin, next; i < end; i = next) {
+    let small = values[i], large = small;
+    for (next = i + 1; next < Math.min(end, i + per) && time[next] - time[next - 1] <= gap(); next++) {
+      small = Math.min(small, values[next]);
+      large = Math.max(large, values[next]);
+    }
+    if (i > 0 && time[i] - time[i - 1] > gap()) pen.moveTo(x(time[i]), y(small)); else pen.lineTo(x(time[i]), y(small));
+    if (large > small) pen.lineTo(x(time[i]), y(large));
   }
   pen.stroke();
 }
@@ -210,7 +213,7 @@ function scale(pen, width, height, y) {
 function answers(of, x, width) {
   const [begin, end] = inView(of.t), every = Math.max(1, Math.floor((end - begin) / (width - LEFT - RIGHT))), pieces = [];
   for (let i = begin; i < end; i += every) {
-    if (i === begin || of.t[i] - of.t[Math.max(begin, i - every)] > 2 * every) pieces.push([]);
+    if (i === begin || of.t[i] - of.t[Math.max(begin, i - every)] > 4 * of.step * every) pieces.push([]);
     pieces.at(-1).push([x(of.t[i]), of.p[i]]);
   }
   return pieces;

@@ -10,7 +10,7 @@ let dirty = true;
 
 function empty(axes, classes = {}) {
   const lanes = () => Array.from({ length: 3 }, () => Array.from({ length: axes }, () => []));
-  const beliefs = Object.fromEntries(Object.keys(classes).map(head => [head, { t: [], p: [], latest: null }]));
+  const beliefs = Object.fromEntries(Object.keys(classes).map(head => [head, { t: [], p: [], step: Infinity, latest: null }]));
   return {
     t: [], v: Array.from({ length: axes }, () => []), words: lanes(), provisional: lanes(), beliefs, marks: [],
     raised: new Set(), trials: [], latest: 0, sample: 0, stamp: 0,
@@ -18,8 +18,9 @@ function empty(axes, classes = {}) {
 }
 
 const first = () => Math.min(kept.trials.length ? kept.trials[0].start : 0, kept.t.length ? kept.t[0] : Infinity);
-const oldest = () => Math.max(first(), kept.latest - KEEP);
-
+const since = () => Math.min(kept.latest - KEEP, view.live ? Infinity : view.to - view.span); // what is looked at stays
+const oldest = () => Math.max(first(), since());
+const gap = () => Math.max(GAP, 4 * about.dt);
 const begins = () => Math.min(oldest(), kept.latest - view.span); // of the strip
 
 // The first index whose value is at least x, in a list in order.
@@ -37,8 +38,9 @@ function understand(said) {
   about = said;
   kept = empty(about.axes.length, about.heads);
   link.number = 0;
-  Object.assign(view, { to: 0, live: true, cursor: null });
+  view.cursor = null;
   build();
+  pause(true);
 }
 
 // Page time of a time stamp: stamps may be dates, and begin anew with every trial.
@@ -59,6 +61,7 @@ const ownTime = t => {
 
 function take(frame) {
   if (!about || frame.number <= link.number) return; // seen before the connection was lost
+  const lost = link.number && frame.number - link.number - 1; // this viewer was too slow, or away for too long
   link.number = frame.number;
   link.heard = performance.now();
   kept.raised = new Set(frame.raised); // also alarms that were raised before this page was opened
@@ -77,23 +80,25 @@ function take(frame) {
   for (const word of frame.provisional) kept.provisional[word[0]][word[1]].push(moved(word));
   for (const [head, belief] of Object.entries(frame.beliefs)) {
     const of = kept.beliefs[head];
+    of.step = Math.min(of.step, belief.time - shift - (of.t.at(-1) ?? -Infinity));
     of.t.push(belief.time - shift);
     of.p.push(belief.probabilities);
     of.latest = belief;
   }
+  if (lost) note({ event: "Notice", kind: "lost", text: `${lost} frames did not reach this page`, time: frame.time }, frame.wrench.length ? frame.wrench[0][0] - shift : kept.latest);
   for (const event of frame.events) note(event, event.time - shift);
   Object.assign(kept, { latest: frame.time - shift, stamp: frame.time, sample: frame.sample });
-  forget(kept.latest - KEEP);
+  forget(since());
   if (view.live) view.to = kept.latest;
   dirty = true;
 }
 
 function note(event, t) {
   const kind = { AnomalyRaised: "bad", AnomalyCleared: "good", Notice: "warn", FailureType: "bad" }[event.event] ?? "";
-  const text = event.event === "SubtaskStarted" ? "sub-task" + (event.detected ? " (detected)" : "") : event.event === "Notice" ? event.kind
+  const text = event.event === "SubtaskStarted" ? "sub-task " + (event.detected ? "(detected)" : event.label) : event.event === "Notice" ? event.kind
     : event.event === "TrialStarted" ? "trial " + event.trial
     : event.event === "AnomalyRaised" ? "alarm" : event.event === "AnomalyCleared" ? "cleared" : event.label ?? event.event;
-  const small = event.event === "Notice" && !["silent", "resumed"].includes(event.kind); // often, on a real network
+  const small = event.event === "Notice" && !["silent", "resumed", "lost"].includes(event.kind); // often, on a real network
   kept.marks.push({ small, t: Math.max(t, kept.marks.at(-1)?.t ?? 0, kept.trials.at(-1)?.start ?? 0), kind, text });
   if (kept.marks.length > 3000) kept.marks.splice(0, 1000); // a stream of nothing but errors
   log(event, kind);
@@ -103,17 +108,17 @@ function note(event, t) {
 function forget(before) {
   const many = kept.t.length > MOST, cut = many ? kept.t.length - Math.round(0.9 * MOST) : lower(kept.t, before);
   if (!many && (!cut || kept.t[0] > before - 20)) return;
-  const since = kept.t[cut] ?? before;
+  const from = kept.t[cut] ?? before;
   kept.t.splice(0, cut);
   for (const values of kept.v) values.splice(0, cut);
-  for (const layer of kept.words) for (const lane of layer) lane.splice(0, lower(lane, since, word => word[2]));
+  for (const layer of kept.words) for (const lane of layer) lane.splice(0, lower(lane, from, word => word[2]));
   for (const of of Object.values(kept.beliefs)) {
-    const old = lower(of.t, since);
+    const old = lower(of.t, from);
     of.t.splice(0, old);
     of.p.splice(0, old);
   }
-  kept.marks.splice(0, lower(kept.marks, since, mark => mark.t));
-  kept.trials.splice(0, Math.max(0, lower(kept.trials, since, trial => trial.start) - 1));
+  kept.marks.splice(0, lower(kept.marks, from, mark => mark.t));
+  kept.trials.splice(0, Math.max(0, lower(kept.trials, from, trial => trial.start) - 1));
 }
 
 function connect() {

@@ -168,7 +168,7 @@ class Frames:
             if self._begins and not (self._trial and when < self._time < when + GAP):
                 self._base = self._time if abs(self._time) > DATE else 0.0
             self._begins = False
-            self._samples.append([round(self._session.time, 6), *(round(value, 5) for value in message.wrench)])
+            self._samples.append([round(self._session.time, 6), *(float(f"{value:.7g}") for value in message.wrench)])
         waiting = bool(self._events) and not isinstance(message, Sample)  # such as silence: no sample may follow
         due = self._received - self._sent >= self._size
         if waiting or due or len(self._samples) >= 200 or len(self._events) >= 50:

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.annotations import begin_samples
 from rcbht_jax.events import Belief
 from rcbht_jax.introspection.description import describe_recording
 from rcbht_jax.introspection.introspector import Introspector
@@ -45,8 +44,7 @@ def infer_beliefs(introspector: Introspector, recordings: Recordings, row: int) 
     """
     introspector.reset()
     samples = int(recordings.length[row])
-    begins = begin_samples(recordings.annotations.begins(row), samples, recordings.dt)
-    inner = [start for start in begins if start]
+    inner = [start for start in recordings.annotations.begins(row, samples, recordings.dt) if start]
     events: dict[str, list[Belief]] = {head.name: [] for head in introspector.model.heads}
     for start, stop in zip([0, *inner], [*inner, samples], strict=True):
         if start:

@@ -9,13 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 import rcbht_jax as rj
 from rcbht_jax.cli.main import main
 from rcbht_jax.cli.stream import Serve
 from rcbht_jax.introspection import model as model_files
+from rcbht_jax.introspection import session
 from rcbht_jax.introspection.opening import read_opening
 from rcbht_jax.io.messages import Sample
+from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import write_recordings
 from tests.support.introspection_models import model, trial
 
@@ -30,10 +33,22 @@ def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(t
     stamps = [{}] * 200 if rate is None else [{"time": k / rate} for k in range(200)]
     lines = [json.dumps({"wrench": [0.1 * k] * 6, **stamp}).encode() + b"\n" for k, stamp in enumerate(stamps)]
     monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
-    session, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
-    assert session.introspector.axes == named.axes
-    assert session.introspector.config.dt == pytest.approx(named.encoder.dt)
-    assert session.introspector.config != named.encoder
+    opened, _ = Serve(source="-", model=tmp_path / "m", lead=0.5).opened(words=True)
+    assert opened.introspector.axes == named.axes
+    assert opened.introspector.config.dt == pytest.approx(named.encoder.dt)
+    assert opened.introspector.config != named.encoder
+
+
+@pytest.mark.parametrize(("speed", "live", "recorded"), [(None, 0.0, 1.0), (2.0, 2.0, 2.0)])
+def test_a_live_source_is_not_played_at_a_pace(model_path, tmp_path, monkeypatch, speed, live, recorded):
+    """By its stamps the page stayed as late as it was at the start, where the encoder compiles."""
+    speeds = []
+    monkeypatch.setattr(session, "paced", lambda messages, pace: [speeds.append(pace), messages][1])
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"")}))
+    write_recordings(tmp_path / "s.zarr", rj.Recordings.from_arrays([trial(1, 3)], rate=200), {})
+    for source in ("-", str(tmp_path / "s.zarr")):
+        Serve(source=source, model=model_path, speed=speed, rule="paper").opened(words=True)
+    assert speeds == [live, recorded]
 
 
 def test_the_beginning_is_read_at_the_rate_of_the_encoder():
@@ -57,6 +72,43 @@ def test_a_store_that_a_model_would_misread_is_refused(model_path, tmp_path, cap
         words = [*command.split(), str(tmp_path / "s.zarr"), *trials, "-m", str(model_path), *port]
         assert main(words) == 2
         assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["stream", "serve"])
+def test_a_bag_that_a_model_would_misread_is_refused(tmp_path, capsys, command):
+    """A wrench of ROS is Fx ... Mz in N and Nm; a model of moments first, or of mN, took it for its own."""
+    with McapWriter(tmp_path / "run.mcap") as bag:
+        for k in range(60):
+            bag.wrench(0.005 * k, (0.1 * k,) * 6)
+    names = rj.labels.AXES
+    for axes, units, said in (
+        (names[3:] + names[:3], ("Nm",) * 3 + ("N",) * 3, "has the axes Fx, Fy, Fz, Mx, My, Mz; the model learned Mx"),
+        (names, ("mN",) * 3 + ("Nm",) * 3, "has Fx in N; the model learned it in mN"),
+        (tuple("abcdef"), ("Nm",) * 3 + ("N",) * 3, "has a in N; the model learned it in Nm"),
+    ):
+        model_files.save(tmp_path / "m", replace(model(), extra={"axes": list(axes), "units": list(units)}))
+        out = ["--port", "0", "--no-stay"] if command == "serve" else ["-o", str(tmp_path / "x.jsonl")]
+        assert main([command, str(tmp_path / "run.mcap"), "-m", str(tmp_path / "m"), *out]) == 2
+        assert said in capsys.readouterr().err
+    replace(model(), extra={"axes": list("abcdef"), "units": [""] * 6}).check_wrench("it")  # names of its own
+
+
+def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):
+    """The stamps of each trial begin at zero: in Foxglove and PlotJuggler all trials lay on top of each other."""
+    rows = [{"wrench": [float(n)] * 6, "time": 0.005 * k} for n in range(3) for k in range(40 + n)]
+    ends = [40, 40 + 41]
+    lines = [json.dumps(row | ({"reset": True} if n in ends else {})).encode() + b"\n" for n, row in enumerate(rows)]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    words = ["stream", "-", "-m", str(model_path), "--words", "--mcap", str(tmp_path / "o.mcap")]
+    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    begins = np.cumsum([0, 39 * 0.005 + 1, 40 * 0.005 + 1])
+    expected = [(row["wrench"][0], begins[int(row["wrench"][0])] + row["time"]) for row in rows]
+    found = [(sample.wrench[0], sample.time) for sample in read_bag(tmp_path / "o.mcap")]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    with AnyReader([tmp_path / "o.mcap"]) as reader:
+        told = [time * 1e-9 for connection, time, _ in reader.messages() if connection.topic == "/words"]
+    assert min(time for time in told if time > 1.1) >= 1.195
+    assert max(told) == pytest.approx(expected[-1][1])
 
 
 @pytest.mark.parametrize("rule", ["paper", "fit"])

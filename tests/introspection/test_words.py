@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rcbht_jax as rj
+from rcbht_jax.encoding.rules import config_of, limits_for
+from rcbht_jax.encoding.stream import _held as held_by_a_stream
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Event, SubtaskStarted, Word
 from rcbht_jax.introspection.introspector import Introspector
@@ -153,3 +155,21 @@ def test_running_words_are_told_at_their_second_window_and_when_they_change() ->
     for event in told:
         codes = shown[event.layer, event.axis, event.begin][1:]
         assert event.revision <= sum(a != b for a, b in pairwise(codes))
+
+
+@pytest.mark.parametrize("rule", ["paper", "fit"])
+def test_a_stream_that_is_warm_compiles_nothing_at_its_first_gap(rule):
+    """The words that end there took seconds, in the middle of a live stream."""
+    axes = [f"a{k}" for k in range(3 if rule == "paper" else 4)]  # that no other test compiles, with this window
+    config, limits = config_of(rule, 4, 0.01), rj.preset("hiro", axes)
+    wrench = np.zeros((1, 9, len(axes)))
+    stream = WordIntrospector(
+        config, limits_for(config, limits, 0.5 if rule == "fit" else None, wrench, np.array([9])), axes
+    )
+    stream.warm_up()
+    programs = held_by_a_stream._cache_size()
+    stream.push(np.cumsum(np.ones((50, len(axes))), 0))
+    assert [event for event in stream.finish() if isinstance(event, Word)]
+    assert held_by_a_stream._cache_size() == programs
+    assert [event for event in stream.provisional() if isinstance(event, Word)]
+    assert held_by_a_stream._cache_size() == programs

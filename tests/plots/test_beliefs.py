@@ -23,8 +23,8 @@ from tests.support.introspection_models import model, trial
 
 def test_the_numbers_are_those_of_the_stream():
     introspector = Introspector(model())
-    events = introspector.push(trial(0, 50, 200)) + introspector.begin() + introspector.push(trial(1, 51, 200))
-    figure = belief_map(events, "a trial", ("push",))
+    events = introspector.push(trial(0, 50, 200)) + introspector.begin("push") + introspector.push(trial(1, 51, 200))
+    figure = belief_map(events, "a trial")
     panels = figure.axes[:3]
     assert [panel.get_title(loc="left") for panel in panels] == ["states", "outcome", "failure-type"]
     for panel, head in zip(panels, model().heads, strict=True):

@@ -224,3 +224,73 @@ def test_what_happens_to_a_stream():
             assert driver.execute_script(SEEN, "words")["last"] > 0.9
         errors = [entry["message"] for entry in driver.get_log("browser") if entry["source"] == "javascript"]
         assert errors == []
+
+
+def test_slow_streams_of_small_values_and_long_pauses():
+    """A reading a second, of micrometres: digits are kept, and what is looked at stays."""
+    session = Session(WordIntrospector(replace(CONFIG, dt=1.0), rj.preset("hiro", ["depth"]), ["depth"], ["m"]))
+    slow: list[Message] = [Sample((1e-6 * (k % 13),), float(k)) for k in range(900)]
+    with PageServer(session, port=0) as server, browser(1000, 700) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, slow[:51])
+        wait_for(driver, "kept.t.length === 51 && !dirty")
+        driver.execute_script(
+            "pause(false); const c = byId('signal-0'), r = c.getBoundingClientRect();"
+            "c.onpointermove({clientX: r.left + LEFT + (r.width - LEFT - RIGHT) * (15 - 2.5) / 15})"
+        )
+        wait_for(driver, "byId('moment').textContent === 'At 47.500 s'")
+        shown = driver.find_element("css selector", "#now td").text
+        assert shown.endswith(" m")
+        assert float(shown.split()[0]) == pytest.approx(1e-6 * (47 % 13), rel=1e-3)
+        feed(frames, slow[51:])
+        wait_for(driver, "kept.latest === 899")
+        assert driver.execute_script("return [kept.t[0] <= 35, oldest(), view.to]") == [True, 35, 50]
+        assert driver.execute_script("pause(true); return oldest()") == 299
+
+
+def test_a_gap_is_a_gap_in_a_window_of_minutes():
+    """Where a half pixel holds many readings, no line joins what is before a gap and after it."""
+    session = session_of(("grip",), ("N",))
+    blank = """
+      const c = byId('signal-0'), pen = c.getContext('2d'), at = LEFT + (c.clientWidth - LEFT - RIGHT) / 2, seen = [];
+      const data = pen.getImageData(Math.round(at) - 20, 24, 41, c.height - 30).data, line = parts(lineColor(0));
+      for (let i = 0; i < data.length; i += 4) if (line.every((v, k) => Math.abs(v - data[i + k]) < 40)) seen.push(i);
+      return seen.length;
+    """
+    with PageServer(session, port=0) as server, browser(600, 700) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, [*readings(1, 4000), *readings(1, 4000, 40.0)])  # 20 s each, with 20 s between them
+        wait_for(driver, "kept.t.length === 8000")
+        driver.execute_script("view.span = 60; dirty = true")
+        wait_for(driver, "!dirty")
+        assert driver.execute_script(blank) == 0
+
+
+def test_beliefs_seconds_apart_and_frames_that_were_lost():
+    session = Session(Introspector(model(), rate=0.25))
+    with PageServer(session, port=0) as server, browser(1000, 700) as driver:
+        frames = Frames(session, server.broadcast)
+        driver.get(server.url)
+        feed(frames, list(samples_of(trial(0, 60, 2500))))
+        wait_for(driver, "kept.t.length === 2500 && !dirty")
+        assert driver.execute_script("return answers(kept.beliefs.states, t => t, 1000).map(one => one.length)") == [3]
+        server.broadcast._number += 7  # as if a viewer had been too slow
+        feed(frames, [Sample((0.0,) * 6, 12.5 + 0.005 * k) for k in range(5)])
+        wait_for(driver, "byId('events').textContent.includes('lost: 7 frames did not reach this page')")
+
+
+def test_a_page_that_was_paused_is_live_when_the_server_comes_back():
+    port = 0
+    with browser(1000, 700) as driver:
+        for _ in range(2):
+            session = session_of(("grip",), ("N",))
+            with PageServer(session, port=port) as server:
+                if not port:
+                    driver.get(server.url)
+                port = server.server_address[1]
+                feed(Frames(session, server.broadcast), readings(1, 100))
+                wait_for(driver, f"kept.t.length === 100 && about.stream === '{server.about['stream']}'")
+                assert driver.execute_script("return [view.live, byId('pause').textContent]") == [True, "Pause"]
+                driver.execute_script("pause(false)")

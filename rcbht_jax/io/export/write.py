@@ -12,7 +12,6 @@ from typing import Any
 from rcbht_jax._util.atomic import atomic_folder
 from rcbht_jax._util.cells import cell
 from rcbht_jax._util.optional import require
-from rcbht_jax.annotations import begin_samples
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import SubtaskStarted
 from rcbht_jax.io.export import tables
@@ -204,12 +203,12 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
 def _mcap_recording(block: Block, row: int, path: Path) -> None:
     recordings, samples = block.recordings, int(block.recordings.length[row])
     codes = None if block.tracks is None else codes_at_samples(block.tracks, row, samples)
-    begins = set(begin_samples(recordings.annotations.begins(row), samples, recordings.dt))
+    begins = recordings.annotations.begins(row, samples, recordings.dt)
     with McapWriter(path, recordings.axes) as mcap:
         for sample, values in enumerate(recordings.wrench[row, :samples].astype(float).tolist()):
             time = sample * recordings.dt
             if sample in begins:
-                mcap.event(SubtaskStarted(sample, time, sample, False))
+                mcap.event(SubtaskStarted(sample, time, sample, False, begins[sample]))
             mcap.wrench(time, tuple(values))
             if codes is not None and (sample == 0 or (codes[sample] != codes[sample - 1]).any()):
                 mcap.labels(time, codes[sample])
