@@ -49,7 +49,7 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
 
 
 # Options that several commands have; one without a text is described by the docstring of its field.
-STORE = MadeBy('"rcbht simulate {path}", or from recorded trials with "rcbht import hiro DIR {path}"')
+STORE = MadeBy('"rcbht simulate {path}", or from files of yours with "rcbht import auto FOLDER {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
 _PLACE = tyro.constructors.PrimitiveConstructorSpec[Path](  # a folder or a URL, which Path would fold
     nargs=1,

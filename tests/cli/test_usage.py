@@ -130,14 +130,14 @@ def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        ("info no.zarr", "rcbht import hiro DIR no.zarr"),
+        ("info no.zarr", "rcbht import auto FOLDER no.zarr"),
         ("evaluate STORE", "rcbht encode STORE"),
         ("classify STORE -m no.model", "rcbht train STORE.zarr -o no.model"),
         ("stream STORE -m no.model", "rcbht train-online STORE.zarr -o no.model"),
         ("report STORE -o r.html -m no.model", "rcbht train-online STORE.zarr -o no.model"),
         ("encode STORE --thresholds no.json", "rcbht calibrate STORE.zarr -o no.json"),
         ("simulate new.zarr --physical no.json", "rcbht fidelity fit HIRO.zarr -o no.json"),
-        ("fidelity fit no.zarr -o f.json", "rcbht import hiro DIR no.zarr"),
+        ("fidelity fit no.zarr -o f.json", "rcbht import auto FOLDER no.zarr"),
     ],
 )
 def test_what_is_missing_is_named_with_the_command_that_makes_it(

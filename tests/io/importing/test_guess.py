@@ -70,6 +70,8 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("c0", np.arange(N) * 0.05, "s"),
         ("Zeit [ms]", np.arange(N) * 5.0, "ms"),
         ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("Date/Time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("Aufgenommen", np.arange(N).astype("datetime64[s]").astype(str), "s"),
     ],
 )
 def test_time(name: str, values: np.ndarray, unit: str) -> None:
