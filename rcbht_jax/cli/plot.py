@@ -127,7 +127,7 @@ class PlotBeliefs(Command):
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
-        from rcbht_jax.io.playback import play
+        from rcbht_jax.io.playback import NONE, play
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
         from rcbht_jax.plots.beliefs import belief_map
@@ -138,29 +138,30 @@ class PlotBeliefs(Command):
         arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, self.rate or "auto", detect=detect))
-        starts = "none" if detect else self.starts
+        starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        names = () if detect else _names(recordings, self.starts)
-        save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}", names), self.out)
+        track, names = ("", ()) if starts == NONE else _beginnings(recordings, self.starts)
+        how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
+        save(belief_map(events, f"{self.trial}, arm {self.arm}, {how}", names), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:
         return f"{result['figure']}: {result['beliefs']} beliefs about {result['trial']} arm {result['arm']}"
 
 
-def _names(recording: Recordings, starts: str) -> tuple[str, ...]:
-    """Labels of the intervals of the only recording whose beginning is announced, in order: not of one at its start."""
+def _beginnings(recording: Recordings, starts: str) -> tuple[str, tuple[str, ...]]:
+    """The track whose intervals are announced, "" = none, and their labels in order: not of one at the start."""
     from rcbht_jax.annotations import nearest_samples
     from rcbht_jax.io.playback import track_of_starts
 
     track = recording.annotations.choose(track_of_starts(recording.annotations, starts))
     if not track:
-        return ()
+        return "", ()
     marks = recording.annotations.of_recording(0).of(track)
     begin = nearest_samples(marks.start, int(recording.length[0]), recording.dt)
     begun = dict(zip(begin.tolist(), marks.names().tolist(), strict=True))
-    return tuple(begun[sample] for sample in sorted(begun) if 0 < sample < recording.length[0])
+    return track, tuple(begun[sample] for sample in sorted(begun) if 0 < sample < recording.length[0])
 
 
 def _of_source(recordings: Recordings, beginnings: tuple[str, ...]) -> NDArray[np.bool_]:
