@@ -92,7 +92,7 @@ class Import(Command):
         return mapping
 
     def text(self, result: dict[str, Any]) -> str:
-        axes = ", ".join(f"{axis} ({unit or 'unit unknown'})" for axis, unit in result["axes"].items())
+        axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
         count = plural(result["recordings"], "recording")
         lines = [f"{count} at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
         lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.events import Belief, Event, SubtaskStarted
-from rcbht_jax.plots.canvas import new_figure, plain, supply_scripts
+from rcbht_jax.plots.canvas import new_figure, plain
 
 
 def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] = ()) -> Figure:
@@ -54,8 +54,7 @@ def belief_map(events: Sequence[Event], title: str = "", states: Sequence[str] =
     _mark_starts(figure, len(heads), events, states)
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(plain(title), fontsize=10)
-    supply_scripts(figure)  # before texts are measured
-    figure.tight_layout()
+    figure.set_layout_engine("tight")
     return figure
 
 

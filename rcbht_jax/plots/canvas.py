@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -112,12 +115,25 @@ def check_suffix(path: Path) -> str:
     return suffix
 
 
-def supply_scripts(figure: Figure) -> None:
+def _supply_scripts(figure: Figure) -> None:
     """Texts beyond ASCII take what their font lacks from installed fonts of other scripts."""
     texts = [text for text in figure.findobj(Text) if not text.get_text().isascii()]
     installed = {font.name for font in fontManager.ttflist} if texts else set()
     for text in texts:
         text.set_fontfamily([*text.get_fontfamily(), *(name for name in _MORE_SCRIPTS if name in installed)])
+
+
+@contextmanager
+def _letters_in_one_warning() -> Iterator[None]:
+    """One warning of all letters that no font has, in place of one for each."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.filterwarnings("always", r"Glyph \d+ .* missing from font", UserWarning)
+        yield
+    lost = [re.match(r"Glyph (\d+)", str(one.message)) for one in heard]
+    for one in (one for one, letter in zip(heard, lost, strict=True) if letter is None):
+        warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    if letters := "".join(sorted({chr(int(letter[1])) for letter in lost if letter})):
+        warnings.warn(f"No installed font has the letters {letters}; install one, such as Noto Sans CJK.", stacklevel=4)
 
 
 def save(figure: Figure, path: Path | str) -> None:
@@ -135,9 +151,9 @@ def save(figure: Figure, path: Path | str) -> None:
         raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose another name for the figure.")
-    supply_scripts(figure)
+    _supply_scripts(figure)
     try:
-        with atomic_write(path) as draft:
+        with atomic_write(path) as draft, _letters_in_one_warning():
             figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         if error.errno in DISK_FULL:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rcbht_jax.calibration.dataset import CalibrationData
 from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.labels import AXES, UNITS
-from rcbht_jax.plots.canvas import new_figure, plain, supply_scripts
+from rcbht_jax.plots.canvas import new_figure, plain
 
 _NAMES = ("impulse", "big", "medium", "small")
 _COLORS = ("#67000d", "#d94801", "#fdae6b", "#08519c")
@@ -71,8 +71,7 @@ def threshold_figure(
     figure.supxlabel(
         "absolute slope of a window (solid lines: thresholds, dotted lines: thresholds to compare with)", fontsize=9
     )
-    supply_scripts(figure)  # before texts are measured
-    figure.tight_layout(rect=(0, 0, 1, 0.97))
+    figure.set_layout_engine("tight", rect=(0, 0, 1, 0.97))
     return figure
 
 

@@ -38,7 +38,7 @@ def test_letters_that_the_usual_font_lacks_come_from_an_installed_one(
 ) -> None:
     """Not every machine has Chinese fonts; a circled letter of a font that matplotlib brings stands for them."""
     belief = Belief(200, 1.0, "\u24b6", "a", 0.9, "certain", 0.1, ("a", "b"), (0.9, 0.1))
-    with pytest.raises(UserWarning, match="missing from font"):
+    with pytest.raises(UserWarning, match="No installed font has the letters \u24b6"):
         save(belief_map([belief], "trial"), tmp_path / "a.png")
     monkeypatch.setattr(canvas, "_MORE_SCRIPTS", ("No Such Font", "STIXGeneral"))
     save(belief_map([belief], "trial"), tmp_path / "a.png")

@@ -188,7 +188,11 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
         stamps = text and ((base in names.TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
-        if base in names.COUNTERS or stamps or not (text or name in facts or (_is_label(name) and _integers(values))):
+        if (
+            (base in names.COUNTERS and not text)
+            or stamps
+            or not (text or name in facts or (_is_label(name) and _integers(values)))
+        ):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
         # An outcome that changes is a mistake, not a track, which would take its place in every recording.

@@ -86,6 +86,12 @@ def test_seconds_and_nanoseconds() -> None:
     assert (mapping.time, mapping.nanoseconds) == ("sec", "nanosec")
 
 
+def test_a_step_in_words_is_no_counter() -> None:
+    steps = np.repeat(["find", "screw"], N // 2)
+    mapping, _ = guess(Table("a.csv", {"t": np.arange(N) * 0.1, "Fz": np.ones(N), "Step": steps}))
+    assert [track.column for track in mapping.annotations] == ["Step"]
+
+
 def test_a_counter_is_neither_time_nor_channel() -> None:
     mapping, _ = guess(
         Table("a.csv", {"c0": np.arange(N) * 1.0, "sample": np.arange(N) * 1.0, "Fz": np.ones(N)}, rate=5.0)
