@@ -137,7 +137,7 @@ def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: py
         ("report STORE -o r.html -m no.model", "rcbht train-online STORE.zarr -o no.model"),
         ("encode STORE --thresholds no.json", "rcbht calibrate STORE.zarr -o no.json"),
         ("simulate new.zarr --physical no.json", "rcbht fidelity fit HIRO.zarr -o no.json"),
-        ("fidelity fit no.zarr -o f.json", "rcbht import auto FOLDER no.zarr"),
+        ("fidelity fit no.zarr -o f.json", "rcbht import hiro DIR no.zarr"),
     ],
 )
 def test_what_is_missing_is_named_with_the_command_that_makes_it(
