@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits
 from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.events import Belief, Event, Word
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import load
-from rcbht_jax.introspection.opening import READINGS, duration, live_thresholds, read_opening
+from rcbht_jax.introspection.opening import READINGS, duration, read_opening
 from rcbht_jax.introspection.session import Session
 from rcbht_jax.introspection.words import WordIntrospector
 from rcbht_jax.io.messages import Begin, Message, Reset, Sample, Silence, sample_of
@@ -120,7 +121,7 @@ class Bridge:
         if self._parameters["thresholds"]:
             thresholds, _ = read_limits(Path(self._parameters["thresholds"]), AXES)
         elif self._parameters["robot"] == "auto":
-            thresholds = live_thresholds(recordings, window)
+            thresholds = auto_thresholds(recordings, window)
         else:
             thresholds = preset(self._parameters["robot"], AXES)
         config, tolerance = config_of(self._parameters["rule"], window, 1 / rate), self._parameters["tolerance"] or None

@@ -44,14 +44,14 @@ class RestCalibration:
 
 
 def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
-    """Thresholds from the steepness of windows at rest and of contacts, for each axis.
+    """Thresholds from the steepness of windows at rest and of contacts; HIRO's for an axis that never changes.
 
     Args:
         recordings: any axes and units.
         window: samples per straight-line fit, as the encoder will have it.
 
     Raises:
-        InputError: no recording is as long as two windows, an axis never changes, or no encoder has such a window.
+        InputError: no recording is as long as two windows, or no encoder has such a window.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -68,17 +68,29 @@ def rest_thresholds(recordings: Recordings, window: int = 5) -> RestCalibration:
     steep = np.abs(slope)
     per_block = max(1, round(BLOCK / (window * recordings.dt)))
     activity = _block_means(steep, used, per_block)
-    limits, rest = [], np.zeros(steep.shape, bool)
-    for axis, name in enumerate(recordings.axes):
+    limits, rest = np.array(preset(axes=recordings.axes).limits), np.zeros(steep.shape, bool)
+    changes = changing(recordings)
+    for axis in range(len(recordings.axes)):
         here, moved = steep[used, axis], activity[used, axis]
-        if not (here > 0).any():
-            raise InputError(f"The axis {name} never changes; leave it out.")
+        if not changes[axis] or not here.any():  # rounding is no slope
+            rest[used, axis] = True
+            continue
         quiet = moved <= _border(moved)
         rest[used, axis] = quiet
         constant = MARGIN * max(float(np.quantile(here[quiet], QUIET)), 1e-3 * float(here.max()))
         impulse = _contact_steepness(steep[..., axis], used & ~rest[..., axis])
-        limits.append([*np.maximum(impulse * STEPS, constant * LEAST), constant])
-    return RestCalibration(GradientThresholds(np.array(limits)).validate(), rest)
+        limits[axis] = [*np.maximum(impulse * STEPS, constant * LEAST), constant]
+    return RestCalibration(GradientThresholds(limits).validate(), rest)
+
+
+def changing(recordings: Recordings) -> Bool[np.ndarray, " axis"]:
+    """Which axes change within some recording.
+
+    >>> changing(Recordings.from_arrays([[[1.0, 0.3], [2.0, 0.3]]], axes=["grip", "dead"])).tolist()
+    [True, False]
+    """
+    pairs = zip(recordings.wrench, recordings.length, strict=True)
+    return np.any([np.ptp(one[:samples], axis=0) > 0 for one, samples in pairs], axis=0)
 
 
 @jax.tree_util.register_dataclass
@@ -134,7 +146,7 @@ def auto_thresholds(recordings: Recordings, window: int = 5) -> GradientThreshol
     """Thresholds for recordings of an unknown robot; HIRO's preset where they are too short to see rest.
 
     Raises:
-        InputError: an axis never changes, or no encoder has such a window.
+        InputError: no encoder has such a window.
     """
     longest = int(recordings.length.max())
     return rest_thresholds(recordings, window).thresholds if longest >= 2 * window else preset(axes=recordings.axes)

@@ -52,7 +52,7 @@ def fit_rest_limits(recordings: Recordings, config: FitConfig) -> FitRestCalibra
         config: of the fit rule; its window and period are those that the limits are for.
 
     Raises:
-        InputError: no recording is as long as two windows, or an axis never changes.
+        InputError: no recording is as long as two windows.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -96,7 +96,7 @@ class RestRuns:
         """The runs of recordings by a sixteenth to four times the automatic tolerances.
 
         Raises:
-            InputError: no recording is as long as two windows, an axis never changes, or one has no rest.
+            InputError: no recording is as long as two windows, or an axis has no rest.
         """
         rest = rest_thresholds(recordings, config.window).rest
         usual = auto_tolerance(recordings.wrench, recordings.length, config.needed)

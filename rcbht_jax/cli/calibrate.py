@@ -220,6 +220,8 @@ class Calibrate(RuleCommand):
             f"{axis:6}" + "".join(f"{limit:10.3f}" for limit in row)
             for axis, row in zip(result["axes"], rows, strict=True)
         ]
+        if still := result.get("never_change"):
+            lines.append(f"HIRO's limits stand for what never changes here: {', '.join(still)}.")
         return "\n".join([*lines, "These trials chose the thresholds: evaluate on others."])
 
     @property
@@ -230,7 +232,7 @@ class Calibrate(RuleCommand):
         return TaskSpec(sources=self.source, sessions=self.session, outcomes=())
 
     def _rest(self, sample: Sample) -> dict[str, Any]:
-        from rcbht_jax.calibration.rest import rest_thresholds
+        from rcbht_jax.calibration.rest import changing, rest_thresholds
         from rcbht_jax.calibration.rest_runs import fit_rest_limits
         from rcbht_jax.encoding.fit import FitConfig
         from rcbht_jax.encoding.limit_files import write_limits
@@ -245,6 +247,7 @@ class Calibrate(RuleCommand):
             raise InputError("The method rest finds the tolerances; leave out --tolerance.")
         result: dict[str, Any] = {"method": "rest", "trials": len(np.unique(recordings.trial[chosen])), **_of(sample)}
         config, some = self.config(recordings.dt), recordings.take(chosen)
+        result["never_change"] = np.array(recordings.axes)[~changing(some)].tolist()
         limits: AnyLimits
         if isinstance(config, FitConfig):
             found = fit_rest_limits(some, config)

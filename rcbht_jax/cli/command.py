@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import tyro
 
 from rcbht_jax._util.atomic import is_stream
+from rcbht_jax._util.printable import plural
 from rcbht_jax._util.url_path import as_path, url_of
 from rcbht_jax.errors import InputError
 
@@ -49,7 +50,7 @@ def option(text: str, default: str | None = None, **more: Any) -> Any:
 
 
 # Options that several commands have; one without a text is described by the docstring of its field.
-STORE = MadeBy('"rcbht simulate {path}", or from recorded trials with "rcbht import hiro DIR {path}"')
+STORE = MadeBy('"rcbht simulate {path}", or from files of yours with "rcbht import auto FOLDER {path}"')
 ONLINE_MODEL = MadeBy('"rcbht train-online STORE.zarr -o {path}"')
 _PLACE = tyro.constructors.PrimitiveConstructorSpec[Path](  # a folder or a URL, which Path would fold
     nargs=1,
@@ -349,4 +350,4 @@ def announce(step: int, steps: int, what: str) -> None:
 
 def left_out(dropped: dict[str, int]) -> list[str]:
     """A line for each reason why trials were left out."""
-    return [f"left out: {count} trials, {reason}" for reason, count in dropped.items()]
+    return [f"left out: {plural(count, 'trial')}, {reason}" for reason, count in dropped.items()]

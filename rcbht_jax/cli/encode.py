@@ -100,9 +100,9 @@ class Encode(RuleCommand):
 
     def text(self, result: dict[str, Any]) -> str:
         counts = ", ".join(f"{count} {layer}" for layer, count in result["labels"].items())
-        speed = result["samples"] / result["seconds"] / 1e6
+        speed = result["samples"] / result["seconds"]
         text = (
-            f"{result['name']}: {counts} labels in {result['seconds']:.1f} s with compilation ({speed:.1f} M samples/s)"
+            f"{result['name']}: {counts} labels in {result['seconds']:.1f} s with compilation ({speed:,.0f} samples/s)"
         )
         if restless := [axis for axis, share in result["rest_not_constant"].items() if share > RESTLESS]:
             text += (

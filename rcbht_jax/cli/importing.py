@@ -51,6 +51,7 @@ class Import(Command):
         from rcbht_jax.errors import InputError
         from rcbht_jax.io.importing.importer import import_source
         from rcbht_jax.io.importing.mapping import write_mapping
+        from rcbht_jax.io.summary import summary_of
 
         if self.write_map is not None and self.write_map.exists():
             raise InputError(f"{self.write_map} exists already; choose another name, or move it away.")
@@ -70,6 +71,7 @@ class Import(Command):
             "axes": dict(zip(recordings.axes, recordings.units, strict=True)),
             "tracks": {track: list(names) for track, names in recordings.annotations.labels.items()},
             "columns": list(recordings.columns),
+            "notes": dict(sorted(summary_of(recordings)["notes"].items())),
             **imported.report.to_dict(),
         }
 
@@ -90,7 +92,7 @@ class Import(Command):
         return mapping
 
     def text(self, result: dict[str, Any]) -> str:
-        axes = ", ".join(f"{axis} ({unit or 'unit unknown'})" for axis, unit in result["axes"].items())
+        axes = ", ".join(f"{axis} ({unit or 'unit not stated'})" for axis, unit in result["axes"].items())
         count = plural(result["recordings"], "recording")
         lines = [f"{count} at {result['rate']:g} Hz in {result['store']}", f"axes: {axes}"]
         lines += [f"annotations {track}: {', '.join(names[:MOST])}" for track, names in result["tracks"].items()]
@@ -104,6 +106,8 @@ class Import(Command):
                 lines.append(f"{row['column'] or '(no name)':{max(width, 6)}}  {row['role']}{unit}")
             lines.append("")
         lines += result["remarks"]
+        if result["notes"]:
+            lines.append("notes: " + ", ".join(f"{flag} {count}" for flag, count in result["notes"].items()))
         for title, key in (("left out", "skipped"), ("copies", "duplicates"), ("warnings", "warnings")):
             lines += _listed(title, result[key])
         return "\n".join(lines)

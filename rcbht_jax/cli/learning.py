@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 CLASSIFIER = MadeBy('"rcbht train STORE.zarr -o {path}"')
 Family = Literal[
     "sentence", "histogram", "ngram", "duration", "attributes", "offset", "course", "edges",
-    "parts", "spread", "together", "order", "levels",
+    "parts", "spread", "together", "order", "levels", "elapsed",
 ]  # fmt: skip
 
 

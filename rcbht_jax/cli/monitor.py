@@ -13,6 +13,7 @@ import tyro
 from numpy.typing import NDArray
 
 from rcbht_jax._util.cells import number_of
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import Command, MadeBy, Store, option, progress_bar
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -77,8 +78,8 @@ class MonitorFit(Command):
 
     def text(self, result: dict[str, Any]) -> str:
         return (
-            f"{result['monitor']}: {result['recordings']} nominal recordings of {result['groups']} group(s); promises "
-            f"a false alarm in {result['fewest_false_alarms']:.3g} of the recordings or more"
+            f"{result['monitor']}: {result['recordings']} nominal recordings of {plural(result['groups'], 'group')}; "
+            f"the smallest share of false alarms that it can promise is {result['fewest_false_alarms']:.3g}"
         )
 
 

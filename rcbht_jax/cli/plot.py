@@ -127,7 +127,7 @@ class PlotBeliefs(Command):
         from rcbht_jax.introspection.introspector import Introspector
         from rcbht_jax.introspection.model import load
         from rcbht_jax.introspection.session import Session
-        from rcbht_jax.io.playback import play
+        from rcbht_jax.io.playback import NONE, play, track_of_starts
         from rcbht_jax.io.store import read_recordings
         from rcbht_jax.plots import save
         from rcbht_jax.plots.beliefs import belief_map
@@ -138,10 +138,12 @@ class PlotBeliefs(Command):
         arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
         session = Session(Introspector(model, self.rate or "auto", detect=detect))
-        starts = "none" if detect else self.starts
+        starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)
-        save(belief_map(events, f"{self.trial}, arm {self.arm}, beginnings {self.starts}"), self.out)
+        track = "" if starts == NONE else recordings.annotations.choose(track_of_starts(recordings.annotations, starts))
+        how = f"beginnings of the track {track}" if track else "beginnings detected" if detect else "no beginnings"
+        save(belief_map(events, f"{self.trial}, arm {self.arm}, {how}"), self.out)
         return {"figure": str(self.out), "trial": self.trial, "arm": self.arm, "beliefs": beliefs}
 
     def text(self, result: dict[str, Any]) -> str:

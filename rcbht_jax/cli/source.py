@@ -171,8 +171,9 @@ class Source(RuleCommand):
             say: called with what is being waited for.
             model: beside which the words are shown; it knows rate and axes.
         """
+        from rcbht_jax.calibration.rest import auto_thresholds
         from rcbht_jax.encoding.limit_files import has_tolerances
-        from rcbht_jax.introspection.opening import live_thresholds, read_opening
+        from rcbht_jax.introspection.opening import read_opening
         from rcbht_jax.introspection.words import WordIntrospector
         from rcbht_jax.io.rosbags import is_bag
         from rcbht_jax.io.store import read_recordings
@@ -202,7 +203,7 @@ class Source(RuleCommand):
         if _is_store(path):
             thresholds, _ = self.read_limits(recordings, path)
         elif learns:
-            thresholds = live_thresholds(recordings, self.window)
+            thresholds = auto_thresholds(recordings, self.window)
         else:
             thresholds, _ = replace(self, robot=robot).read_limits(recordings, path)
         config = self.config(1 / rate)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import tyro
 
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     ONLINE_MODEL,
     Command,
@@ -139,7 +140,7 @@ class TrainOnline(RuleCommand):
 
     def text(self, result: dict[str, Any]) -> str:
         by = " of words by the fit rule" if result["encoder"]["rule"] == "fit" else ""
-        lines = [f"{result['model']}: {len(result['heads'])} classifier(s){by}"]
+        lines = [f"{result['model']}: {plural(len(result['heads']), 'classifier')}{by}"]
         for name, head in result["heads"].items():
             classes = ", ".join(head["classes"])
             svm = f"{head['kernel']} kernel, C = {head['cost']:g}, {head['features']} features"

@@ -261,7 +261,7 @@ def describe_recording(
         [(1.05, 'grip rises 12 N in 0.4 s')]
         >>> push = np.interp(np.arange(600) / 200, [0, 1, 2.5, 2.53, 3], [0, 0, 9, 2, 2])[:, None]
         >>> describe_recording(Recordings.from_arrays([push], 200.0, axes=["grip"], units=["N"]), 0)[1]
-        (2.5, 'snap: grip lets go 5.8 of 9 N; seen at 2.52 s, published at 2.54 s')
+        (2.5, 'snap: grip lets go 5.8 N from 9 N; seen at 2.52 s, published at 2.54 s')
     """
     if not 0 < share < 1:
         raise InputError(f"The smallest change is {share:g} of an axis's range; expected a number between 0 and 1.")
@@ -302,6 +302,7 @@ def _snaps(
     for event in {(event.axis, event.seen): event for event in events}.values():  # the last that is said of each
         unit = recordings.units[recordings.axes.index(event.axis)]
         end = "" if event.published is None else f", published at {event.published:.2f} s"
-        of = f"{_number(event.fall)} of {_number(abs(event.release))}{unit and f' {unit}'}"
-        sentences.append((round(event.start, 3), f"snap: {event.axis} lets go {of}; seen at {event.seen:.2f} s{end}"))
+        force, load = (f"{_number(abs(size))}{unit and f' {unit}'}" for size in (event.fall, event.release))
+        what = f"{event.axis} lets go {force} from {load}"
+        sentences.append((round(event.start, 3), f"snap: {what}; seen at {event.seen:.2f} s{end}"))
     return sentences

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Shaped
 from numpy.typing import NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.alarms import conformal_threshold, trials_needed
 from rcbht_jax.introspection.nominal import Monitor
@@ -82,7 +83,11 @@ def hold_out(
         if progress is not None:
             progress(1)
     if not calibration:
-        raise InputError(f"Without any one of the groups fewer than {FEWEST} nominal recordings remain to learn from.")
+        found = plural(len(np.unique(groups[nominal])), "group")
+        raise InputError(
+            f"Each group of recordings is scored by what the others teach, for which {FEWEST} nominal recordings must "
+            f"remain; the {int(nominal.sum())} nominal recordings are of {found}. Choose other groups (--group)."
+        )
     return Watched(tuple(scores), nominal, groups, usual, calibration, float(monitor.rate))
 
 

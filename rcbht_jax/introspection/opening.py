@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from rcbht_jax.calibration.rest import auto_thresholds
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.resampling import LARGEST, Resampler
 from rcbht_jax.io.importing.conform import checked_period, clock
@@ -114,17 +112,3 @@ def duration(samples: Sequence[Sample], rate: float | None) -> float:
     if first is None or last is None or not np.isfinite(last - first) or last <= first:
         return len(samples) / (rate or TIMELESS)
     return last - first
-
-
-def live_thresholds(recordings: Recordings, window: int) -> GradientThresholds:
-    """Thresholds from rest and contacts of the beginning of a stream; those of a preset for axes that do not change.
-
-    A stream must not end because one axis of its sensor is silent.
-    """
-    moves: Bool[np.ndarray, " axis"] = np.ptp(recordings.wrench[0], axis=0) > 0
-    limits = np.array(preset(axes=recordings.axes).limits)
-    if moves.any():
-        axes = [axis for axis, moved in zip(recordings.axes, moves, strict=True) if moved]
-        part = Recordings.from_arrays([recordings.wrench[0][:, moves]], 1 / recordings.dt, axes=axes)
-        limits[moves] = np.asarray(auto_thresholds(part, window).limits)
-    return GradientThresholds(limits)

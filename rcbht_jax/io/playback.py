@@ -47,7 +47,7 @@ def play(
     )
     if not chosen.any():
         raise InputError(f"{name} has no recording of arm {arm} among the chosen trials; there are {', '.join(arms)}.")
-    track = _track_of_starts(recordings.annotations, starts)
+    track = track_of_starts(recordings.annotations, starts)
     for row in np.flatnonzero(chosen).tolist():
         wrench = recordings.wrench[row, : recordings.length[row]].astype(np.float64)
         time = np.arange(len(wrench)) * recordings.dt
@@ -56,7 +56,7 @@ def play(
         yield from _trial(time, wrench, begins)
 
 
-def _track_of_starts(annotations: Annotations, starts: str) -> str:
+def track_of_starts(annotations: Annotations, starts: str) -> str:
     """The track whose intervals begin the sub-tasks; "" = the usual one, see :meth:`Annotations.choose`."""
     if starts == RECORDED:
         return next(iter(annotations.labels), "")

@@ -173,8 +173,8 @@ def track_of(recordings: Recordings, spec: TaskSpec) -> str:
             )
         return track
     if not _column(recordings, spec):
-        known = (*tracks, *column_names(recordings))
-        raise InputError(f"There is no track or column {spec.task!r} for the task; there are {', '.join(known)}.")
+        known = ", ".join((*tracks, *column_names(recordings)))
+        raise InputError(f"There is no track or column {spec.task!r} for the task; choose one of {known} (--task).")
     return ""
 
 

@@ -54,7 +54,7 @@ def belief_map(events: Sequence[Event], title: str = "") -> Figure:
     _mark_starts(figure, len(heads), events)
     panels[-1].set_xlabel("time, s", fontsize=9)
     figure.suptitle(plain(title), fontsize=10)
-    figure.tight_layout()
+    figure.set_layout_engine("tight")
     return figure
 
 

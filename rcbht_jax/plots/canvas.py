@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
 from matplotlib.patches import Patch
+from matplotlib.text import Text
 
 from rcbht_jax._util.atomic import DISK_FULL, atomic_write
 from rcbht_jax._util.printable import printable
@@ -20,6 +25,13 @@ from rcbht_jax.types import LabelTracks, Recordings
 
 # Fields that would differ from run to run are not written.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+# Fonts of Chinese, Japanese and Korean that systems bring; those that are installed supply what the usual font lacks.
+_MORE_SCRIPTS = (
+    "Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans JP", "Noto Sans SC", "Noto Sans KR", "Source Han Sans",
+    "IPAexGothic", "IPAGothic", "TakaoGothic", "VL Gothic", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei",
+    "Droid Sans Fallback", "NanumGothic", "Hiragino Sans", "PingFang SC", "Heiti TC", "Apple SD Gothic Neo",
+    "Yu Gothic", "Meiryo", "MS Gothic", "Microsoft YaHei", "SimHei", "Malgun Gothic", "Arial Unicode MS",
+)  # fmt: skip
 LAYER_TITLES = {"primitive": "Primitives", "mc": "Motion compositions", "llb": "Low-level behaviours"}
 
 
@@ -103,6 +115,27 @@ def check_suffix(path: Path) -> str:
     return suffix
 
 
+def _supply_scripts(figure: Figure) -> None:
+    """Texts beyond ASCII take what their font lacks from installed fonts of other scripts."""
+    texts = [text for text in figure.findobj(Text) if not text.get_text().isascii()]
+    installed = {font.name for font in fontManager.ttflist} if texts else set()
+    for text in texts:
+        text.set_fontfamily([*text.get_fontfamily(), *(name for name in _MORE_SCRIPTS if name in installed)])
+
+
+@contextmanager
+def _letters_in_one_warning() -> Iterator[None]:
+    """One warning of all letters that no font has, in place of one for each."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.filterwarnings("always", r"Glyph \d+ .* missing from font", UserWarning)
+        yield
+    lost = [re.match(r"Glyph (\d+)", str(one.message)) for one in heard]
+    for one in (one for one, letter in zip(heard, lost, strict=True) if letter is None):
+        warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    if letters := "".join(sorted({chr(int(letter[1])) for letter in lost if letter})):
+        warnings.warn(f"No installed font has the letters {letters}; install one, such as Noto Sans CJK.", stacklevel=4)
+
+
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix of ``path``; an existing file is replaced.
 
@@ -118,8 +151,9 @@ def save(figure: Figure, path: Path | str) -> None:
         raise InputError(f"{path.parent} is not a folder; create it first, or choose another place for {path.name}.")
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose another name for the figure.")
+    _supply_scripts(figure)
     try:
-        with atomic_write(path) as draft:
+        with atomic_write(path) as draft, _letters_in_one_warning():
             figure.savefig(draft, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         if error.errno in DISK_FULL:

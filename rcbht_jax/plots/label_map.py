@@ -46,8 +46,8 @@ def label_map(
 ) -> Figure:
     """Labels of one layer of many recordings.
 
-    Rows are sorted by session, data set, trial and arm. Columns are the labels in order (``by="word"``) or time,
-    normalised within each interval of a track of annotations (``by="state"``). White: after the last label of a
+    Rows are sorted by session, outcome, data set, trial and arm. Columns are the labels in order (``by="word"``) or
+    time, normalised within each interval of a track of annotations (``by="state"``). White: after the last label of a
     recording, a missing interval, or a time without a label.
 
     >>> import rcbht_jax as rj
@@ -119,7 +119,7 @@ def _sorted_rows(recordings: Recordings, select: Bool[np.ndarray, " recording"] 
     rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
     if len(rows) == 0:
         raise InputError("No recording is selected; a label map needs at least one.")
-    keys = [getattr(recordings, key)[rows] for key in ("arm", "trial", "source", "session")]
+    keys = [getattr(recordings, key)[rows] for key in ("arm", "trial", "source", "outcome", "session")]
     return rows[np.lexsort(keys)]
 
 

@@ -71,7 +71,7 @@ def threshold_figure(
     figure.supxlabel(
         "absolute slope of a window (solid lines: thresholds, dotted lines: thresholds to compare with)", fontsize=9
     )
-    figure.tight_layout(rect=(0, 0, 1, 0.97))
+    figure.set_layout_engine("tight", rect=(0, 0, 1, 0.97))
     return figure
 
 

@@ -130,7 +130,7 @@ def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        ("info no.zarr", "rcbht import hiro DIR no.zarr"),
+        ("info no.zarr", "rcbht import auto FOLDER no.zarr"),
         ("evaluate STORE", "rcbht encode STORE"),
         ("classify STORE -m no.model", "rcbht train STORE.zarr -o no.model"),
         ("stream STORE -m no.model", "rcbht train-online STORE.zarr -o no.model"),

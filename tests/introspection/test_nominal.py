@@ -180,6 +180,8 @@ def test_every_group_is_scored_without_itself() -> None:
     np.testing.assert_array_equal(watched.calibration["1"], alone.peaks_)
     assert thresholds(watched, 0.05) == {}
     assert set(thresholds(watched, 0.2)) == {"0", "1", "2"}
+    with pytest.raises(InputError, match=r"the 9 nominal recordings are of 1 group\. Choose other groups"):
+        hold_out(NominalMonitor(), series, nominal, np.zeros(12))
 
 
 def test_alarms_are_judged_by_the_onset() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import rcbht_jax as rj
 from rcbht_jax.events import Belief
-from rcbht_jax.plots import label_map, save, trial_figure
+from rcbht_jax.plots import canvas, label_map, save, trial_figure
 from rcbht_jax.plots.beliefs import belief_map
 from rcbht_jax.types import Recordings
 
@@ -30,3 +30,15 @@ def test_they_are_text(tmp_path: Path) -> None:
         save(figure, tmp_path / "a.svg")
         ElementTree.parse(tmp_path / "a.svg")
     assert figures[-1].get_suptitle() == r"a\$\frac\$b\x1b[2J"
+
+
+@pytest.mark.filterwarnings("error")
+def test_letters_that_the_usual_font_lacks_come_from_an_installed_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not every machine has Chinese fonts; a circled letter of a font that matplotlib brings stands for them."""
+    belief = Belief(200, 1.0, "\u24b6", "a", 0.9, "certain", 0.1, ("a", "b"), (0.9, 0.1))
+    with pytest.raises(UserWarning, match="No installed font has the letters \u24b6"):
+        save(belief_map([belief], "trial"), tmp_path / "a.png")
+    monkeypatch.setattr(canvas, "_MORE_SCRIPTS", ("No Such Font", "STIXGeneral"))
+    save(belief_map([belief], "trial"), tmp_path / "a.png")

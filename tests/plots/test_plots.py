@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,13 @@ def test_map_separates_sessions(recordings: Recordings, tracks: LabelTracks) -> 
     ax = label_map(recordings, tracks, "llb").axes[0]
     assert [line.get_ydata()[0] for line in ax.lines] == [0.5]
     assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "B success, 2"]
+
+
+def test_map_sorts_rows_by_session_and_outcome(recordings: Recordings, tracks: LabelTracks) -> None:
+    same = np.array(["A"] * 3)
+    mixed = replace(recordings, session=same, source=same, outcome=np.array(["success", "failure", "success"]))
+    ax = label_map(mixed, tracks, "llb").axes[0]
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["A failure, 1", "A success, 2"]
 
 
 def test_map_by_state_holds_time_within_states(recordings: Recordings, tracks: LabelTracks) -> None:

@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.importing import names, record
+from rcbht_jax.io.importing import names
 from rcbht_jax.io.importing.clock import seconds_of
 from rcbht_jax.io.importing.mapping import SECONDS, Channel, Mapping, Track, Value
+from rcbht_jax.io.importing.record import OUTCOMES, is_outcome
 from rcbht_jax.io.importing.table import Table
 from rcbht_jax.types import STANDARD_COLUMNS
 
 MAX_LABELS = 64  # different values of a column of labels
 MAX_CHANNELS = 64  # where every numeric column is one
-OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed"), "success") | dict.fromkeys(
-    ("failure", "0", "false", "nok", "fail", "failed"), "failure"
-)
 _BAD = re.compile(r"anomal|fault|fail|error|defect|collision|nok", re.IGNORECASE)
 SENSIBLE = 1e-4, 0.5  # s: steps of samples that make a unit of time likely
 
@@ -34,15 +32,6 @@ def outcome_words(column: str) -> dict[str, str]:
     """
     turned = {"1": "failure", "true": "failure", "0": "success", "false": "success"}
     return OUTCOMES | turned if _BAD.search(column) else OUTCOMES
-
-
-def is_outcome(name: str, values: Iterable[Any]) -> bool:
-    """Whether a column of that name and with these values states the outcome.
-
-    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
-    (True, False)
-    """
-    return name in ("success", "outcome") and {record.text(value).lower() for value in values} <= set(OUTCOMES)
 
 
 @dataclass(frozen=True)
@@ -113,6 +102,8 @@ def _time(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
     timed = (name for name in free if stated[name] in SECONDS and _grows(table, name))
     if index := next(timed, ""):
         return replace(mapping, time=index, time_unit=stated[index])
+    if dated := next((name for name in free if _clock(table.columns[name])), ""):
+        return replace(mapping, time=dated, time_unit="s")
     first = next(iter(table.columns), "")
     if first in free and parsed[first][0] in ("c0", "unnamed: 0", "values_0") and _clocklike(table.columns[first]):
         return replace(mapping, time=first, time_unit=_unit(table.columns[first]))
@@ -132,6 +123,12 @@ def _dates(values: NDArray[Any]) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _clock(values: NDArray[Any]) -> bool:
+    """Whether a column of text holds times of day that change with most rows."""
+    known = values[values != ""] if values.dtype.kind == "U" else values[:0]
+    return len(np.unique(known)) > len(values) / 2 and _dates(known)
 
 
 def _unit(values: NDArray[Any]) -> str:
@@ -190,8 +187,12 @@ def _words(table: Table, mapping: Mapping, free: list[str]) -> Mapping:
         values, base = table.columns[name], names.base_and_unit(name)[0]
         short = re.split(r"[./]", base)[-1]
         text = values.dtype.kind == "U"
-        stamps = text and base in names.TIMES and _dates(values)  # that --source-rate replaces
-        if base in names.COUNTERS or stamps or not (text or name in facts or (_is_label(name) and _integers(values))):
+        stamps = text and ((base in names.TIMES and _dates(values)) or _clock(values))  # that --source-rate replaces
+        if (
+            (base in names.COUNTERS and not text)
+            or stamps
+            or not (text or name in facts or (_is_label(name) and _integers(values)))
+        ):
             continue
         target = short if short in (*STANDARD_COLUMNS, "trial") else names.column_name(name)
         # An outcome that changes is a mistake, not a track, which would take its place in every recording.

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 from rcbht_jax._util.digest import files_hash
-from rcbht_jax._util.printable import spelled
+from rcbht_jax._util.printable import plural, spelled
 from rcbht_jax._util.untrusted import check_inside, leads_out
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -78,7 +78,8 @@ def read_source(
     report = ImportReport()
     if others:
         listed = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
-        report.remarks.append(f"{len(others)} other files were not looked at: {listed}.")
+        were = plural(len(others), "other file was", "other files were")
+        report.remarks.append(f"{were} not looked at: {listed}.")
     read, used, tables = _read(source, items, base, report, progress)
     found = [record for record, _ in read]
     names = marks.Names((record.file, record.part) for record in found)

@@ -12,10 +12,9 @@ import numpy as np
 from rcbht_jax._util.untrusted import MAX_JSON_BYTES, MAX_TEXT_BYTES, check_file, check_inside, read_bytes, read_json
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.importing.find import Item
-from rcbht_jax.io.importing.guess import OUTCOMES, is_outcome
 from rcbht_jax.io.importing.mapping import Mapping, Track, Value
 from rcbht_jax.io.importing.names import column_name
-from rcbht_jax.io.importing.record import Row, text
+from rcbht_jax.io.importing.record import OUTCOMES, Row, is_outcome, text
 from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.io.importing.text import read_csv
 from rcbht_jax.types import STANDARD_COLUMNS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as AnyMapping
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
@@ -21,6 +21,9 @@ from rcbht_jax.io.importing.table import Interval, Table
 from rcbht_jax.labels import AXES
 
 MAX_GROUPS = 100_000
+OUTCOMES = dict.fromkeys(("success", "1", "true", "ok", "pass", "passed", "io", "i.o."), "success") | dict.fromkeys(
+    ("failure", "0", "false", "nok", "fail", "failed", "nio", "n.i.o."), "failure"
+)
 Row = AnyMapping[str, str]  # of the table of recordings
 
 
@@ -119,6 +122,15 @@ def text(value: Any) -> str:
     return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
 
 
+def is_outcome(name: str, values: Iterable[Any]) -> bool:
+    """Whether a column of that name and with these values states the outcome.
+
+    >>> is_outcome("success", [1.0, 0.0]), is_outcome("success", ["partly"])
+    (True, False)
+    """
+    return name in ("success", "outcome") and {text(value).lower() for value in values} <= set(OUTCOMES)
+
+
 def _check(table: Table, mapping: Mapping) -> None:
     named = [channel.column for channel in mapping.channels] + [mapping.nanoseconds]
     others = [mapping.time, mapping.group, *(track.column for track in mapping.annotations)]
@@ -153,6 +165,9 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     first = stamps.min() if len(stamps) else 0.0
     time, values, notes = conform.tidy(stamps - first, values)
     columns = {column_name(key): value for key, value in table.facts.items()}
+    for key, fact in table.facts.items():
+        if is_outcome(key.lower(), [fact]):
+            columns["outcome"] = OUTCOMES[text(fact).lower()]
     for target, source in mapping.columns.items():
         value = _value(table, source, rows, row)
         if value is None:

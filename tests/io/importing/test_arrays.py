@@ -24,6 +24,7 @@ def test_hdf5_groups_of_recordings_beside_one_of_splits_need_not_be_alike(tmp_pa
     recordings = read_source(tmp_path / "demos.hdf5").recordings
     assert recordings.trial.tolist() == [f"demos-demo_{number}" for number in range(3)]
     assert recordings.columns["success"].tolist() == [1, 1, 0]
+    assert recordings.outcome.tolist() == ["success", "success", "failure"]
 
 
 def test_npy_of_time_and_axes_and_of_recordings_whose_rows_are_axes(tmp_path: Path) -> None:

@@ -70,6 +70,8 @@ def test_channels(names: str, axes: str, units: str) -> None:
         ("c0", np.arange(N) * 0.05, "s"),
         ("Zeit [ms]", np.arange(N) * 5.0, "ms"),
         ("time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("Date/Time", np.arange(N).astype("datetime64[s]").astype(str), "s"),
+        ("Aufgenommen", np.arange(N).astype("datetime64[s]").astype(str), "s"),
     ],
 )
 def test_time(name: str, values: np.ndarray, unit: str) -> None:
@@ -82,6 +84,12 @@ def test_seconds_and_nanoseconds() -> None:
     columns = {"sec": np.repeat([5.0, 6.0], N // 2), "nanosec": np.tile(np.arange(N // 2) * 1e7, 2), "Fz": np.ones(N)}
     mapping, _ = guess(Table("a.csv", columns))
     assert (mapping.time, mapping.nanoseconds) == ("sec", "nanosec")
+
+
+def test_a_step_in_words_is_no_counter() -> None:
+    steps = np.repeat(["find", "screw"], N // 2)
+    mapping, _ = guess(Table("a.csv", {"t": np.arange(N) * 0.1, "Fz": np.ones(N), "Step": steps}))
+    assert [track.column for track in mapping.annotations] == ["Step"]
 
 
 def test_a_counter_is_neither_time_nor_channel() -> None:

@@ -84,7 +84,7 @@ def test_every_file_is_imported_or_has_a_reason(tmp_path: Path) -> None:
     assert "has the axes Fx; 2 others have Fz" in reasons["other.csv"]
     assert "not a readable NPZ" in reasons["bad.npz"]
     assert not any(str(tmp_path) in reason for reason in reasons.values())
-    assert report.remarks[0] == "1 other files were not looked at: notes.docx."
+    assert report.remarks[0] == "1 other file was not looked at: notes.docx."
 
 
 def test_mixed_rates_become_the_most_common_one(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_an_outcome_in_one_row_counts_and_one_that_changes_is_a_warning(tmp_path
 
 @pytest.mark.parametrize("name", ["outcome", "success"])
 def test_usual_words_of_outcomes_are_understood(tmp_path: Path, name: str) -> None:
-    words = ("TRUE", "ok", "Pass", "1", "False", "NOK", "fail", "0")
+    words = ("TRUE", "ok", "Pass", "i.O.", "False", "NOK", "n.i.O.", "0")
     for number, word in enumerate(words):
         write(tmp_path / f"{number}.csv", noise(number), **{name: word})
     assert read_source(tmp_path).recordings.outcome.tolist() == ["success"] * 4 + ["failure"] * 4
@@ -328,6 +328,7 @@ def test_ur5_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     np.testing.assert_allclose(tared.wrench[0], first.wrench[0] - first.wrench[0, :51].mean(0), atol=1e-5)
     assert main(["import", "csv", str(tmp_path / "ur5.csv"), str(tmp_path / "x.zarr"), "--outcome", "phase"]) == 0
     assert read_recordings(tmp_path / "x.zarr").note[0] == "changes:outcome"
+    assert "\nnotes: changes 1" in capsys.readouterr().out
 
 
 def test_the_command_refuses_before_it_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
