@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
-from rcbht_jax.encoding.thresholds import GradientThresholds, preset, validate
+from rcbht_jax.encoding.thresholds import GradientThresholds, Thresholds, limits_of, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.robots.snap_assembly import HARMONISED
@@ -125,31 +125,40 @@ def calibrate(
     recordings: Recordings,
     rows: NDArray[np.integer],
     config: EncoderConfig,
-    robot: str = "hiro",
+    base: Thresholds | None = None,
     copy: tuple[tuple[str, str], ...] = AUTHORS_COPY,
     least: Float[np.ndarray, " axis"] | float = 0.0,
 ) -> Context:
-    """Apply the rule to the primitives that the robot's preset gives.
+    """Apply the rule to the primitives that some thresholds give.
 
     Args:
         recordings: the data set; its harmonised onsets are used.
         rows: recordings to calibrate on.
         config: static configuration of the encoder.
-        robot: its preset labels the primitives, and replaces limits for which there is no data.
+        base: ``[6, 4]``; they label the primitives, and replace limits for which there is no data. None = HIRO's.
         copy: see :func:`combine`.
         least: see :func:`combine`.
 
     Raises:
-        InputError: no recordings, or none with a rotation or an insertion that contains a primitive.
+        InputError: no recordings, none with a rotation or an insertion that contains a primitive, or other axes than
+            those of a wrench.
     """
     if not len(rows):
         raise InputError("There is no trial to calibrate on.")
-    base = preset(robot)
+    if recordings.axes != AXES:
+        raise InputError(
+            f"The authors' rule is for the axes {', '.join(AXES)}, not for {', '.join(recordings.axes)}; choose "
+            "another method."
+        )
+    base = GradientThresholds(limits_of(preset() if base is None else base))
     length = recordings.length[rows]
     tracks = encode_batch(config, base, recordings.wrench[rows], length)
     end = length * recordings.dt
     impulse, constant = trial_limits(tracks.primitive, recordings.starts(HARMONISED)[rows], end, recordings.dt)
     context = combine(impulse, constant, base, copy, least)
     if not context.trials.any():
-        raise InputError("No trial has a rotation or an insertion with a primitive in it; the states may be missing.")
+        raise InputError(
+            "No trial has a rotation or an insertion with a primitive in it; states may be missing, or the "
+            "thresholds that label the primitives may be those of another robot."
+        )
     return context

@@ -245,6 +245,11 @@ class _Run:
         if trials < 1:
             shuffled = np.random.default_rng(self.options.seed).permutation(len(rows))
             rows = np.sort(shuffled[: max(2, round(trials * len(rows)))])
+            if len(np.unique(jax.device_get(self.data.y)[rows])) < 2:
+                raise InputError(
+                    f"The {len(rows)} trials of the rung {trials:g} have a single class, by which nothing can be "
+                    "chosen; use a larger rung, or another seed."
+                )
         first = self.number
         known = self.stored.read(first, len(points))
         done = len(known)
@@ -300,7 +305,8 @@ def search(
         rest: its penalty is subtracted from the objective of a candidate that does not label rest as constant.
 
     Raises:
-        InputError: the checkpoint is damaged or belongs to another search, or there are fewer than two classes.
+        InputError: the checkpoint is damaged or belongs to another search, or there are fewer than two classes, in all
+            trials or in those of a rung.
     """
     if len(np.unique(jax.device_get(data.y))) < 2:
         raise InputError("Thresholds can only be searched on sentences of at least two classes.")

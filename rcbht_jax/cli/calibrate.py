@@ -41,8 +41,17 @@ _READ_BY = {  # options by the methods that read them; the others refuse them
     ("context",): ("own_axes",),
     ("search",): ("groups", "candidates", "generations", "rungs", "checkpoint"),
     ("gradient",): ("steps", "loss", "straight_through"),
-    ("search", "gradient"): ("thresholds", "devices", "seed"),
-    ("context", "search", "gradient"): ("robot", "task", "boundaries", "arm", "objective", "rest_weight", "plot"),
+    ("search", "gradient"): ("devices", "seed"),
+    ("context", "search", "gradient"): (
+        "thresholds",
+        "robot",
+        "task",
+        "boundaries",
+        "arm",
+        "objective",
+        "rest_weight",
+        "plot",
+    ),
 }
 _GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
 
@@ -153,7 +162,7 @@ class Calibrate(RuleCommand):
         data = calibration_data(recordings, items, config)
         start = time.perf_counter()
         teachers = recordings.take(np.unique(items.intervals[0].recording))
-        base = self.limits(config, self.read_limits(recordings, self.store)[0], teachers)
+        base = self.limits(config, self.read_limits(teachers, self.store)[0], teachers)
         rest = self._rest_of(teachers, config)
         thresholds, details = getattr(self, f"_{self.method}")(_Given(teachers, data, config, base, rest))
         seconds = time.perf_counter() - start
@@ -280,7 +289,7 @@ class Calibrate(RuleCommand):
         least = np.quantile(rest.steep, QUIET, axis=1) if isinstance(rest, RestSlopes) else 0.0
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
         every = np.arange(len(given.teachers))
-        context = contextual.calibrate(given.teachers, every, config, self.robot or "hiro", copy, least)
+        context = contextual.calibrate(given.teachers, every, config, given.base, copy, least)
         return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
 
     def _chosen_devices(self) -> list[jax.Device] | None:

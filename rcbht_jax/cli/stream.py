@@ -110,10 +110,9 @@ class TrainOnline(RuleCommand):
             for number, task in enumerate([*tasks, *phases])
         )
         config = self.config(recordings.dt)
-        thresholds, _ = self.read_limits(recordings, self.store)
-        teachers = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
-        # Without any, training says why.
-        limits = self.limits(config, thresholds, recordings.take(teachers) if len(teachers) else recordings)
+        taught = np.flatnonzero(np.any([chosen_recordings(recordings, task) for task in tasks], axis=0))
+        teachers = recordings.take(taught) if len(taught) else recordings  # without any, training says why
+        limits = self.limits(config, self.read_limits(teachers, self.store)[0], teachers)
         with progress_bar("train", "snapshots") as bar:
 
             def progress(done: int, total: int) -> None:

@@ -306,7 +306,8 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
 
 
 def _has(chain: StateClassifier, method: str) -> bool:
-    return hasattr(getattr(chain, "classifier_", chain.classifier or SvmClassifier()), method)
+    given = SvmClassifier() if chain.classifier is None else chain.classifier  # an unfitted ensemble has no truth value
+    return hasattr(getattr(chain, "classifier_", given), method)
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

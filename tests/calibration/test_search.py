@@ -204,6 +204,11 @@ def test_errors_are_sentences(made):
     one = CalibrationData(made.wrench, made.windows, made.edges, np.zeros_like(made.y), ("a",), made.trial)
     with pytest.raises(InputError, match="two classes"):
         search(one, CONFIG, SMALL)
+    # the only trial of its class is in no smaller rung
+    last = np.random.default_rng(SMALL.seed).permutation(len(made))[-1]
+    rare = replace(one, y=np.where(np.arange(len(made)) == last, 1, 0)[:, None] + one.y, classes=("a", "b"))
+    with pytest.raises(InputError, match="have a single class"):
+        search(rare, CONFIG, replace(SMALL, rungs=(0.5, 1.0)))
 
 
 def test_every_method_raises_the_constant_limit_to_that_of_rest(made):

@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 
 import rcbht_jax as rj
 from rcbht_jax.calibration import sample
+from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
 from rcbht_jax.encoding.thresholds import GradientThresholds, preset, read_thresholds, write_thresholds
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
+from rcbht_jax.introspection import training
 from rcbht_jax.introspection.model import load
 from rcbht_jax.io.label_store import read_tracks
 from rcbht_jax.io.store import read_recordings, write_recordings
@@ -35,7 +37,7 @@ def store(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("method", "options"),
     [
-        ("context", ["--own-axes"]),
+        ("context", ["--own-axes", "--robot", "hiro"]),
         ("search", ["--candidates", "2", "--generations", "0", "--devices", "all"]),
         ("gradient", ["--steps", "2", "--devices", "1"]),
     ],
@@ -170,6 +172,51 @@ def test_the_objective_counts_rest_and_trials_of_other_sources_teach_nothing(tmp
         said.append(json.loads(capsys.readouterr().out))
     assert said[0]["preset_rest_penalty"] == said[1]["preset_rest_penalty"]
     assert said[0]["limits"] == said[1]["limits"]
+
+
+def test_thresholds_of_an_unknown_robot_come_from_the_chosen_trials_alone(tmp_path, capsys):
+    calm = replace(recordings(trials=4), source=np.full(4, "calm"))
+    strong = replace(calm, source=np.full(4, "strong"), wrench=calm.wrench * np.float32(64))
+    said = []
+    for name, parts in (("both", [calm, strong]), ("calm", [calm])):
+        write_recordings(tmp_path / f"{name}.zarr", rj.Recordings.join(parts), {})
+        words = ["--source", "calm", "--candidates", "2", "--generations", "0", "--json"]
+        assert main(["calibrate", str(tmp_path / f"{name}.zarr"), "-o", str(tmp_path / f"{name}.json"), *words]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    assert said[0]["limits"] == said[1]["limits"]
+    assert said[0]["preset_value"] == said[1]["preset_value"]
+
+
+def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_the_chosen_trials(tmp_path, monkeypatch):
+    calm = replace(recordings(trials=2), source=np.full(2, "calm"))
+    strong = replace(calm, source=np.full(2, "strong"), wrench=calm.wrench * np.float32(64))
+    write_recordings(tmp_path / "both.zarr", rj.Recordings.join([calm, strong]), {})
+    seen = []
+
+    def train(recordings, specs, config, limits, *rest):
+        seen.append(limits)
+        raise InputError("seen")
+
+    monkeypatch.setattr(training, "train_model", train)
+    assert main(["train-online", str(tmp_path / "both.zarr"), "--source", "calm", "-o", str(tmp_path / "m")]) == 2
+    np.testing.assert_array_equal(seen[0].limits, auto_thresholds(calm).limits)
+
+
+def test_the_context_of_an_unknown_robot_is_labelled_by_its_own_thresholds(tmp_path, capsys):
+    made = recordings(trials=4)
+    limits = []
+    for name, scale in (("newton", 1.0), ("milli", 1024.0)):
+        store, start, out = (tmp_path / f"{name}{end}" for end in (".zarr", "-start.json", ".json"))
+        write_recordings(store, replace(made, wrench=made.wrench * np.float32(scale)), {})
+        write_thresholds(start, preset().limits * scale, {})
+        words = ["--method", "context", "--thresholds", str(start), "--rest-weight", "0", "--json"]
+        assert main(["calibrate", str(store), "-o", str(out), *words]) == 0
+        limits.append(np.array(json.loads(capsys.readouterr().out)["limits"]) / scale)
+    np.testing.assert_allclose(*limits, rtol=1e-6)
+    named = replace(made, axes=("a", "b", "c", "d", "e", "f"), units=("",) * 6)
+    write_recordings(tmp_path / "named.zarr", named, {})
+    assert main(["calibrate", str(tmp_path / "named.zarr"), "-o", str(out), "--method", "context"]) == 2
+    assert "for the axes Fx, Fy, Fz, Mx, My, Mz, not for a, b" in capsys.readouterr().err
 
 
 def test_a_sample_of_all_chosen_trials_is_no_part(store, monkeypatch):

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from sklearn.base import clone
+from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
@@ -206,6 +207,12 @@ def test_the_chain_equals_a_pipeline_and_its_parts():
     assert not hasattr(chain, "predict_proba")
     grouped = clone(chain).set_params(classifier=SvmClassifier(probability=True)).fit(wrench, STATE, groups=TRIAL)
     assert (grouped.predict_proba(new).argmax(1) == (STATE == "rest")).all()
+
+
+def test_an_ensemble_as_classifier_keeps_its_probabilities():
+    chain = StateClassifier(features=SPEC, classifier=RandomForestClassifier(5, random_state=0)).fit(wrenches(), STATE)
+    assert not hasattr(chain, "decision_function")
+    assert (chain.predict_proba(wrenches(1)).argmax(1) == (STATE == "rest")).all()
 
 
 def test_balanced_columns_reach_the_machine():
