@@ -63,8 +63,8 @@ class State:
         obs: the observation.
         reward: of the last step.
         done: 1 = the episode has ended; further steps mean nothing.
-        metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what wrappers
-            add, which stays.
+        metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what
+            wrappers add, which stays.
         info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the
             environment's trials), "time" (s), "phase" (of the controller), and what wrappers add.
     """
