@@ -13,6 +13,7 @@ import tyro
 from rcbht_jax.cli.command import Command
 
 COMMON = {"--help": (), "--json": ()}
+Shell = Literal["bash", "zsh", "fish"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Completion(Command):
     Example: rcbht completion bash
     """
 
-    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]
+    shell: Annotated[Shell, tyro.conf.Positional]
     """Shell to complete in."""
 
     def run(self) -> dict[str, Any]:
@@ -74,7 +75,7 @@ def _children(table: dict[str, Options]) -> dict[str, list[str]]:
         for count, word in enumerate(words):
             following = children.setdefault(" ".join(words[:count]), [])
             following.extend([word] if word not in following else [])
-    return children
+    return children | {"completion": list(typing.get_args(Shell))}
 
 
 def _bash(table: dict[str, Options], zsh: bool) -> str:
@@ -95,7 +96,7 @@ def _bash(table: dict[str, Options], zsh: bool) -> str:
   done
   case "$current" in
   -*) case "$command" in
-{_cases(table)}    esac ;;
+{_cases({"": ("--help", "--version"), **table})}    esac ;;
   *) case "$command${{option:+ $option}}" in
 {_cases(children)}{_cases(values)}    esac ;;
   esac

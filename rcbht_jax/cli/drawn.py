@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from rcbht_jax.cli.command import option
 
 if TYPE_CHECKING:
+    from rcbht_jax.encoding.rules import AnyLimits
     from rcbht_jax.types import LabelTracks
 
 DrawnRule = Annotated[
@@ -45,6 +46,20 @@ def stored_by(store: Path, rule: str) -> str:
     if len(found) > 1:
         raise InputError(f"{store} has several label tracks; choose one with --tracks: {', '.join(found)}.")
     return found[0] if found else ""
+
+
+def thresholds_now(store: Path, window: int | None) -> AnyLimits | None:
+    """Gradient thresholds of labels that are made now, as ``rcbht encode`` chooses them; None = none are made.
+
+    Raises:
+        InputError: no thresholds can be found for these recordings.
+    """
+    from rcbht_jax.cli.encode import Encode
+    from rcbht_jax.io.store import read_sample
+
+    if window is None:
+        return None
+    return Encode(store, window=window).read_limits(read_sample(store)[0], store)[0]
 
 
 def drawn_words(store: Path, tracks: str, rule: Literal["fit", "paper"]) -> tuple[str, LabelTracks, dict[str, Any]]:

@@ -19,7 +19,7 @@ from rcbht_jax.cli.command import (
     WordRule,
     progress_bar,
 )
-from rcbht_jax.cli.drawn import DrawnRule, stored_by
+from rcbht_jax.cli.drawn import DrawnRule, stored_by, thresholds_now
 from rcbht_jax.errors import InputError
 
 
@@ -49,7 +49,8 @@ class Export(Command):
         from rcbht_jax.io.export.write import check_target
 
         check_target(self.out)
-        data = load(self.store, self.tracks, self.window, self.rule, self.tolerance)
+        words = (self.tracks, self.window, self.rule, self.tolerance)
+        data = load(self.store, *words, thresholds_now(self.store, self.window))
         with progress_bar("export", "trials", len(data.recordings)) as bar:
             export(data, self.out, self.format, lambda done: bar.update(done) and None)
         files = [path for path in self.out.rglob("*") if path.is_file()]
@@ -116,7 +117,8 @@ class Report(Command):
             trials=self.trial,
             most=self.max_trials,
         )
-        data = load(self.store, *self._words())
+        words = self._words()
+        data = load(self.store, *words, thresholds_now(self.store, words[1]))
         count = len(chosen(data.recordings, options))
         with progress_bar("report", "trials", count) as bar:
             text = page(data, options, lambda done: bar.update(done) and None)

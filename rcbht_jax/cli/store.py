@@ -156,7 +156,7 @@ class Info(Command):
             head += f"\n{result['recordings']} of {result['expected']} recordings are there; still being written"
         elif not result["verified"]:
             head += "\nlarge: checksums not compared, tasks not examined; --check compares the checksums"
-        lines = [head, f"created {result['created']} by rcbht-jax {result['rcbht_jax_version']}", ""]
+        lines = [head, f"created: {result['created']}, by rcbht-jax {result['rcbht_jax_version']}", ""]
         keys = ("source", "session", "outcome", "arm")
         rows = [keys, *(tuple(str(group[key]) for key in keys) for group in result["groups"])]
         wide = [max(map(len, column)) for column in zip(*rows, strict=True)]

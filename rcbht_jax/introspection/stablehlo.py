@@ -6,8 +6,8 @@ before the first sample) and ``chain.json`` (what goes in and out). Its one func
     state..., window float32 [window, axis], count int32, begins int32 [view]
 
 to the new state, the class probabilities of every classifier, and the labels published by a complete window
-(int32 ``[9, axis]``: code, first sample, end of each layer). Only JAX is needed to call it; any runtime that takes
-StableHLO can compile it.
+(int32 ``[9, axis]``: code, first sample, end of the primitive, the same of the composition, the same of the
+behaviour). Only JAX is needed to call it; any runtime that takes StableHLO can compile it.
 """
 
 from __future__ import annotations

@@ -63,17 +63,26 @@ class State:
         obs: the observation.
         reward: of the last step.
         done: 1 = the episode has ended; further steps mean nothing.
-        metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force).
+        metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what
+            wrappers add, which stays.
         info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the
-            environment's trials), "time" (s), "phase" (of the controller).
+            environment's trials), "time" (s), "phase" (of the controller), and what wrappers add.
     """
 
     data: EnvData
     obs: Float[Array, "*batch size"]
     reward: Float[Array, "*batch"]
     done: Float[Array, "*batch"]
-    metrics: dict[str, Array]
-    info: dict[str, Array]
+    metrics: dict[str, Any]
+    info: dict[str, Any]
+
+    def replace(self, **changes: Any) -> State:
+        """The state with other values, as wrappers of MuJoCo Playground and Brax ask for them.
+
+        Args:
+            changes: of the attributes.
+        """
+        return replace(self, **changes)
 
 
 class Environment:
@@ -124,6 +133,16 @@ class Environment:
     def sim_dt(self) -> float:
         """Seconds per step of the physics."""
         return CONTROL_PERIOD / self.physics.substeps
+
+    @property
+    def n_substeps(self) -> int:
+        """Steps of the physics per step."""
+        return self.config.periods * self.physics.substeps
+
+    @property
+    def unwrapped(self) -> Environment:
+        """The environment without wrappers: itself."""
+        return self
 
     @property
     def trial_count(self) -> int:
@@ -178,8 +197,8 @@ class Environment:
         late = data.tick >= periods(self.program.timeout(data.params))
         if self.config.controller == "recorded":
             late = late | (phase[-1] == self.program.ended)
-        rise = _share(data.glance) - state.metrics["seated"]
-        metrics = {
+        rise = _share(data.glance) - _share(state.data.glance)  # wrappers that reset put back data alone
+        metrics = state.metrics | {
             "seated": _share(data.glance), "success": success.astype(jnp.float32),
             "force": jnp.linalg.norm(jnp.nan_to_num(wrench[-1, :3])),
         }  # fmt: skip

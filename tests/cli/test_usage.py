@@ -112,6 +112,8 @@ def test_completion_has_every_command_and_option(shell: str, capsys: pytest.Capt
         ("rcbht encode x.zarr --robot b", "baxter"),
         ("rcbht train x.zarr --costs 1 2 --k", "--kernels"),
         ("rcbht encode ", ""),
+        ("rcbht completion ", "bash zsh fish"),
+        ("rcbht --v", "--version"),
     ],
 )
 def test_bash_completes(typed: str, completions: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -346,6 +346,8 @@ def test_command(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (result["recordings"], result["tracks"]) == (3, "online-W5")
     assert main(words) == 2
     assert "exists already" in capsys.readouterr().err
+    assert main([*words[:3], str(tmp_path / "now"), "--format", "csv", "--window", "5"]) == 0  # the same thresholds
+    assert (tmp_path / "now/labels.csv").read_bytes() == (tmp_path / "out/labels.csv").read_bytes()
     assert main(["export", str(store), "-o", str(tmp_path / "no/such/out")]) == 2
     assert main(["export", str(store), "-o", str(tmp_path / "b"), "--tracks", "other"]) == 2
     assert main(["export", str(store), "-o", str(tmp_path / "b"), "--tracks", "online-W5", "--window", "5"]) == 2
@@ -357,7 +359,8 @@ def test_labels_can_be_made_on_the_way(store: Path, block: Block, tmp_path: Path
     write_recordings(plain, signals(), {})
     assert load(plain).tracks_name == ""
     assert [some.tracks for some in load(plain).blocks()] == [None]
-    [made] = load(plain, window=5).blocks()
+    thresholds = np.array(load(store).tracks_attrs["thresholds"])
+    [made] = load(plain, window=5, thresholds=thresholds).blocks()
     for layer in LAYERS:
         np.testing.assert_array_equal(getattr(made.tracks, layer).label, getattr(block.tracks, layer).label)
     fitted = load(plain, window=5, rule="fit", tolerance=(0.5,))

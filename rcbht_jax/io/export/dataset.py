@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rcbht_jax._util.digest import data_hash, wrench_digests
 from rcbht_jax.annotations import nearest_samples
 from rcbht_jax.encoding.batch import encode_batch
-from rcbht_jax.encoding.rules import config_of, limits_for, made_by
+from rcbht_jax.encoding.rules import AnyLimits, config_of, limits_for, made_by
 from rcbht_jax.encoding.thresholds import preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import label_store
@@ -81,18 +81,23 @@ class DataSet:
 
 
 def load(
-    store: Path, tracks: str = "", window: int | None = None, rule: str = "paper", tolerance: Sequence[float] = ()
+    store: Path,
+    tracks: str = "",
+    window: int | None = None,
+    rule: str = "paper",
+    tolerance: Sequence[float] = (),
+    thresholds: AnyLimits | None = None,
 ) -> DataSet:
     """Open a store for export.
 
     Args:
         store: folder made by ``rcbht import`` or ``rcbht simulate``.
         tracks: name of the label tracks; "" = the only ones in the store, or none if it has none.
-        window: encode now with the streaming encoder, this many samples per window and HIRO's thresholds, instead
-            of reading stored labels.
+        window: encode now with the streaming encoder, this many samples per window, instead of reading stored labels.
         rule: of the labels that are made now, "paper" or "fit".
         tolerance: of the fit rule, one number or one for each axis; empty = from the recordings, of a large store from
             some spread evenly over it.
+        thresholds: of the labels that are made now, ``[axis, 4]``; None = HIRO's.
 
     Raises:
         InputError: no such store or tracks, several tracks and none chosen, both ``tracks`` and ``window``, a rule or
@@ -104,7 +109,7 @@ def load(
         raise InputError("Labels are either read from the store or made now; give --tracks or --window, not both.")
     labels = _Labels()
     if window is not None:
-        labels = _made_now(store, window, rule, tolerance)
+        labels = _made_now(store, window, rule, tolerance, thresholds)
     elif tracks or list_tracks(store):
         name = choose_name(store, tracks)
         labels = _Labels(name, read_tracks_attrs(store, name))
@@ -131,12 +136,12 @@ class _Labels:
     encode: Callable[[Recordings], LabelTracks] | None = None  # None = they are in the store
 
 
-def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float]) -> _Labels:
+def _made_now(store: Path, window: int, rule: str, tolerance: Sequence[float], thresholds: AnyLimits | None) -> _Labels:
     learns = rule == "fit" and not tolerance
     teachers = read_sample(store)[0] if learns else read_table(store)
     config = config_of(rule, window, teachers.dt)
-    thresholds = preset("hiro", teachers.axes)
-    limits = limits_for(config, thresholds, tolerance or None, teachers.wrench, teachers.length)
+    gradients = preset("hiro", teachers.axes) if thresholds is None else thresholds
+    limits = limits_for(config, gradients, tolerance or None, teachers.wrench, teachers.length)
 
     def encode(recordings: Recordings) -> LabelTracks:
         return encode_batch(config, limits, recordings.wrench, recordings.length)

@@ -139,7 +139,7 @@ def _write_frames(
         the number of frames.
     """
     pa, pq = require("pyarrow", "export"), require("pyarrow.parquet", "export")
-    names = tables.trials(data.recordings)
+    names, ours = tables.trials(data.recordings), {"recording", "samples"} - set(data.recordings.columns)
     first, file, written, writer = 0, 0, 0, None
     try:
         for block, row in ((some, row) for some in data.blocks() for row in range(len(some.recordings))):
@@ -158,7 +158,7 @@ def _write_frames(
             writer.write_table(table)
             written += table.nbytes
             last = first + len(frames["index"])
-            columns = {key: v[number].item() for key, v in names.items() if key not in ("recording", "samples")}
+            columns = {key: v[number].item() for key, v in names.items() if key not in ours}
             about = {
                 "episode_index": number, "tasks": [task], "length": last - first,
                 "dataset_from_index": first, "dataset_to_index": last,

@@ -47,12 +47,12 @@ def export(data: DataSet, out: Path, kind: str, progress: Progress = lambda _: N
 
     Raises:
         InputError: ``out`` exists or has no parent, the format is unknown or cannot hold the data, a package is
-            missing, or a name cannot be written as UTF-8.
+            missing, a name cannot be written as UTF-8, or a column has the name of the number of recordings.
     """
     if kind not in FORMATS:
         raise InputError(f"{kind!r} is not a format; expected one of {', '.join(FORMATS)}.")
     check_target(out)
-    _check_names(data)
+    _check_names(data, kind)
     with atomic_folder(out) as draft:
         draft.mkdir()
         FORMATS[kind](data, draft, progress)
@@ -70,7 +70,10 @@ def check_target(out: Path) -> None:
         raise InputError(f"{out} exists already; choose another name, or move it away.")
 
 
-def _check_names(data: DataSet) -> None:
+def _check_names(data: DataSet, kind: str) -> None:
+    numbers = {"recording"} | ({"episode_index", "tasks"} if kind == "lerobot" else set())
+    if taken := sorted(numbers & set(data.recordings.columns)):
+        raise InputError(f"The column {taken[0]} would take the place of one that {kind} files have; rename it first.")
     for field in (*tables.TEXTS, *data.recordings.columns):
         for row, text in enumerate(data.recordings.column(field).tolist()):
             try:

@@ -19,7 +19,7 @@ from rcbht_jax.io.importing.table import Table
 EPISODE = "episode_index"
 LIBRARIES = ("pyarrow.parquet", "pandas")  # of those that read Parquet; pyarrow imports pandas with its first column
 _OWN = ("index", "frame_index", EPISODE, "task_index", "next.done", "timestamp")
-_BOOKKEEPING = ("data/", "videos/", "meta/", "stats/", "dataset_from_index", "dataset_to_index", "length", "tasks")
+_BOOKKEEPING = ("dataset_from_index", "dataset_to_index", "length")  # of an episode; names of others have a "/"
 
 
 def read_parquet(path: Path, name: str) -> Iterator[Table]:
@@ -196,7 +196,7 @@ def episode_tables(path: Path, _: str) -> Iterator[Table]:
     with reading(path, "Parquet"), path.open("rb") as raw:
         file = require("pyarrow.parquet", "import").ParquetFile(raw)
         check_declared(path, file.metadata.num_rows * 8, size)
-        wanted = [key for key in file.schema_arrow.names if key == "tasks" or not key.startswith(_BOOKKEEPING)]
+        wanted = [key for key in file.schema_arrow.names if key not in _BOOKKEEPING and "/" not in key]
         for row in file.read(columns=wanted).to_pylist():
             plain = {key: value for key, value in row.items() if isinstance(value, str | int | float)}
             number = str(int(plain.pop(EPISODE)))

@@ -46,7 +46,7 @@ def read_export(folder: Path) -> Recordings:
     about = read_object(folder / "dataset.json")
     dt, axes, units = _period(folder, about), *_axes(folder, about)
     if (folder / "meta" / "info.json").is_file():
-        values, table = _lerobot(folder, axes)
+        values, table = _lerobot(folder, axes), _episodes(folder, about)
     else:
         table = _table(folder, "trials", about)
         count = len(table.get("trial", ()))
@@ -58,7 +58,8 @@ def read_export(folder: Path) -> Recordings:
             values = [_mcap(folder / f"{number:06d}.mcap", axes) for number in range(count)]
     if not values or any(len(column) != len(values) for column in table.values()):
         raise InputError(f"{folder} has {len(values)} recordings; its table of trials has another number.")
-    columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS}
+    types = _types(about)
+    columns: dict[str, Any] = {name: column for name, column in table.items() if name not in _OURS or name in types}
     for name in _TEXTS:
         if name in columns:
             columns[name] = columns[name].astype(np.str_)
@@ -94,7 +95,6 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     if not (path := folder / f"{name}.csv").is_file():
         return {}
     check_file(path, MAX_TEXT_BYTES)
-    types = about.get("column_types")
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = [[text_of(cell) for cell in row] for row in csv.reader(file)]
@@ -103,10 +103,15 @@ def _table(folder: Path, name: str, about: Mapping[str, Any]) -> Columns:
     if not rows or any(len(row) != len(rows[0]) for row in rows):
         raise InputError(f"{path} has lines of different lengths.")
     content = zip(*rows[1:], strict=True) if len(rows) > 1 else [()] * len(rows[0])
-    known = types if isinstance(types, dict) else {}
-    pairs = zip(rows[0], content, strict=True)
+    known, pairs = _types(about), zip(rows[0], content, strict=True)
     texts = (*_TEXTS, "track", "label")
-    return {key: _typed(path, key, cells, "text" if key in texts else str(known.get(key, ""))) for key, cells in pairs}
+    return {key: _typed(path, key, cells, "text" if key in texts else known.get(key, "")) for key, cells in pairs}
+
+
+def _types(about: Mapping[str, Any]) -> dict[str, str]:
+    """Of each further column: "text", or the type of its numbers."""
+    types = about.get("column_types")
+    return {name: str(kind) for name, kind in types.items()} if isinstance(types, dict) else {}
 
 
 def exported_tables(path: Path, name: str) -> Iterator[Table]:
@@ -120,7 +125,8 @@ def exported_tables(path: Path, name: str) -> Iterator[Table]:
     """
     check_declared(path, 0, check_file(path))
     with reading(path, "Parquet"), path.open("rb") as raw:
-        table = require("pyarrow.parquet", "import").read_table(raw)
+        file = require("pyarrow.parquet", "import").ParquetFile(raw)
+        table = file.read([field.name for field in file.schema_arrow if not field.type.num_fields])  # no lists
         columns = {key: table.column(key).to_numpy() for key in table.column_names}
     plain = {key: values.astype(np.str_) if values.dtype.kind == "O" else values for key, values in columns.items()}
     yield Table(name, plain)
@@ -133,6 +139,8 @@ def _typed(path: Path, key: str, cells: tuple[str, ...], kind: str) -> NDArray[A
     try:
         if kind == "bool" or (not kind and cells and set(cells) <= {"True", "False"}):
             return np.array([cell == "True" for cell in cells])
+        if np.dtype(kind or "f").kind in "iu":
+            return np.array(cells, np.str_).astype(kind)
         if not kind and cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
             return np.array(cells, np.int64)
         if kind or any(cells):
@@ -175,15 +183,24 @@ def _mcap(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
     return np.stack(values, 1).astype(np.float32)
 
 
-def _lerobot(folder: Path, axes: tuple[str, ...]) -> tuple[list[NDArray[np.float32]], Columns]:
-    """Wrenches and columns of the episodes, in their order."""
+def _lerobot(folder: Path, axes: tuple[str, ...]) -> list[NDArray[np.float32]]:
+    """Wrenches of the episodes, in their order."""
     values: list[NDArray[np.float32]] = []
-    facts: list[Mapping[str, str | float]] = []
     for episode in columnar.read_lerobot(folder, ""):
         named = {key.removeprefix("observation.wrench."): column for key, column in episode.columns.items()}
         values.append(_wrench(folder, named, axes))
-        facts.append({key: value for key, value in episode.facts.items() if key != "task"})
-    return values, {name: np.array([fact.get(name, "") for fact in facts]) for name in (facts[0] if facts else ())}
+    return values
+
+
+def _episodes(folder: Path, about: Mapping[str, Any]) -> Columns:
+    """The table of trials that is among LeRobot's of the episodes, which keeps numbers as 64 bits."""
+    types = {**dict.fromkeys(_TEXTS, "text"), **_types(about)}
+    table = _table(folder / "meta" / "episodes" / "chunk-000", "file-000", about)
+    return {
+        key: values if types[key] == "text" else values.astype(types[key])
+        for key, values in table.items()
+        if key in types
+    }
 
 
 def _are_texts(names: Any) -> bool:

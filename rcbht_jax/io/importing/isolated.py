@@ -107,6 +107,8 @@ class _Decoder:
                 timer.cancel()
             if line.endswith(b"\n"):
                 return json.loads(line)
+            with suppress(subprocess.TimeoutExpired):  # its own end says more than being killed
+                child.wait(1)
             status = self._end()
             if late.is_set():  # the processor had time left: that says nothing of the file
                 raise InputError(f"{path} was not decoded within {patience:.0f} s; try again when the machine is idle.")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
-from rcbht_jax.io.export import FORMATS, export, load
+from rcbht_jax.io.export import FORMATS, DataSet, export, load
 from rcbht_jax.io.importing.importer import import_source, read_source
 from rcbht_jax.io.importing.mapping import Mapping
 from rcbht_jax.io.store import read_recordings, write_recordings
@@ -26,7 +26,9 @@ def recordings() -> Recordings:
         [rng.normal(size=(count, 6)) for count in (80, 50, 60)], 200.0, annotations=rows,
         outcome=["good", "bad", "unknown"], session=["1", "1", "2"], part=["peg", "", "peg, long"],
         depth=np.array([0.1, np.nan, 1 / 3]), tries=np.array([1, 2, 3]),
-        trial=["a", "b", "c"], note=["", "x;y", ""],
+        trial=["a", "b", "c"], note=["", "x;y", ""], slow=np.array([True, False, True]), few=np.int8([1, -2, 3]),
+        stamp=np.array([2**60 + 1, 0, -1]), third=np.float32([1 / 3, np.nan, 2]), samples=np.array([3.0, 2.0, 1.0]),
+        seconds=["?", "", "9"], length_mm=np.array([1.5, 2.5, 3.5]), task=["x", "", "z"],
     )  # fmt: skip
     return made
 
@@ -46,8 +48,10 @@ def test_an_export_comes_back_equal(exported: Path, tmp_path: Path) -> None:
     assert (back.dt, back.axes, back.units) == (made.dt, made.axes, made.units)
     np.testing.assert_array_equal(back.wrench, made.wrench)
     np.testing.assert_array_equal(back.length, made.length)
-    for name in ("trial", "arm", "source", "session", "outcome", "note", "part", "depth", "tries"):
+    assert set(back.columns) == set(made.columns)
+    for name in ("trial", "arm", "source", "session", "outcome", "note", *made.columns):
         np.testing.assert_array_equal(back.column(name), made.column(name), err_msg=name)
+        assert back.column(name).dtype.kind == made.column(name).dtype.kind
     assert back.annotations.labels == made.annotations.labels
     for name in ("recording", "track", "code", "start", "end"):
         np.testing.assert_array_equal(getattr(back.annotations, name), getattr(made.annotations, name))
@@ -62,6 +66,14 @@ def test_two_channels_of_any_name_come_back(kind: str, tmp_path: Path) -> None:
     back = read_source(tmp_path / "out").recordings
     assert (back.axes, back.units, back.dt) == (made.axes, made.units, made.dt)
     np.testing.assert_array_equal(back.wrench, made.wrench)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("csv", "recording"), ("lerobot", "tasks")])
+def test_a_column_that_would_take_the_place_of_another_is_refused(kind: str, name: str, tmp_path: Path) -> None:
+    made = Recordings.from_arrays([np.ones((30, 6))], **{name: ["x"]})
+    with pytest.raises(InputError, match=f"column {name} would take the place of one that {kind} files have"):
+        export(DataSet.of(made), tmp_path / "out", kind)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_export_is_read_as_it_is(exported: Path) -> None:

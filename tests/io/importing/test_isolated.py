@@ -33,6 +33,10 @@ def whole(path: Path, name: str) -> Iterator[Table]:
     yield Table("empty", {"n": np.zeros(0, np.int64)})
 
 
+def mistakes(path: Path, name: str) -> Iterator[Table]:
+    raise ValueError(name)
+
+
 def crashes(path: Path, name: str) -> Iterator[Table]:
     os.kill(os.getpid(), signal.SIGSEGV)
     yield Table(name, {})
@@ -91,6 +95,8 @@ def test_crash_hang_and_flood_are_a_sentence_and_the_next_file_is_read(
 ) -> None:
     with pytest.raises(InputError, match=r"^a.bin is damaged: what decodes such files crashed \(status -11\)\.$"):
         list(isolated(crashes, file, "n"))
+    with pytest.raises(InputError, match=r"^a.bin is damaged: what decodes such files crashed \(status 1\)\.$"):
+        list(isolated(mistakes, file, "n"))
     with pytest.raises(InputError, match=r"^a.bin is damaged: it asks for more memory than there is"):
         list(isolated(floods, file, "n"))
     with monkeypatch.context() as patch:

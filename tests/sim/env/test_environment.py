@@ -177,6 +177,28 @@ def test_success_takes_all_tabs_and_time() -> None:
     assert float(states[-1].data.body[0]) > DEPTH
 
 
+def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
+    """As ``wrap_for_brax_training`` of MuJoCo Playground: metrics and info of the ended episode stay."""
+    env, reset, _ = compiled(JOINT)
+    first = reset(jnp.int32(0))
+    first.metrics["reward"], first.info["steps"] = first.reward, jnp.float32(0)
+
+    def step(state: Any, action: Any) -> tuple[Any, Any]:
+        state = env.step(state.replace(done=jnp.zeros_like(state.done)), action)
+        again = state.replace(data=first.data, obs=first.obs)
+        return jax.tree.map(lambda new, old: jnp.where(state.done > 0.5, new, old), again, state), state
+
+    actions = np.tile(np.float32([1, 1, 1, 1, 0, 0]), (20, 1))
+    last, seen = jax.lax.scan(step, first, actions)
+    assert {"reward", "seated"} <= set(last.metrics)
+    assert "steps" in last.info
+    ends = np.flatnonzero(seen.done > 0.5)
+    assert len(ends) >= 2
+    np.testing.assert_array_equal(np.diff(np.cumsum(seen.reward)[ends]), 2.0)  # each episode's reward is its own
+    assert env.unwrapped is env
+    assert env.n_substeps * env.sim_dt == pytest.approx(env.dt)
+
+
 def test_time_truncates() -> None:
     states = run(JOINT, np.zeros((40, 6), np.float32))
     done = [float(state.done) for state in states]
