@@ -120,7 +120,7 @@ class PlotBeliefs(Command):
     """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
     variant where there is one, detected = found by the model (train-online --detect)."""
     rate: float | None = None
-    """Beliefs per second; default about 10."""
+    """Beliefs per second; 0 = one per window; default about 10."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.events import Belief
@@ -137,7 +137,8 @@ class PlotBeliefs(Command):
         model.check_axes(recordings.axes, recordings.units, str(self.store))
         arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
-        session = Session(Introspector(model, self.rate or "auto", detect=detect))
+        rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
+        session = Session(Introspector(model, rate, detect=detect))
         starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)

@@ -104,7 +104,8 @@ class Resampler:
         if step < 0:
             return self._anew(time, value, f"the clock went back by {-step:.3f} s; everything starts anew")
         if step > self._bridge + ON_GRID * self._dt:
-            return self._anew(time, value, f"no reading for {step:.3f} s; everything starts anew")
+            slow = "" if self._index else "; a source that is always so slow needs a longer --max-gap"
+            return self._anew(time, value, f"no reading for {step:.3f} s; everything starts anew{slow}")
         return self._advance(time, value, step)
 
     def _next(self) -> float:

@@ -74,6 +74,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*words, str(tmp_path / "b.png")]) == 0
     assert "45 beliefs about t" in capsys.readouterr().out
     assert (tmp_path / "b.png").stat().st_size > 5000
+    assert main([*words, str(tmp_path / "w.png"), "--rate", "0"]) == 0  # as in "rcbht stream"
+    assert "180 beliefs about t" in capsys.readouterr().out
     assert main([*words, str(tmp_path / "b.gif")]) == 2
     assert main([*words, str(tmp_path / "b.png"), "--starts", "detected"]) == 2
     assert "train-online --detect" in capsys.readouterr().err
