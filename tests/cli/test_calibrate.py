@@ -157,34 +157,32 @@ def test_a_file_of_the_fit_rule_is_read_by_axis_and_refused_where_it_cannot_be_u
     np.testing.assert_array_equal(read_limits(path)[0].limits, preset().limits)
 
 
+def calibrated(folder, capsys, importer, calm, other, *words):
+    """What a search says of the source "calm" where it shares a store with others, and where it is alone."""
+    said = []
+    for name, parts in (("both", [calm, other]), ("calm", [calm])):
+        write_recordings(folder / f"{name}.zarr", rj.Recordings.join(parts), importer)
+        options = ["--source", "calm", "--generations", "0", "--json", *words]
+        assert main(["calibrate", str(folder / f"{name}.zarr"), "-o", str(folder / f"{name}.json"), *options]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    return said
+
+
 def test_the_objective_counts_rest_and_trials_of_other_sources_teach_nothing(tmp_path, capsys):
     calm = replace(recordings(trials=4), source=np.full(4, "calm"))
-    rng = np.random.default_rng(0)
-    shaken = replace(
-        calm, source=np.full(4, "shaken"), wrench=(calm.wrench + rng.normal(0, 5, calm.wrench.shape)).astype(np.float32)
-    )
-    write_recordings(tmp_path / "both.zarr", rj.Recordings.join([calm, shaken]), {"importer": "hiro"})
-    write_recordings(tmp_path / "calm.zarr", calm, {"importer": "hiro"})
-    said = []
-    for name in ("both", "calm"):
-        words = ["--method", "search", "--source", "calm", "--candidates", "4", "--generations", "0", "--json"]
-        assert main(["calibrate", str(tmp_path / f"{name}.zarr"), "-o", str(tmp_path / f"{name}.json"), *words]) == 0
-        said.append(json.loads(capsys.readouterr().out))
-    assert said[0]["preset_rest_penalty"] == said[1]["preset_rest_penalty"]
-    assert said[0]["limits"] == said[1]["limits"]
+    noise = np.random.default_rng(0).normal(0, 5, calm.wrench.shape)
+    shaken = replace(calm, source=np.full(4, "shaken"), wrench=(calm.wrench + noise).astype(np.float32))
+    both, alone = calibrated(tmp_path, capsys, {"importer": "hiro"}, calm, shaken, "--candidates", "4")
+    assert both["preset_rest_penalty"] == alone["preset_rest_penalty"]
+    assert both["limits"] == alone["limits"]
 
 
 def test_thresholds_of_an_unknown_robot_come_from_the_chosen_trials_alone(tmp_path, capsys):
     calm = replace(recordings(trials=4), source=np.full(4, "calm"))
     strong = replace(calm, source=np.full(4, "strong"), wrench=calm.wrench * np.float32(64))
-    said = []
-    for name, parts in (("both", [calm, strong]), ("calm", [calm])):
-        write_recordings(tmp_path / f"{name}.zarr", rj.Recordings.join(parts), {})
-        words = ["--source", "calm", "--candidates", "2", "--generations", "0", "--json"]
-        assert main(["calibrate", str(tmp_path / f"{name}.zarr"), "-o", str(tmp_path / f"{name}.json"), *words]) == 0
-        said.append(json.loads(capsys.readouterr().out))
-    assert said[0]["limits"] == said[1]["limits"]
-    assert said[0]["preset_value"] == said[1]["preset_value"]
+    both, alone = calibrated(tmp_path, capsys, {}, calm, strong, "--candidates", "2")
+    assert both["limits"] == alone["limits"]
+    assert both["preset_value"] == alone["preset_value"]
 
 
 def test_a_model_for_streams_of_an_unknown_robot_takes_thresholds_from_the_chosen_trials(tmp_path, monkeypatch):
