@@ -166,7 +166,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     time, values, notes = conform.tidy(stamps - first, values)
     columns = {column_name(key): value for key, value in table.facts.items()}
     for key, fact in table.facts.items():
-        if is_outcome(key.lower(), [fact]):
+        if key.lower() == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
             columns["outcome"] = OUTCOMES[text(fact).lower()]
     for target, source in mapping.columns.items():
         value = _value(table, source, rows, row)
