@@ -108,6 +108,7 @@ OutFigure = Annotated[
 CompileCache = Annotated[
     Path | None, option("Folder for compiled programs, which shortens the next start.", "user's cache", metavar="DIR")
 ]
+BeliefRate = Annotated[float | None, option("Beliefs per second; 0 = one per window.", "about 10")]
 WordRule = Annotated[
     Literal["paper", "fit"],
     option("Rule of the words: the paper's; or fit: words are runs of windows that one straight line explains."),
@@ -346,6 +347,11 @@ def progress_bar(name: str, unit: str, total: int | None = None, **options: Any)
 def announce(step: int, steps: int, what: str) -> None:
     """Say on standard error which step of a long command begins."""
     print(f"[{step}/{steps}] {what}", file=sys.stderr, flush=True)
+
+
+def belief_rate(chosen: float | None) -> float | Literal["auto"] | None:
+    """The rate of beliefs as an introspector takes it: of an option that is 0 for every window, None for about 10."""
+    return "auto" if chosen is None else chosen or None
 
 
 def left_out(dropped: dict[str, int]) -> list[str]:

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Arm, Command, LabelledStore, Model, OutFigure, SourcePrefix, Store, Tracks, Trial
+from rcbht_jax.cli.command import (
+    Arm,
+    BeliefRate,
+    Command,
+    LabelledStore,
+    Model,
+    OutFigure,
+    SourcePrefix,
+    Store,
+    Tracks,
+    Trial,
+    belief_rate,
+)
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, rule_of
 from rcbht_jax.errors import InputError
 
@@ -119,8 +131,7 @@ class PlotBeliefs(Command):
     starts: str = "harmonised"
     """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
     variant where there is one, detected = found by the model (train-online --detect)."""
-    rate: float | None = None
-    """Beliefs per second; 0 = one per window; default about 10."""
+    rate: BeliefRate = None
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.events import Belief
@@ -137,8 +148,7 @@ class PlotBeliefs(Command):
         model.check_axes(recordings.axes, recordings.units, str(self.store))
         arm = self.arm if len(set(recordings.arm.tolist())) > 1 else None
         recordings = recordings.take(np.array([find_recording(recordings, self.trial, arm, self.source)]))
-        rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
-        session = Session(Introspector(model, rate, detect=detect))
+        session = Session(Introspector(model, belief_rate(self.rate), detect=detect))
         starts = NONE if detect else self.starts
         events = list(session.run(play(recordings, (), self.arm, starts, str(self.store))))
         beliefs = sum(isinstance(event, Belief) for event in events)

@@ -8,12 +8,20 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from rcbht_jax._util.url_path import as_path, url_of
-from rcbht_jax.cli.command import Arm, CompileCache, OnlineModel, RuleCommand, checked_tolerance
+from rcbht_jax.cli.command import (
+    Arm,
+    BeliefRate,
+    CompileCache,
+    OnlineModel,
+    RuleCommand,
+    belief_rate,
+    checked_tolerance,
+)
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
 
@@ -53,8 +61,7 @@ class Source(RuleCommand):
     lead: float = 10.0
     """Seconds at the beginning from which --robot auto takes the thresholds, and --rule fit the tolerances, of a stream
     that is not a store."""
-    rate: float | None = None
-    """Beliefs per second; 0 = one per window; default about 10."""
+    rate: BeliefRate = None
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
     speed: float | None = None
@@ -100,10 +107,11 @@ class Source(RuleCommand):
         if model is None:
             introspector, messages = self._words(messages, say)
         else:
-            rate: float | Literal["auto"] | None = "auto" if self.rate is None else self.rate or None
             detect = self.starts == "detected"
             beside = self._beside(model)
-            introspector = Introspector(model, rate, self.certainty, detect=detect, words=words and not beside)
+            introspector = Introspector(
+                model, belief_rate(self.rate), self.certainty, detect=detect, words=words and not beside
+            )
             if beside:
                 others, messages = self._words(messages, say, model)
                 introspector = Together(introspector, others)

@@ -167,7 +167,7 @@ def _record(table: Table, mapping: Mapping, rows: NDArray[Any], name: str, row: 
     columns = {column_name(key): value for key, value in table.facts.items()}
     for key, fact in table.facts.items():
         if key.lower() == "success" and is_outcome("success", [fact]):  # a word of "outcome" stays that of its file
-            columns["outcome"] = OUTCOMES[text(fact).lower()]
+            columns.setdefault("outcome", OUTCOMES[text(fact).lower()])
     for target, source in mapping.columns.items():
         value = _value(table, source, rows, row)
         if value is None:
