@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments._lib.report_rows import peer_rows
 from experiments._lib.results_io import committed
-from experiments.figures import calibration_curves, dots, early, faults, hook, online, sim_to_real, snaps, words
+from experiments.figures import calibration_curves, dots, driven, early, faults, hook, online, sim_to_real, snaps, words
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
 from rcbht_jax.plots.canvas import new_figure
@@ -187,6 +187,7 @@ FIGURES = {
     "rate-distortion": lambda: words.rate_distortion(committed("rate_distortion")),
     "word-stability": lambda: words.stability(committed("rate_distortion")),
     "snap-events": lambda: snaps.draw(committed("snaps")),
+    "driven-fit": lambda: driven.draw(committed("driven_fit")),
     "snap-hook": lambda: hook.bench(committed("hook_bench")),
     "calibration-curves": lambda: calibration_curves.draw(rows_of("calibration_curves")),
 }

@@ -70,6 +70,34 @@ def snap_needs(result: Result) -> str:
     return markdown(("", "trials", "seated", "fall of 7 N in mating", *medians), lines)
 
 
+@table("driven-fit", "driven_fit")
+def driven_fit(result: Result) -> str:
+    """What parts explain of recorded wrenches along the recorded motion, before and after the fit."""
+    lines = []
+    for name, fitted in result["scores"]["fitted"].items():
+        before = result["scores"]["presets"][name]
+        pairs = [
+            f"{one['explained'][axis]:.2f} → {two['explained'][axis]:.2f}"
+            for one, two, axis in ((before, fitted, at) for at in (0, 1, 2, 4))
+        ]
+        lines.append((name, str(fitted["trials"]), f"{before['loss']:.2f} → {fitted['loss']:.2f}", *pairs))
+    return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
+
+
+@table("derivatives", "derivatives")
+def derivatives(result: Result) -> str:
+    """Largest relative difference of forward derivatives from central ones, by parameter."""
+    lines = []
+    for name, row in result["parameters"].items():
+        unit, by = row["step"], row["relative_difference"]
+        lines.append(
+            (f"`{name}`", f"{unit:.0e}", f"{row['forward'][2]:.3g}", f"{row['central'][2]:.3g}", f"{max(by):.1e}")
+        )
+    return markdown(
+        ("parameter", "half step, SI units", "mean Fz, forward", "mean Fz, central", "largest difference"), lines
+    )
+
+
 @table("snap-creep", "snap_creep")
 def snap_creep(result: Result) -> str:
     """Rear hooks of hooked-B by how little contacts creep and how far they reach: how long they hold out."""

@@ -71,15 +71,34 @@ def read(
     Returns:
         the new state and the logged wrench, N and Nm, world frame.
     """
-    moment = raw[3:] - jnp.cross(params.reference, raw[:3])
-    buffer = jnp.concatenate([jnp.concatenate([raw[:3], moment])[None], state.buffer[:-1]])
+    buffer = _remembered(params, state, raw)
     late = buffer[params.delay] - params.tared * state.tare + noise * params.noise
     if params.jitter is not None:
         loaded = jnp.linalg.norm(buffer[params.delay, :3] - state.tare[:3]) > LOADED
         late = late + jnp.where(loaded, params.jitter @ noise, 0.0)
     if params.offset is not None:
         late = late + params.offset
-    u = jnp.round(late / params.step) * params.step
+    return _filtered(params, state, buffer, jnp.round(late / params.step) * params.step, rotation)
+
+
+def read_exactly(
+    params: SensorParams, state: SensorState, raw: Wrench, rotation: Rotation
+) -> tuple[SensorState, Wrench]:
+    """As :func:`read` without noise, jitter and quantisation: a smooth function of the raw wrench."""
+    buffer = _remembered(params, state, raw)
+    return _filtered(params, state, buffer, buffer[params.delay] - params.tared * state.tare, rotation)
+
+
+def _remembered(params: SensorParams, state: SensorState, raw: Wrench) -> Float[Array, "delay 6"]:
+    """The buffer with a new reading, whose moment is about the sensor's reference."""
+    moment = raw[3:] - jnp.cross(params.reference, raw[:3])
+    return jnp.concatenate([jnp.concatenate([raw[:3], moment])[None], state.buffer[:-1]])
+
+
+def _filtered(
+    params: SensorParams, state: SensorState, buffer: Float[Array, "delay 6"], u: Wrench, rotation: Rotation
+) -> tuple[SensorState, Wrench]:
+    """The filter's new state, and what it gives in world axes."""
     y = params.c * state.filtered + params.d * u
     filtered = params.a * state.filtered + params.b * u
     logged = jnp.concatenate([rotation @ y[:3], rotation @ y[3:]]) + params.bias

@@ -166,10 +166,10 @@ def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]
     return model, empty
 
 
-def fields_of(scene: Scene, params: Any) -> dict[str, NDArray[np.float32]]:
+def fields_of(scene: Scene, params: Any, dtype: type[np.floating] = np.float32) -> dict[str, NDArray[np.floating]]:
     """Model fields of all trials, each [trial, ...]."""
     fields = scene.fields(params.parts) | _from_home(scene, np.asarray(scene.program.home(params)))
-    return {name: value.astype(np.float32) for name, value in fields.items()}
+    return {name: value.astype(dtype) for name, value in fields.items()}
 
 
 def _from_home(scene: Scene, home: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:

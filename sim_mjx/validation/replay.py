@@ -29,6 +29,7 @@ from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import native
 from sim_mjx.engines.native import Rows, States, Steps
 from sim_mjx.presets import ONE_ARM
+from sim_mjx.presets.session import SessionPreset
 from sim_mjx.registry import Scenario, get_scenario
 from sim_mjx.synthesis.plan import scenario_of
 from sim_mjx.validation import snaps
@@ -167,13 +168,11 @@ def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:
         InputError: the trial's folder or its angles are missing.
     """
     trial, source = str(recordings.trial[row]), str(recordings.source[row])
-    places = [place for place in (folder / source / trial, folder / trial) if place.is_dir()]
-    if not places:
-        raise InputError(f"{folder} holds no trial {source}/{trial}; give the folder that was imported: --data DIR.")
+    place = _place(folder, recordings, row)
     same = (recordings.trial == trial) & (recordings.source == source)
     scenario = get_scenario("two" if "L" in recordings.arm[same] else preset_of(str(recordings.session[row])))
     scene = scenario.scene()
-    angles = [_angles(places[0], arm, scenario.preset.last_joint_offset) for arm in scenario.arms]
+    angles = [_angles(place, arm, scenario.preset.last_joint_offset) for arm in scenario.arms]
     samples = int(recordings.length[row])
     qpos = np.zeros((samples, scene.model.nq))
     qpos[:, scene.joints] = np.concatenate([_as_long_as(one, samples) for one in angles], axis=1)
@@ -186,6 +185,22 @@ def recorded(folder: Path, recordings: Recordings, row: int) -> Replay:
 def preset_of(session: str) -> str:
     """The one-arm preset of a recorded session; OpenHRP's for an unknown one."""
     return session if session in ONE_ARM else "openhrp"
+
+
+def recorded_angles(
+    folder: Path, recordings: Recordings, row: int, preset: SessionPreset
+) -> Float64[np.ndarray, "time 6"]:
+    """Joint angles of a recorded arm, rad; arguments and errors of :func:`recorded`."""
+    return _angles(_place(folder, recordings, row), str(recordings.arm[row]), preset.last_joint_offset)
+
+
+def _place(folder: Path, recordings: Recordings, row: int) -> Path:
+    """The folder of a recorded trial."""
+    trial, source = str(recordings.trial[row]), str(recordings.source[row])
+    places = [place for place in (folder / source / trial, folder / trial) if place.is_dir()]
+    if not places:
+        raise InputError(f"{folder} holds no trial {source}/{trial}; give the folder that was imported: --data DIR.")
+    return places[0]
 
 
 def _angles(trial: Path, arm: str, last_joint_offset: float) -> Floats:

@@ -90,7 +90,7 @@ def fit(
         state, best = _load(checkpoint, search) or (state, best)
     for number in range(len(best.generations) + 1, search.generations + 1):
         points = _ask(state, search, number)
-        candidates = [_values(point, search.bounds) for point in _mirrored(points)]
+        candidates = [values_of(point, search.bounds) for point in _mirrored(points)]
         losses = np.asarray(objective(candidates), np.float64)
         if losses.shape != (search.population,):
             raise ValueError(f"the objective gave {losses.shape} losses for {search.population} candidates")
@@ -128,8 +128,14 @@ def check(search: Search) -> None:
 
 
 def _begin(search: Search) -> State:
-    middle = [_share(search.start[name], b) if name in search.start else 0.5 for name, b in search.bounds.items()]
-    return cma.start(np.array(middle), search.spread)
+    return cma.start(point_of(search), search.spread)
+
+
+def point_of(search: Search) -> Float64[np.ndarray, " _parameter"]:
+    """Where a search begins, in the unit cube."""
+    return np.array(
+        [_share(search.start[name], b) if name in search.start else 0.5 for name, b in search.bounds.items()]
+    )
 
 
 def _share(value: float, bound: Bound) -> float:
@@ -137,7 +143,7 @@ def _share(value: float, bound: Bound) -> float:
     return (at - low) / (high - low)
 
 
-def _values(point: Float64[np.ndarray, " _parameter"], bounds: Mapping[str, Bound]) -> Values:
+def values_of(point: Float64[np.ndarray, " _parameter"], bounds: Mapping[str, Bound]) -> Values:
     """Parameters of a point of the unit cube."""
     out = {}
     for share, (name, (low, high, log)) in zip(point.tolist(), bounds.items(), strict=True):

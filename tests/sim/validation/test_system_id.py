@@ -17,7 +17,7 @@ from rcbht_jax.io.store import read_attrs, read_simulation
 from sim_mjx.presets import preset
 from sim_mjx.randomization import overrides
 from sim_mjx.randomization.trials import DomainRandomization, sample
-from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, _mirrored, _share, _values, fit
+from sim_mjx.validation.system_id import Bound, Fit, Generation, Search, _mirrored, _share, fit, values_of
 
 BOUNDS = {"a": Bound(-2.0, 5.0), "b": Bound(1e-3, 1e3, log=True), "c": Bound(0.0, 1.0), "d": Bound(-1.0, 1.0)}
 OPTIMUM = {"a": 1.5, "b": 20.0, "c": 0.9, "d": -0.2}
@@ -120,7 +120,7 @@ def test_mirroring_keeps_inside_and_leaves_inner_points(point: list[float]) -> N
 @given(st.floats(0, 1))
 def test_shares_and_values_are_inverse(share: float) -> None:
     for name, bound in BOUNDS.items():
-        value = _values(np.array([share]), {name: bound})[name]
+        value = values_of(np.array([share]), {name: bound})[name]
         assert _share(value, bound) == pytest.approx(share, abs=1e-9)
 
 

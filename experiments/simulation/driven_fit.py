@@ -1,0 +1,252 @@
+"""One set of parts for sessions A and B from the hand's recorded motion: Gauss-Newton beside CMA-ES.
+
+The hand is moved along the encoders' path, and the wrench compared with the recorded one. Seen are some trials of A and
+the white cells of B's grid; the rest of A, B's black cells and all of C, with the part as fitted, are predicted. Both
+methods begin at the presets and minimise one sum of squares. A candidate is one simulation of all trials that are seen;
+those of Gauss-Newton's differences count.
+Run: python -m experiments.simulation.driven_fit --engine warp
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from experiments._lib.benchmarks import recorded
+from experiments._lib.catalogue import DATA
+from experiments._lib.results_io import write_result
+from experiments.simulation.joint_fit import AROUND, SEEN, SHARED
+from rcbht_jax.labels import AXES
+from rcbht_jax.types import Recordings
+from sim_mjx.assembly.scene import Scene, hooked
+from sim_mjx.presets import HOOKED
+from sim_mjx.randomization import overrides
+from sim_mjx.validation import driven_fit, gauss_newton, sessions, system_id
+from sim_mjx.validation.driven import driven
+from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial
+from sim_mjx.validation.gauss_newton import Iteration, LeastSquares
+from sim_mjx.validation.system_id import Bound, Fit, Generation, Losses, Search, Values
+
+# Against the encoders the stand is stiffer than against the commands, which the joint fit saw.
+WIDER = {
+    "parts.tab_stiffness": Bound(4e3, 1.5e4, True),
+    "parts.stop_play": Bound(0.02e-3, 2e-3),
+    "parts.seat_depth": Bound(0.5e-3, 6e-3),
+    "parts.rear_rise[0]": Bound(-3e-3, 2e-3),
+    "parts.slot_play": Bound(0.5e-3, 5e-3),
+    "parts.foot_contact[0]": Bound(0.003, 0.03, True),
+    "parts.friction": Bound(0.1, 0.6),
+}
+OWN = {f"parts.mount_stiffness[{axis}]": Bound(1e3, 6e4, True) for axis in range(3)}
+OWN |= {f"parts.mount_damping[{axis}]": Bound(5.0, 2e3, True) for axis in range(3)}
+SUBSTEPS = 4  # a mean of ten samples does not need the eight of a snap's size
+SHOWN, PER_TRACE = ("Fx", "Fz", "My"), 20  # axes and samples of a point in the picture
+NAMES = ("hooked-A", "hooked-B", "hooked-C")
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What is seen and what is predicted."""
+
+    seen: tuple[DrivenTrial, ...]
+    held: dict[str, tuple[DrivenTrial, ...]]  # by what they are
+
+
+def trials(recordings: Recordings, folder: Path, of_a: int) -> Trials:
+    """The recorded trials whose joint angles are there."""
+    rows = {name: sessions.recorded_rows(recordings, name) for name in NAMES}
+    rows = {name: driven_fit.rows_with_angles(folder, recordings, those, HOOKED[name]) for name, those in rows.items()}
+    made = {
+        name: [driven_fit.driven_trial(folder, recordings, row, name, HOOKED[name]) for row in those]
+        for name, those in rows.items()
+    }
+    cells = [
+        tuple(round(float(recordings.columns[f"deviation_{axis}"][row]) * 1e3) for axis in "xy")
+        for row in rows["hooked-B"]
+    ]
+    white = [trial for trial, cell in zip(made["hooked-B"], cells, strict=True) if cell in SEEN]
+    black = [trial for trial, cell in zip(made["hooked-B"], cells, strict=True) if cell not in SEEN]
+    held = {"A": tuple(made["hooked-A"][of_a:]), "B, black cells": tuple(black), "C": tuple(made["hooked-C"])}
+    return Trials((*made["hooked-A"][:of_a], *white), held)
+
+
+def search(population: int, generations: int, spread: float, seed: int) -> Search:
+    """From the presets' present values."""
+    bounds = SHARED | WIDER
+    start = {name: _present("hooked-A", name) for name in bounds}
+    for session in NAMES[:2]:
+        around = {
+            name: Bound(_present(session, name) - 1.5 * by, _present(session, name) + 1.5 * by)
+            for name, by in AROUND.items()
+        }
+        for name, bound in (OWN | around).items():
+            bounds[f"{session}:{name}"], start[f"{session}:{name}"] = bound, _present(session, name)
+    start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
+    return Search(bounds, population, generations, seed, start, spread)
+
+
+def _present(session: str, name: str) -> float:
+    return overrides.value(HOOKED[session].parts, HOOKED[session].sensor, name)
+
+
+def of_c(values: Values) -> Values:
+    """The parts as fitted, for session C, whose stand is B's and stands where its preset has it from there."""
+    moved = {
+        name.replace("hooked-B:", "hooked-C:"): value for name, value in values.items() if name.startswith("hooked-B:")
+    }
+    for axis in range(3):
+        name = f"parts.position[{axis}]"
+        moved[f"hooked-C:{name}"] += _present("hooked-C", name) - _present("hooked-B", name)
+    return values | moved
+
+
+def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
+    """Explained share of the variance by axis, mean over trials, and root mean square errors."""
+    (wrenches,) = objective.simulate([values])
+    each = [driven_fit.explained(t, w).tolist() for t, w in zip(objective.trials, wrenches, strict=True)]
+    unit = driven_fit.units(objective.trials)
+    away = [
+        np.sqrt((np.nan_to_num(w - t.wrench, nan=99.0)[t.begin :] ** 2).mean(0))
+        for t, w in zip(objective.trials, wrenches, strict=True)
+    ]
+    return {
+        "trials": len(each),
+        "explained": np.round(np.mean(each, axis=0), 3).tolist(),
+        "rms": np.round(np.mean(away, axis=0), 4).tolist(),
+        "loss": float(np.sum(objective([values]) ** 2)),
+        "unit": unit.tolist(),
+    }
+
+
+def all_scores(data: Trials, objective: DrivenObjective, values: Values) -> dict[str, Any]:
+    out = {"seen": scores(objective, values)}
+    for name, held in data.held.items():
+        if held:
+            those = DrivenObjective(objective.scene, objective.presets, held, objective.engine)
+            out[name] = scores(those, of_c(values) if name == "C" else values)
+    return out
+
+
+def by_search(objective: DrivenObjective, how: Search, target: float, checkpoint: Path, start: float) -> dict[str, Any]:
+    """CMA-ES on the same sum of squares, and when it reached the target."""
+
+    def losses(candidates: list[Values]) -> Losses:
+        return (objective(candidates) ** 2).sum(1)
+
+    def progress(generation: Generation, best: Fit) -> None:
+        if generation.number % 5 == 0:
+            took = time.perf_counter() - start
+            print(
+                f"{took:.0f} s, generation {generation.number}: {generation.best:.4f}, best {best.loss:.4f}", flush=True
+            )
+
+    found = system_id.fit(losses, how, checkpoint=checkpoint, progress=progress)
+    best = np.minimum.accumulate([generation.best for generation in found.generations])
+    reached = np.flatnonzero(best <= target)
+    return {
+        "loss": found.loss,
+        "candidates": len(best) * how.population,
+        "candidates_to_gauss_newton": int((reached[0] + 1) * how.population) if len(reached) else None,
+        "loss_by_candidates": [[(i + 1) * how.population, round(float(best[i]), 4)] for i in range(0, len(best), 5)],
+        "values": found.values,
+    }
+
+
+def by_gauss_newton(
+    data: Trials, objective: DrivenObjective, how: Search, iterations: int, step: float, begun: float
+) -> dict[str, Any]:
+    """The fit, what its matrix says, and what presets and fit explain."""
+
+    def progress(at: Iteration, values: Values) -> None:
+        took = time.perf_counter() - begun
+        print(f"{took:.0f} s, {at.candidates} candidates: {at.loss:.4f}, step {at.step:g}", flush=True)
+
+    found: LeastSquares = gauss_newton.fit(objective, how, iterations=iterations, step=step, progress=progress)
+    windows = sum((len(t.path) - t.begin) // driven_fit.WINDOW for t in data.seen)
+    said = gauss_newton.identifiability(found.jacobian, list(how.bounds), found.loss, 6.0 * windows)
+    return {
+        "start": how.start,
+        "trials": {"seen": [t.name for t in data.seen], **{k: [t.name for t in v] for k, v in data.held.items()}},
+        "gauss_newton": {
+            "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,
+            "loss_by_candidates": [[at.candidates, round(at.loss, 4)] for at in found.iterations],
+            "identifiability": said,
+        },
+        "scores": {
+            "presets": all_scores(data, objective, how.start), "fitted": all_scores(data, objective, found.values),
+        },
+    }  # fmt: skip
+
+
+def traces(data: Trials, scene: Scene, start: Values, fitted: Values) -> dict[str, Any]:
+    """Means of 0.1 s of one seen and one predicted trial: recorded, and of the presets and the fit, natively."""
+    out = {}
+    for title, trial in (("A, seen", data.seen[0]), ("B, black cell", data.held["B, black cells"][2])):
+        objective = DrivenObjective(scene, {name: HOOKED[name] for name in NAMES}, (trial,))
+        (before,), (after,) = objective.simulate([start, fitted])
+        curves = {"recorded": trial.wrench, "presets": before, "fitted": after}
+        whole = len(trial.path) // PER_TRACE * PER_TRACE
+        out[title] = {
+            "trial": trial.name,
+            **{
+                name: {
+                    axis: np.round(w[:whole, AXES.index(axis)].reshape(-1, PER_TRACE).mean(1), 3).tolist()
+                    for axis in SHOWN
+                }
+                for name, w in curves.items()
+            },
+        }
+    return out
+
+
+def main(
+    engine: Literal["native", "mjx", "warp"] = "native",
+    of_a: int = 3,
+    iterations: int = 20,
+    step: float = 0.02,
+    population: int = 64,
+    generations: int = 80,
+    spread: float = 0.12,
+    seed: int = 0,
+    fitted: Path | None = None,
+    checkpoint: Path = Path("driven_fit_search.json"),
+) -> None:
+    """See the module.
+
+    Args:
+        engine: that simulates. of_a: trials of session A that are seen. iterations, step: of Gauss-Newton.
+        population, generations, spread, seed: of CMA-ES.
+        fitted: an earlier result, whose Gauss-Newton is kept. checkpoint: of CMA-ES.
+    """
+    begun = time.perf_counter()
+    data = trials(recorded(), DATA, of_a)
+    scene = driven(hooked(SUBSTEPS, impratio=HOOKED["hooked-A"].impratio))
+    objective = DrivenObjective(scene, {name: HOOKED[name] for name in NAMES}, data.seen, engine)
+    how = search(population, max(generations, 1), spread, seed)
+    command = f"python -m experiments.simulation.driven_fit --engine {engine} --of-a {of_a} --iterations {iterations}"
+    command += (
+        f" --step {step:g} --population {population} --generations {generations} --spread {spread:g} --seed {seed}"
+    )
+    if fitted is None:
+        result = by_gauss_newton(data, objective, how, iterations, step, begun)
+        write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
+    else:
+        result = json.loads(fitted.read_text())["result"]
+    result["traces"] = traces(data, scene, how.start, result["gauss_newton"]["values"])
+    target = result["gauss_newton"]["loss"]
+    result["cma_es"] = by_search(objective, how, target, checkpoint, begun) if generations else None
+    if generations:
+        pairs = result["gauss_newton"]["loss_by_candidates"]
+        reached = next((count for count, loss in pairs if loss <= result["cma_es"]["loss"]), None)
+        result["gauss_newton"]["candidates_to_cma_es"] = reached
+    write_result("driven_fit", command, result, seed=seed, show=False)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,152 @@
+"""Parts identified from recorded motion: the wrench along the hand's recorded path, against the recorded one.
+
+The encoders say where the hand was. Moved along the same path, parts of the right shape and stiffness give the recorded
+wrench, whatever the controller was: nothing of the trial's course is fitted, only the parts and where they stand. As in
+:mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one (``B:parts.roll``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int
+
+from rcbht_jax.errors import InputError
+from rcbht_jax.robots.snap_assembly import HARMONISED
+from rcbht_jax.types import Recordings
+from sim_mjx import engines
+from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.rollout import stack
+from sim_mjx.assembly.scene import Scene
+from sim_mjx.assembly.task import CONTROL_PERIOD
+from sim_mjx.presets.session import SessionPreset
+from sim_mjx.randomization import overrides
+from sim_mjx.validation.driven import DrivenParams
+from sim_mjx.validation.gauss_newton import Residuals
+from sim_mjx.validation.joint_fit import physical
+from sim_mjx.validation.replay import recorded_angles
+from sim_mjx.validation.system_id import Values
+
+Wrench = Float64[np.ndarray, "time 6"]
+BEFORE, AFTER = 0.6, 4.0  # s, of the path before rotation and after mating begin
+BASE = slice(10, 100)  # samples before anything touches: what the sensor reads there is subtracted from both wrenches
+EARLY = 20  # samples before the recorded start of rotation at which the comparison begins
+COMMAND_LAG = 5  # control periods from a command to its servo, 20 to 25 ms as recorded
+WINDOW = 10  # samples whose mean is one residual
+LEAST = np.array([0.5, 0.5, 0.5, 0.03, 0.03, 0.03])  # N and Nm, least unit of an axis: it may hardly change
+LOST = 10.0  # residual of a simulation that diverged
+
+
+@dataclass(frozen=True)
+class DrivenTrial:
+    """One recorded trial from just before touch."""
+
+    name: str
+    session: str
+    path: Float64[np.ndarray, "time 6"]  # rad, joint angles
+    wrench: Wrench  # N and Nm, recorded, less its mean before touch
+    begin: int  # sample at which the comparison begins
+
+
+def driven_trial(folder: Path, recordings: Recordings, row: int, name: str, preset: SessionPreset) -> DrivenTrial:
+    """A recorded trial as something to simulate.
+
+    Args:
+        folder: of the authors' data sets. recordings: imported from it. row: of the recording.
+        name: of the preset.
+
+    Raises:
+        InputError: the trial's folder or its angles are missing.
+    """
+    angles = recorded_angles(folder, recordings, row, preset)
+    if preset.pose_lag:  # they are commands, which the servos get late
+        angles = np.concatenate([np.repeat(angles[:1], COMMAND_LAG, axis=0), angles[:-COMMAND_LAG]])
+    starts = recordings.starts(HARMONISED)[row]
+    first = max(round((starts[1] - BEFORE) / CONTROL_PERIOD), 0)
+    last = min(round((starts[3] + AFTER) / CONTROL_PERIOD), len(angles), int(recordings.length[row]))
+    wrench = recordings.wrench[row, first:last].astype(np.float64)
+    begin = round(starts[1] / CONTROL_PERIOD) - first - EARLY
+    return DrivenTrial(str(recordings.trial[row]), name, angles[first:last], _relative(wrench), begin)
+
+
+def _relative(wrench: Wrench) -> Wrench:
+    return wrench - wrench[BASE].mean(0)
+
+
+def units(trials: Sequence[DrivenTrial]) -> Float64[np.ndarray, " 6"]:
+    """N and Nm, by which differences of an axis count: its recorded standard deviation."""
+    spread = [trial.wrench[trial.begin :].var(0) for trial in trials]
+    return np.maximum(np.sqrt(np.mean(spread, axis=0)), LEAST)
+
+
+@dataclass(frozen=True)
+class DrivenObjective:
+    """Residuals of candidates, all trials of all candidates in one batch.
+
+    The sum of a candidate's squares is the mean, over trials and axes, of the part of an axis's variance that is not
+    explained; the mean of each ``WINDOW`` samples counts, so that sensor noise does not.
+    """
+
+    scene: Scene  # from :func:`sim_mjx.validation.driven.driven`
+    presets: dict[str, SessionPreset]
+    trials: tuple[DrivenTrial, ...]
+    engine: str = "native"
+
+    def __call__(self, candidates: list[Values]) -> Residuals:
+        simulated = self.simulate(candidates)
+        unit = units(self.trials)
+        count = len(self.trials)
+        rows = [
+            np.concatenate([_residual(*pair, unit) for pair in zip(self.trials, one, strict=True)]) for one in simulated
+        ]
+        return np.stack(rows) / np.sqrt(6 * count)
+
+    def simulate(self, candidates: list[Values]) -> list[list[Wrench]]:
+        """Wrenches [candidate][trial], less their means before touch, NaN where the physics diverged."""
+        longest = max(len(trial.path) for trial in self.trials)
+        batch = [self._params(trial, values, longest) for values in candidates for trial in self.trials]
+        run = engines.simulate(self.scene, stack(batch), self.engine)
+        run.wrench[run.diverged] = np.nan
+        lengths = [len(trial.path) for trial in self.trials] * len(candidates)
+        wrenches = [_relative(wrench[:n].astype(np.float64)) for wrench, n in zip(run.wrench, lengths, strict=True)]
+        return [wrenches[at : at + len(self.trials)] for at in range(0, len(wrenches), len(self.trials))]
+
+    def parts(self, session: str, values: Values) -> PartParams:
+        """The parts of one session."""
+        return overrides.apply_overrides(self.presets[session].parts, "parts", physical(values, session))
+
+    def _params(self, trial: DrivenTrial, values: Values, longest: int) -> DrivenParams:
+        path = trial.path[np.minimum(np.arange(longest), len(trial.path) - 1)]
+        parts, sensor = self.parts(trial.session, values), self.presets[trial.session].sensor
+        return DrivenParams(parts, sensor, path, np.array(len(trial.path), np.int32))
+
+
+def _residual(trial: DrivenTrial, wrench: Wrench, unit: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " residual"]:
+    away = np.nan_to_num((wrench - trial.wrench)[trial.begin :] / unit, nan=LOST)
+    windows = len(away) // WINDOW
+    means = away[: windows * WINDOW].reshape(windows, WINDOW, 6).mean(1)
+    return (np.clip(means, -LOST, LOST) / np.sqrt(windows)).ravel()
+
+
+def explained(trial: DrivenTrial, wrench: Wrench) -> Float64[np.ndarray, " 6"]:
+    """Share of the variance of each axis of the recorded wrench that a simulated one explains, at most 1."""
+    recorded = trial.wrench[trial.begin :]
+    left = ((wrench[trial.begin :] - recorded) ** 2).sum(0)
+    return 1.0 - left / ((recorded - recorded.mean(0)) ** 2).sum(0)
+
+
+def rows_with_angles(
+    folder: Path, recordings: Recordings, rows: Int[np.ndarray, " row"], preset: SessionPreset
+) -> list[int]:
+    """Those of the recordings whose joint angles are there."""
+    out = []
+    for row in rows.tolist():
+        try:
+            recorded_angles(folder, recordings, row, preset)
+        except InputError:
+            continue
+        out.append(row)
+    return out

@@ -1,0 +1,183 @@
+"""Least squares for physical parameters: Levenberg and Marquardt's steps, many of them tried at once.
+
+Where residuals change with the parameters without jumps, their derivatives lead to the least sum of squares in far
+fewer simulations than a search that only compares losses (:mod:`sim_mjx.validation.system_id`). A simulator that runs a
+batch in the time of one run gets all differences in one batch, and a ladder of dampings in the next: from the plain
+Gauss-Newton step to short ones down the slope, of which the best is taken.
+
+Source: Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Parameters", 1963.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from rcbht_jax.errors import InputError
+from sim_mjx.validation.system_id import Search, Values, check, point_of, values_of
+
+Residuals = Float64[np.ndarray, "candidate residual"]
+Jacobian = Float64[np.ndarray, "residual parameter"]  # by shares of the ranges
+Point = Float64[np.ndarray, " parameter"]  # of the unit cube that the bounds span
+Objective = Callable[[list[Values]], Residuals]  # of some candidates, simulated together
+INSIDE = 1e-3  # share of a range by which the first point keeps away from its ends
+DAMPINGS = np.array([1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0])  # times the diagonal of the Gauss-Newton matrix
+FLAT = 1e-6  # share of the largest entry of that diagonal that a parameter without effect counts with
+LEAST_GAIN = 1e-3  # share of the loss; less is no progress
+FINEST = 1e-3  # step of the differences below which the search ends
+
+
+class Iteration(NamedTuple):
+    """A point at which derivatives were taken."""
+
+    candidates: int  # simulated so far
+    loss: float  # sum of squares
+    step: float  # of the differences, in widths of the ranges
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """A finished fit."""
+
+    values: Values
+    loss: float  # sum of squares
+    candidates: int  # that were simulated, those of the differences among them
+    iterations: list[Iteration]
+    jacobian: Jacobian  # at the last point at which derivatives were taken
+    at_bound: list[str]
+
+
+def fit(
+    objective: Objective,
+    search: Search,
+    *,
+    iterations: int = 20,
+    step: float = 0.02,
+    progress: Callable[[Iteration, Values], None] | None = None,
+) -> LeastSquares:
+    """Find the parameters of the least sum of squares.
+
+    Args:
+        objective: residuals of candidates; called twice an iteration, for all differences and for all dampings.
+        search: bounds and start; population, generations, spread and seed mean nothing here.
+        iterations: most points at which derivatives are taken.
+        step: of the first differences, in widths of the ranges: wide enough to bridge where single contacts begin. It
+            is halved, and looks to the other side, whenever no damping makes the loss smaller.
+        progress: called with each point at which derivatives are taken.
+
+    Raises:
+        InputError: impossible bounds, start, step or number of iterations.
+
+    Example:
+        >>> from sim_mjx.validation.system_id import Bound
+        >>> line = lambda candidates: np.array([[v["slope"] * t + v["offset"] - 3 * t - 1 for t in (0.0, 1.0, 2.0)]
+        ...                                     for v in candidates])
+        >>> found = fit(line, Search({"slope": Bound(0.0, 10.0), "offset": Bound(-5.0, 5.0)}))
+        >>> {name: round(value, 2) for name, value in found.values.items()}
+        {'slope': 3.0, 'offset': 1.0}
+    """
+    check(search)
+    if iterations < 1 or not FINEST <= step <= 0.5:
+        raise InputError(f"Iterations {iterations}, step {step}: expected at least 1, and {FINEST} to 0.5.")
+
+    def simulate(points: Float64[np.ndarray, "candidate parameter"]) -> Residuals:
+        return np.asarray(objective([values_of(point, search.bounds) for point in points]), np.float64)
+
+    point = np.clip(point_of(search), INSIDE, 1 - INSIDE)
+    (here,) = simulate(point[None])
+    count, way, side, history = 1, step, 1.0, []
+    jacobian = np.zeros((len(here), len(point)))
+    for _ in range(iterations):
+        history.append(Iteration(count, float(here @ here), way))
+        if progress is not None:
+            progress(history[-1], values_of(point, search.bounds))
+        jacobian = _differences(simulate, point, here, side * way)
+        tried = _steps(point, jacobian, here)
+        found = simulate(tried)
+        count += len(point) + len(tried)
+        losses = np.where(np.isfinite(found).all(1), (found**2).sum(1), np.inf)
+        best = int(np.argmin(losses))
+        enough = losses[best] < (1 - LEAST_GAIN) * float(here @ here)
+        if losses[best] < here @ here:
+            point, here = tried[best], found[best]
+        if not enough:
+            way, side = way / 2, -side
+            if way < FINEST:
+                break
+    ends = zip(search.bounds, point.tolist(), strict=True)
+    at_bound = [name for name, share in ends if not INSIDE < share < 1 - INSIDE]
+    return LeastSquares(values_of(point, search.bounds), float(here @ here), count, history, jacobian, at_bound)
+
+
+def _differences(
+    simulate: Callable[[Float64[np.ndarray, "candidate parameter"]], Residuals],
+    point: Point,
+    here: Float64[np.ndarray, " residual"],
+    way: float,
+) -> Jacobian:
+    """By one simulation a parameter, on the side of ``way`` unless the cube ends there."""
+    ahead = np.where((point + way >= 0.0) & (point + way <= 1.0), way, -way)
+    return ((simulate(point + np.diag(ahead)) - here) / ahead[:, None]).T
+
+
+def _steps(
+    point: Point, jacobian: Jacobian, here: Float64[np.ndarray, " residual"]
+) -> Float64[np.ndarray, "candidate parameter"]:
+    """Points that the dampings lead to, in the cube: a parameter that would leave it stops at its end."""
+    matrix, slope = jacobian.T @ jacobian, jacobian.T @ here
+    scale = np.maximum(np.diag(matrix), FLAT * max(float(np.diag(matrix).max()), 1e-300))
+    out = []
+    for damping in DAMPINGS:
+        free = np.ones(len(point), np.bool_)
+        move = np.zeros(len(point))
+        for _ in point:  # those that leave are held at their ends, and the others solved for again
+            rest = slope + matrix[:, ~free] @ move[~free]
+            damped = matrix[np.ix_(free, free)] + np.diag(damping * scale[free])
+            move[free] = np.linalg.solve(damped, -rest[free])
+            left = free & ((point + move < 0.0) | (point + move > 1.0))
+            if not left.any():
+                break
+            move[left] = np.clip(point + move, 0.0, 1.0)[left] - point[left]
+            free &= ~left
+            if not free.any():
+                break
+        out.append(np.clip(point + move, 0.0, 1.0))
+    return np.stack(out)
+
+
+def identifiability(jacobian: Jacobian, names: list[str], loss: float, samples: float) -> dict[str, Any]:
+    """What the Gauss-Newton matrix says of the parameters, in shares of their ranges.
+
+    Args:
+        jacobian: of residuals whose squares sum to ``loss``. names: of its columns.
+        loss: the sum of squares that is left.
+        samples: independent residuals; those of neighbouring samples are not, so that this is a judgement.
+
+    Returns:
+        ``spectrum`` singular values, largest first; ``deviation`` the standard deviation that the residuals leave each
+        parameter, None where they say nothing of it; ``weakest`` the direction that they say least of, as its largest
+        components.
+
+    Example:
+        >>> said = identifiability(np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0]]), ["a", "b"], 0.01, 10.0)
+        >>> [round(value, 2) for value in said["spectrum"]], said["weakest"]
+        ([2.03, 0.35], {'b': 0.73, 'a': -0.68})
+    """
+    _, spectrum, turned = np.linalg.svd(jacobian, full_matrices=False)
+    noise = loss / max(samples - len(names), 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = noise * (turned**2 / spectrum[:, None] ** 2).sum(0)
+    last = turned[-1] * np.sign(turned[-1][np.argmax(np.abs(turned[-1]))])
+    order = np.argsort(-np.abs(last))[:5]
+    return {
+        "spectrum": spectrum.tolist(),
+        "deviation": {
+            name: float(np.sqrt(value)) if np.isfinite(value) else None
+            for name, value in zip(names, variance.tolist(), strict=True)
+        },
+        "weakest": {names[i]: round(float(last[i]), 2) for i in order if abs(last[i]) >= 0.1},
+    }
