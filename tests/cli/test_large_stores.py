@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import pytest
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.objective import SCORES
-from rcbht_jax.cli.calibrate import Calibrate
 from rcbht_jax.cli.main import main
 from rcbht_jax.io import label_parts, store, store_reader
 from rcbht_jax.io.export import FORMATS
@@ -132,12 +132,15 @@ def test_an_export_does_not_depend_on_the_batches(
 
 
 def test_labels_of_an_export_are_made_batch_by_batch(
-    stored: Path, tmp_path: Path, request: pytest.FixtureRequest
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
+    monkeypatch.setattr(store, "SAMPLE_BYTES", 3 * 4 * 6 * store.longest_of(stored))  # tells thresholds of either
     words = ["export", str(stored), "--format", "parquet", "--window", "5", "-o"]
     assert main([*words, str(tmp_path / "one")]) == 0
-    request.getfixturevalue("batched")
+    batched = request.getfixturevalue("batched")
     assert main([*words, str(tmp_path / "many")]) == 0
+    assert sum(batched) == 3 + COUNT  # the sample, and each recording once
+    assert max(batched) <= 4
     assert tree(tmp_path / "many") == tree(tmp_path / "one")
 
 
@@ -158,7 +161,8 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """The search itself is left out: what it is given, and what is said of it, is looked at."""
-    monkeypatch.setattr(Calibrate, "_search", lambda self, teachers, data, config, base, rest: (base, {}))
+    unsought = partial(search.SearchResult, value=0.0, scores={}, start_value=0.0, evaluations=0, history=[])
+    monkeypatch.setattr(search, "search", lambda data, config, options, **_: unsought(options.space.base))
     monkeypatch.setattr(search, "score_candidates", lambda *_: np.zeros((2, len(SCORES))))
     words = ["calibrate", stored, "--method", method, "--session", "b", "-o", tmp_path / "l.json"]
     words += ["--task", "outcome"] if method == "search" else []
