@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.model_selection import GridSearchCV, GroupKFold
 
-from rcbht_jax import encode
+from rcbht_jax import StateClassifier, SvmClassifier, encode
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import FeatureSpec
 from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
@@ -43,3 +45,14 @@ def test_no_fold_divides_what_the_group_names():
         scored(group="day")
     with pytest.raises(InputError, match="grouped by operator, but sessions"):
         scored(group="operator", train_on=("A",), test_on=("B",))
+
+
+@pytest.mark.parametrize(
+    "classifier",
+    [None, RandomForestClassifier(3), GridSearchCV(SvmClassifier(kernel="linear"), {"cost": [1, 2]}, cv=GroupKFold(2))],
+)
+def test_groups_go_to_classifiers_that_take_them(classifier):
+    made = Recordings.example()
+    groups = np.tile([0, 1], 4)
+    found = StateClassifier(classifier=classifier).fit(made.wrench, made.outcome, groups=groups)
+    assert found.predict(made.wrench).tolist() == made.outcome.tolist()
