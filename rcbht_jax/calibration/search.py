@@ -294,6 +294,9 @@ def search(
 ) -> SearchResult:
     """The thresholds with the highest objective; ties go to the candidate evaluated first.
 
+    Objectives are compared to six digits. They are sums in single precision, whose sixth digit depends on the order of
+    the trials: the same trials in another order may choose another of the candidates that are as good.
+
     Args:
         data: training trials only.
         config: static configuration of the encoder.

@@ -53,7 +53,6 @@ _READ_BY = {  # options by the methods that read them; the others refuse them
         "plot",
     ),
 }
-_GROUPS = {"axis": (0, 1, 2, 3, 4, 5), "kind": (0, 0, 0, 1, 1, 1), "all": (0,) * 6}
 
 
 class _Given(NamedTuple):
@@ -96,7 +95,7 @@ class Calibrate(RuleCommand):
     own_axes: Flag = False
     """Give every axis limits of its own, instead of copying them between axes as the authors do (context)."""
     groups: Literal["axis", "kind", "all"] = "kind"
-    """Thresholds for each axis, for forces and for moments, or for all axes together (search)."""
+    """Thresholds for each axis, for each unit (forces, moments), or for all axes together (search)."""
     candidates: int = 1024
     """Thresholds to score first, a power of two (search)."""
     generations: int = 20
@@ -302,7 +301,7 @@ class Calibrate(RuleCommand):
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
 
         options = SearchOptions(
-            space=SearchSpace(given.base, _GROUPS[self.groups]),
+            space=SearchSpace(given.base, _groups(self.groups, given.teachers)),
             objective=Objective.of(dict.fromkeys(self.objective, 1.0)),
             candidates=self.candidates,
             rungs=self.rungs,
@@ -334,6 +333,13 @@ class Calibrate(RuleCommand):
             )  # fmt: skip
         losses = [trained.history[0][1], trained.history[-1][1]]
         return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}
+
+
+def _groups(choice: Literal["axis", "kind", "all"], recordings: Recordings) -> tuple[int, ...]:
+    """Number of the group of each axis."""
+    units, axes = recordings.units, recordings.axes
+    names = {"axis": axes, "kind": units, "all": ("",) * len(axes)}[choice]
+    return tuple(list(dict.fromkeys(names)).index(name) for name in names)
 
 
 def _of(sample: Sample) -> dict[str, int]:

@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 
 from rcbht_jax._util.cells import cell
+from rcbht_jax._util.printable import plural
 from rcbht_jax.cli.command import (
     Boundaries,
     Command,
@@ -28,6 +29,7 @@ from rcbht_jax.cli.command import (
     Task,
     Weighing,
     left_out,
+    option,
     progress_bar,
 )
 from rcbht_jax.errors import InputError
@@ -113,8 +115,9 @@ def table_and_facts(store: Path) -> tuple[Recordings, WrenchFacts]:
 class Evaluate(_Learning):
     """Measure how well a classifier of the labels distinguishes states, outcomes or failure types.
 
-    All sentences of a trial are in the same fold; kernel, C and scaling are chosen within the training folds. Two
-    baselines are measured on the same folds: the duration alone, and the most frequent class.
+    All sentences of a trial, or of all trials of a --group, are in the same fold; kernel, C and scaling are chosen
+    within the training folds. Two baselines are measured on the same folds: the duration alone, and the most frequent
+    class.
 
     Example: rcbht evaluate hiro.zarr --task states --session A B --train-on A --test-on B
     """
@@ -127,13 +130,16 @@ class Evaluate(_Learning):
     """Folds of the cross-validation."""
     repeats: int = 10
     """Repetitions of the cross-validation, each with other folds."""
+    group: Annotated[str, option("Column whose groups no fold divides, for example operator or session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
         from rcbht_jax.learning.evaluation import EvaluationProtocol, evaluate
 
         grammars, how = self.read_tracks()
-        protocol = EvaluationProtocol(self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on)
+        protocol = EvaluationProtocol(
+            self.folds, self.repeats, self.seed, self.grid, self.train_on, self.test_on, self.group
+        )
         families = FeatureSpec(families=self.features, weighing=self.weighing, balance=self.balance)
         folds = 1 if self.train_on else self.folds * self.repeats
         recordings, facts = table_and_facts(self.store)
@@ -159,7 +165,8 @@ class Evaluate(_Learning):
         lines += [f"{title:24}{_scores(result[key])}" for title, key in rows]
         if result["score"]["accuracy"]["mean"] == 1.0:
             most = rule_of_three(result["tested"])
-            lines.append(f"no mistake in {result['tested']} trials: up to {most:.1%} of new ones may have one")
+            group = result["protocol"]["group"]
+            lines.append(f"no mistake in {plural(result['tested'], group)}: up to {most:.1%} of new ones may have one")
         if "fold_min_mean_max" in result["score"]:
             low, mean, high = result["score"]["fold_min_mean_max"]
             lines.append(

@@ -87,6 +87,8 @@ class MonitorFit(Command):
 class MonitorWatch(Command):
     """Play recordings through a monitor, as JSON lines: one at the alarm, one at the end, one for each --snap.
 
+    A time is what had passed when a sample was there: number of samples x period, a period later than its stamp.
+
     A recording that taught the monitor is its own nearest neighbour and hardly ever raises an alarm: watch others.
 
     Example: rcbht monitor watch kitting.zarr --monitor skill7.monitor --where skill=7 --false-alarms 0.1

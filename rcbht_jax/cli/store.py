@@ -168,7 +168,7 @@ class Info(Command):
         lines += [f"annotations {track}: {_counts(labels)}" for track, labels in result["annotations"].items()]
         lines += [f"column {name}: {values}" for name, values in result["columns"].items()]
         for name, task in result["tasks"].items():
-            counts = ", ".join(f"{label} {count}" for label, count in task["classes"].items())
+            counts = ", ".join(f"{label} ({count})" for label, count in task["classes"].items())
             lines.append(f"task {name}: {counts or 'not possible'}")
             lines += [f"  {sentence}" for sentence in task["sentences"]]
         notes = ", ".join(f"{flag} {count}" for flag, count in result["notes"].items())
@@ -207,7 +207,7 @@ def _task(recordings: Recordings, name: str, facts: WrenchFacts) -> dict[str, An
 
 
 def _counts(labels: dict[str, list[int]]) -> str:
-    return ", ".join(f"{label} {count} (in {recordings} recordings)" for label, (count, recordings) in labels.items())
+    return ", ".join(f"{label} ({count} in {plural(rows, 'recording')})" for label, (count, rows) in labels.items())
 
 
 def _column(found: dict[str, Any]) -> str:
@@ -218,5 +218,5 @@ def _column(found: dict[str, Any]) -> str:
     if found["texts"] is None:
         return "texts, most of them different"
     counts = Counter(found["texts"])
-    shown = ", ".join(f"{text} {count}" for text, count in counts.most_common(8))
+    shown = ", ".join(f"{text} ({count})" for text, count in counts.most_common(8))
     return (shown or "empty") + (f", {len(counts) - 8} more" if len(counts) > 8 else "")

@@ -187,20 +187,20 @@ class Stream(Source):
             out = stack.enter_context(atomic_lines(self.out)) if self.out else sys.stdout
             mcap = stack.enter_context(McapWriter(self.mcap, session.introspector.axes)) if self.mcap else None
 
-            def report(events: list[Event], message: Message | None = None) -> None:
+            def report(events: list[Event], message: Message | None = None, latest: float = 0.0) -> None:
                 for event in events:
                     counts[type(event).__name__] += 1
                     out.write(json.dumps(event.to_json(), allow_nan=False) + "\n")
                 if events:
                     out.flush()
                 if mcap is not None:
-                    _record(mcap, session, message, events)
+                    _record(mcap, session, message, events, latest)
 
             try:
                 for message in itertools.chain(first, messages):
-                    before, left_out = session.introspector.received, _left_out(session)
+                    before, left_out, latest = session.introspector.received, _left_out(session), session.time
                     events = session.feed(message)
-                    report(events, message if _left_out(session) == left_out else None)
+                    report(events, message if _left_out(session) == left_out else None, latest)
                     received = session.introspector.received
                     if received < before:  # a gap or a new trial: words that begin at the same sample are others
                         revisions = Revisions()
@@ -307,11 +307,18 @@ def _left_out(session: Session) -> int:
     return sum(session.counts[kind] for kind in ("not-finite", "late", "repeated"))
 
 
-def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event]) -> None:
-    """Write one message's part of the MCAP; a reading has the time of its own stamp."""
+def _record(mcap: McapWriter, session: Session, message: Message | None, events: list[Event], latest: float) -> None:
+    """Write one message's part of the MCAP; a reading has the time of its own stamp, the one before that of latest."""
     from rcbht_jax.events import Belief, TrialStarted, Word
+    from rcbht_jax.introspection.resampling import CLOCK_JUMP
     from rcbht_jax.io.messages import Sample
 
+    if isinstance(message, Sample) and session.time < latest - CLOCK_JUMP:  # words that end are of the time before
+        for event in events:
+            if event.time > session.time:
+                mcap.event(event)
+        events = [event for event in events if event.time <= session.time]
+        mcap.trial(session.time)
     for event in events:
         if isinstance(event, TrialStarted):
             mcap.trial(event.time)

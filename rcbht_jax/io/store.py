@@ -234,12 +234,12 @@ def progress_of(path: Path) -> tuple[int, int, dict[str, str], int]:
         return there, there if HASH in group.attrs else wrench.shape[0], axes, wrench.nbytes
 
 
-def read_sample(path: Path, most: int = SAMPLE_BYTES) -> tuple[Recordings, NDArray[np.int64]]:
+def read_sample(path: Path, most: int | None = None) -> tuple[Recordings, NDArray[np.int64]]:
     """All recordings of a store, or, of a large one, recordings spread evenly over it.
 
     Args:
         path: the store.
-        most: bytes of padded wrenches beyond which it is large.
+        most: bytes of padded wrenches beyond which it is large; default 64 MiB.
 
     Returns:
         the recordings, and their numbers.
@@ -250,7 +250,7 @@ def read_sample(path: Path, most: int = SAMPLE_BYTES) -> tuple[Recordings, NDArr
     length, group = read_lengths(path), open_store(path)
     with zarr_io.reading(path):
         axes = group["wrench"].shape[2]  # type: ignore[union-attr]
-    room = most // (4 * axes * int(length.max()))
+    room = (SAMPLE_BYTES if most is None else most) // (4 * axes * int(length.max()))
     if room >= len(length):
         return read_recordings(path), np.arange(len(length))
     numbers = np.linspace(0, len(length) - 1, max(1, room)).round().astype(np.int64)

@@ -10,6 +10,7 @@ Parameters are fields, from which ``dataclass`` writes the ``__init__`` that sci
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -354,6 +355,11 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> StateClassifier:
         """Train on recordings with one class each; see :class:`WrenchFeatures` for their shapes.
 
+        Args:
+            X: recordings.
+            y: classes.
+            groups: trial of each recording, for a classifier whose own ``fit`` takes groups; others need none.
+
         Raises:
             InputError: as the two parts do.
         """
@@ -364,7 +370,9 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
         if self.features_.feature_weight_ is not None:
             self.classifier_.set_params(feature_weight=self.features_.feature_weight_)
-        grouped = {} if groups is None else {"groups": groups}
+        taken = signature(self.classifier_.fit).parameters.values()
+        takes = any(one.name == "groups" or one.kind is one.VAR_KEYWORD for one in taken)  # the latter: searches
+        grouped = {"groups": groups} if takes and groups is not None else {}
         self.classifier_.fit(self.features_.transform(X), y, **grouped)
         self.classes_ = self.classifier_.classes_
         return self

@@ -34,7 +34,7 @@ class EvaluationProtocol:
     """How to measure: repeated grouped k-fold, or training and testing on different sessions.
 
     Raises:
-        InputError: sessions for one side only, a session on both sides, or no repeats.
+        InputError: sessions for one side only, a session on both sides, sessions and a group, or no repeats.
     """
 
     folds: int = 5
@@ -43,6 +43,7 @@ class EvaluationProtocol:
     grid: Grid = field(default_factory=Grid)
     train_on: tuple[str, ...] = ()  # sessions; empty = cross-validation
     test_on: tuple[str, ...] = ()
+    group: str = "trial"  # column whose values no fold divides: an operator, a part, a day
 
     def __post_init__(self) -> None:
         if bool(self.train_on) != bool(self.test_on):
@@ -50,6 +51,8 @@ class EvaluationProtocol:
         if set(self.train_on) & set(self.test_on):
             both = ", ".join(sorted(set(self.train_on) & set(self.test_on)))
             raise InputError(f"session {both} is in train-on and in test-on; a session can be in one only.")
+        if self.train_on and self.group != "trial":
+            raise InputError(f"folds are grouped by {self.group}, but sessions are trained and tested on; give one.")
         if self.repeats < 1:
             raise InputError(f"{self.repeats} repeats were asked for; at least one is needed.")
 
@@ -64,7 +67,7 @@ class EvaluationResult:
     items: dict[str, int]  # class -> items, where sessions were chosen those of these
     trials: int
     untaught: tuple[str, ...]  # classes that are tested and not taught
-    tested: int  # of the trials
+    tested: int  # of the trials, or of the protocol's groups
     dropped: dict[str, int]  # reason -> trials left out
     score: dict[str, Any]  # accuracy and balanced accuracy with limits; min, mean, max over folds
     duration_baseline: dict[str, Any]  # random forest on the length of the interval alone
@@ -121,13 +124,14 @@ def evaluate(
         features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.
         label_attrs: how the labels were made; goes into the result.
-        splitter: scikit-learn splitter to use in place of the protocol's folds; its groups are the trials.
+        splitter: scikit-learn splitter to use in place of the protocol's folds; its groups are those of the
+            protocol, usually the trials.
         progress: called with 1 after each fold of the SVM.
         facts: of the wrenches, if the recordings have no samples.
 
     Raises:
-        InputError: unknown sessions, too few trials for the folds, fewer than two classes, a splitter that divides a
-            trial, or labels of more or fewer recordings.
+        InputError: unknown sessions or group, too few trials for the folds, fewer than two classes, a splitter that
+            divides a trial, or labels of more or fewer recordings.
 
     Example:
         >>> import rcbht_jax as rj
@@ -140,6 +144,8 @@ def evaluate(
     """
     specs = {"": features} if isinstance(features, FeatureSpec) else dict(features)
     items = labelled_intervals(recordings, task)
+    column, rows = protocol.group, items.intervals[0].recording
+    groups = items.trial if column == "trial" else recordings.column(column)[rows]
     described = candidates(tracks, items, features, len(recordings))
     facts = facts or WrenchFacts.of(recordings)
     provenance = {
@@ -150,7 +156,7 @@ def evaluate(
     }
     matrices = {name: part.values for name, (part, _) in described.items()}
     weights = {name: weight for name, (_, weight) in described.items()}
-    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, facts, splitter)
+    return score(items, matrices, protocol, asdict(task), provenance, weights, progress, facts, splitter, groups)
 
 
 def score(
@@ -163,11 +169,14 @@ def score(
     progress: Callable[[int], Any] | None = None,
     facts: WrenchFacts | None = None,
     splitter: Any = None,
+    groups: NDArray[Any] | None = None,
 ) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits.
 
-    ``facts`` serve to find copies; everything else is as in :func:`evaluate`.
+    ``facts`` serve to find copies; ``groups`` ``[item]``, by default the trials, are not divided by a fold; everything
+    else is as in :func:`evaluate`.
     """
+    groups = items.trial if groups is None else groups
     estimators = {
         "svm": validation.nested_svm(matrices, items.y, items.trial, protocol.grid, weights, progress),
         "duration": validation.forest(items.seconds, items.y),
@@ -187,14 +196,14 @@ def score(
         tables = {k: (x.summary(), x.confusion) for k, x in scores.items()}
     else:
         folds = (
-            validation.repeated_folds(items.y, items.trial, protocol.folds, protocol.repeats, protocol.seed)
+            validation.repeated_folds(items.y, groups, protocol.folds, protocol.repeats, protocol.seed, protocol.group)
             if splitter is None
-            else [grouped_folds(items.y, items.trial, splitter, protocol.seed)]
+            else [grouped_folds(items.y, groups, splitter, protocol.seed)]
         )
         runs = {k: validation.cross_validate(e, items.y, folds, protocol.seed) for k, e in estimators.items()}
         fold_accuracy = runs["svm"].accuracy.tolist()
         chosen = [choice for repeat in runs["svm"].chosen for choice in repeat]
-        tested = len(np.unique(items.trial))
+        tested = len(np.unique(groups))
         tables = {k: (x.summary(tested), x.confusion) for k, x in runs.items()}
     return EvaluationResult(
         task=task,

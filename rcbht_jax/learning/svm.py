@@ -238,7 +238,7 @@ def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:
         )
 
 
-def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) -> list[Split]:
+def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, group: str = "trial") -> list[Split]:
     """Stratified folds that keep groups together, in a seeded order: scikit-learn's StratifiedGroupKFold.
 
     Args:
@@ -246,6 +246,7 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) ->
         groups: trial ``[item]``.
         folds: how many, or a scikit-learn splitter to use instead.
         seed: of the shuffle; a splitter has its own.
+        group: what a group is called where there are too few.
 
     Raises:
         InputError: a class has fewer groups than there are folds, or the splitter divides a group.
@@ -261,9 +262,9 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int) ->
     fewest = fewest_groups(y, groups)
     if folds < 2 or fewest < folds:
         if fewest < 2:
-            raise InputError(f"The rarest class has {fewest} trial; cross-validation needs two of every class.")
+            raise InputError(f"The rarest class has {fewest} {group}; cross-validation needs two of every class.")
         possible = "2" if fewest == 2 else f"2 to {fewest}"
-        raise InputError(f"{folds} folds: the rarest class has {fewest} trials, so choose {possible} folds.")
+        raise InputError(f"{folds} folds: the rarest class has {fewest} {group}s, so choose {possible} folds.")
     splitter = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
     return [(a.astype(np.int64), b.astype(np.int64)) for a, b in splitter.split(y, y, groups)]
 

@@ -118,9 +118,11 @@ def _interval(scores: NDArray[np.float64], ratio: float, trials: int) -> dict[st
     return {"mean": mean, "low": low, "high": high}
 
 
-def repeated_folds(y: Ints, groups: NDArray[Any], folds: int, repeats: int, seed: int) -> list[list[Split]]:
+def repeated_folds(
+    y: Ints, groups: NDArray[Any], folds: int, repeats: int, seed: int, group: str = "trial"
+) -> list[list[Split]]:
     """``grouped_folds`` for the seeds ``seed`` ... ``seed + repeats - 1``: ``[repeat][fold]``."""
-    return [grouped_folds(y, groups, folds, seed + repeat) for repeat in range(repeats)]
+    return [grouped_folds(y, groups, folds, seed + repeat, group) for repeat in range(repeats)]
 
 
 def cross_validate(estimator: Estimator, y: Ints, splits: Sequence[Sequence[Split]], seed: int = 0) -> CrossValidation:

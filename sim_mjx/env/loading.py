@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from rcbht_jax.encoding.thresholds import Thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.model import IntrospectionModel
 from sim_mjx import engines
@@ -34,6 +35,7 @@ def load(
     seed: int = 0,
     params: Any = None,
     model: IntrospectionModel | None = None,
+    thresholds: Thresholds | None = None,
     engine: str = "mjx",
     parallel: int = 8192,
 ) -> Environment:
@@ -46,13 +48,15 @@ def load(
         trials: how many are drawn, from which :meth:`Environment.reset` chooses.
         seed: of the trials.
         params: a batch of trials in place of drawn ones; then ``spec``, ``trials`` and ``seed`` are not used.
-        model: makes the beliefs that are observed; None = none are.
+        model: makes the beliefs that are observed, and the words; None = no beliefs.
+        thresholds: of the words without a model, ``[6, 4]`` of every wrist or ``[axis, 4]``, in N/s and Nm/s; None =
+            HIRO's.
         engine: "mjx", or "warp" on an NVIDIA GPU.
         parallel: environments that step at once at most, for which "warp" reserves memory.
 
     Raises:
-        InputError: an unknown scenario or engine, one that does not run on the device, no trials, or a model or a
-            configuration that does not fit the scenario.
+        InputError: an unknown scenario or engine, one that does not run on the device, no trials, or a model,
+            thresholds or a configuration that does not fit the scenario.
     """
     config = config or EnvConfig()
     engines.check(engine)
@@ -66,7 +70,7 @@ def load(
         spec = spec or scenario.spec(nominal_share=1.0)
         params, _ = scenario.draw_batch(seed, range(trials), spec)
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
-    senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model)
+    senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))
     return Environment(scene.program, physics, drawn, senses, config)
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.encoder import EncoderConfig, unpack
-from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.thresholds import Thresholds, limits_of, preset, validate
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import StreamState, begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
@@ -131,19 +131,29 @@ class Senses:
         return jnp.clip(jnp.nan_to_num(whole), jnp.asarray(low), jnp.asarray(high))
 
 
-def new_senses(config: EnvConfig, axes: int, joints: int, model: IntrospectionModel | None = None) -> Senses:
-    """Senses of an environment; without a model the words are those of HIRO's thresholds, and there are no beliefs.
+def new_senses(
+    config: EnvConfig,
+    axes: int,
+    joints: int,
+    model: IntrospectionModel | None = None,
+    thresholds: Thresholds | None = None,
+) -> Senses:
+    """Senses of an environment; without a model there are no beliefs.
 
     Args:
         config: what is observed, and how often.
         axes: of all wrists' wrenches.
         joints: of the robot.
         model: makes beliefs, and the words with its own encoder.
+        thresholds: of the words without a model, ``[6, 4]`` of every wrist or ``[axis, 4]``; None = HIRO's.
 
     Raises:
-        InputError: a model of other axes or another period, or a step that is no multiple of the encoder's window.
+        InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes or another
+            period, or a step that is no multiple of the encoder's window.
     """
-    chain, heads, limits = _chain(model, axes)
+    if model is not None and thresholds is not None:
+        raise InputError("A model has its own thresholds; give a model or thresholds, not both.")
+    chain, heads, limits = _chain(model, axes, preset() if thresholds is None else thresholds)
     if config.senses_words and config.periods % chain.config.window:
         raise InputError(
             f"A step has {config.periods} control periods; with words it must be a multiple of the encoder's window, "
@@ -157,8 +167,11 @@ def new_senses(config: EnvConfig, axes: int, joints: int, model: IntrospectionMo
     return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
 
 
-def _chain(model: IntrospectionModel | None, axes: int) -> tuple[Chain, tuple[Any, ...], Any]:
+def _chain(model: IntrospectionModel | None, axes: int, thresholds: Thresholds) -> tuple[Chain, tuple[Any, ...], Any]:
     if model is not None:
         return Chain.of(model), tuple(head_arrays(head) for head in model.heads), model.stacked_limits
-    wrists = np.concatenate([np.asarray(preset().limits)] * (axes // 6))
-    return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), wrists
+    limits = np.asarray(limits_of(thresholds), np.float64)
+    validate(limits)
+    if limits.shape not in ((6, 4), (axes, 4)):
+        raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] of every wrist, or [{axes}, 4].")
+    return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), np.tile(limits, (axes // len(limits), 1))

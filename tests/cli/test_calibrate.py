@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rcbht_jax as rj
-from rcbht_jax.calibration import sample
+from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
 from rcbht_jax.encoding.limit_files import has_tolerances, read_limits, write_limits
@@ -225,6 +225,26 @@ def test_a_sample_of_all_chosen_trials_is_no_part(store, monkeypatch):
     some = TaskSpec("states", sources=(str(read_recordings(store).source[0]),))
     chosen = np.flatnonzero(read_recordings(store).source == some.sources[0])
     assert sample.read_sample(store, some).trials == (None if len(chosen) <= 2 else len(chosen))
+
+
+@pytest.mark.parametrize(("groups", "numbers"), [("axis", range(6)), ("kind", [0, 1, 1, 0, 0, 1]), ("all", [0] * 6)])
+def test_groups_of_a_search_go_by_units(tmp_path, monkeypatch, groups, numbers):
+    mixed = {"Mz": "Nm", "Fx": "N", "Fz": "N", "Mx": "Nm", "My": "Nm", "Fy": "N"}
+    made = rj.Recordings.from_arrays(
+        np.random.default_rng(0).normal(size=(4, 200, 6)), 200,
+        axes=list(mixed), units=list(mixed.values()), tool=["a", "b"] * 2,
+    )  # fmt: skip
+    write_recordings(tmp_path / "s.zarr", made, {})
+    seen = []
+
+    def look(data, config, options, **_):
+        seen.append(options.space.groups)
+        raise InputError("seen")
+
+    monkeypatch.setattr(search, "search", look)
+    words = ["--groups", groups, "--task", "tool", "-o", str(tmp_path / "x.json")]
+    assert main(["calibrate", str(tmp_path / "s.zarr"), *words]) == 2
+    assert seen == [tuple(numbers)]
 
 
 @pytest.mark.parametrize("axes", [1, 9])

@@ -108,7 +108,7 @@ def test_a_model_of_fitted_words_refuses_labels_of_another_tolerance(
 def test_grammars_stand_side_by_side_or_are_chosen_from(
     store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = run(capsys, "encode", store, "--window", 20, "--scale", 0.0625)
+    made = run(capsys, "encode", store, "--window", 20, "--robot", "hiro", "--scale", 0.0625)
     assert made["name"] == "online-W20-x0.0625"
     assert made["thresholds"][0][3] == 0.0625
     quick = ("--kernels", "linear", "--costs", 1, "--features", "parts", "levels", "--ranks", "--balance")

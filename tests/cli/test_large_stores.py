@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import pytest
 from rcbht_jax._util.digest import data_hash
 from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.objective import SCORES
-from rcbht_jax.cli.calibrate import Calibrate
 from rcbht_jax.cli.main import main
 from rcbht_jax.io import label_parts, store, store_reader
 from rcbht_jax.io.export import FORMATS
@@ -81,25 +81,12 @@ def said(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.fixture(scope="module")
-def whole(stored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the commands make of the store in one batch."""
-    folder = tmp_path_factory.mktemp("whole")
-    assert main(["train", str(stored), *QUICK, "-o", str(folder / "a.model")]) == 0
-    for kind in FORMATS:
-        assert main(["export", str(stored), "--format", kind, "-o", str(folder / kind)]) == 0
-    assert (
-        main(["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o", str(folder / "a.html")])
-        == 0
-    )
-    return folder
-
-
-def test_a_model_does_not_depend_on_the_batches(
-    stored: Path, whole: Path, tmp_path: Path, batched: list[int], capsys: pytest.CaptureFixture[str]
-) -> None:
-    said(capsys, "train", stored, *QUICK, "-o", tmp_path / "b.model")
-    assert (tmp_path / "b.model").read_bytes() == (whole / "a.model").read_bytes()
+def test_a_model_does_not_depend_on_the_batches(stored: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    words = ["train", str(stored), *QUICK, "-o"]
+    assert main([*words, str(tmp_path / "whole.model")]) == 0
+    batched = request.getfixturevalue("batched")
+    assert main([*words, str(tmp_path / "b.model")]) == 0
+    assert (tmp_path / "b.model").read_bytes() == (tmp_path / "whole.model").read_bytes()
     assert sum(batched) == COUNT  # each wrench once, for the digest of the data
     assert max(batched) <= 4  # recordings; of the short ones four fit
 
@@ -122,33 +109,39 @@ def _content(data: bytes) -> bytes:
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_an_export_does_not_depend_on_the_batches(
-    kind: str, stored: Path, whole: Path, tmp_path: Path, batched: list[int]
+    kind: str, stored: Path, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    assert main(["export", str(stored), "--format", kind, "-o", str(tmp_path / kind)]) == 0
-    found, expected = ({name: _content(data) for name, data in tree(at / kind).items()} for at in (tmp_path, whole))
+    words = ["export", str(stored), "--format", kind, "-o"]
+    assert main([*words, str(tmp_path / "whole")]) == 0
+    batched = request.getfixturevalue("batched")
+    assert main([*words, str(tmp_path / "parts")]) == 0
+    found, expected = (
+        {name: _content(data) for name, data in tree(tmp_path / at).items()} for at in ("parts", "whole")
+    )
     assert found == expected
     assert sum(batched) == COUNT
     assert max(batched) <= 4
 
 
 def test_labels_of_an_export_are_made_batch_by_batch(
-    stored: Path, tmp_path: Path, request: pytest.FixtureRequest
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
+    monkeypatch.setattr(store, "SAMPLE_BYTES", 3 * 4 * 6 * store.longest_of(stored))  # tells thresholds of either
     words = ["export", str(stored), "--format", "parquet", "--window", "5", "-o"]
     assert main([*words, str(tmp_path / "one")]) == 0
-    request.getfixturevalue("batched")
+    batched = request.getfixturevalue("batched")
     assert main([*words, str(tmp_path / "many")]) == 0
+    assert sum(batched) == 3 + COUNT  # the sample, and each recording once
+    assert max(batched) <= 4
     assert tree(tmp_path / "many") == tree(tmp_path / "one")
 
 
-def test_a_report_reads_what_it_shows(stored: Path, whole: Path, tmp_path: Path, batched: list[int]) -> None:
-    assert (
-        main(
-            ["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o", str(tmp_path / "b.html")]
-        )
-        == 0
-    )
-    assert (tmp_path / "b.html").read_bytes() == (whole / "a.html").read_bytes()
+def test_a_report_reads_what_it_shows(stored: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    words = ["report", str(stored), "--rule", "paper", "--trial", "trial-0", "trial-8", "-o"]
+    assert main([*words, str(tmp_path / "whole.html")]) == 0
+    batched = request.getfixturevalue("batched")
+    assert main([*words, str(tmp_path / "b.html")]) == 0
+    assert (tmp_path / "b.html").read_bytes() == (tmp_path / "whole.html").read_bytes()
     assert sum(batched) == 2
 
 
@@ -158,7 +151,8 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """The search itself is left out: what it is given, and what is said of it, is looked at."""
-    monkeypatch.setattr(Calibrate, "_search", lambda self, teachers, data, config, base, rest: (base, {}))
+    unsought = partial(search.SearchResult, value=0.0, scores={}, start_value=0.0, evaluations=0, history=[])
+    monkeypatch.setattr(search, "search", lambda data, config, options, **_: unsought(options.space.base))
     monkeypatch.setattr(search, "score_candidates", lambda *_: np.zeros((2, len(SCORES))))
     words = ["calibrate", stored, "--method", method, "--session", "b", "-o", tmp_path / "l.json"]
     words += ["--task", "outcome"] if method == "search" else []

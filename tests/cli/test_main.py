@@ -85,7 +85,8 @@ def test_import_then_info(hiro_dir: Path, tmp_path: Path, capsys: pytest.Capture
     assert main.main(["info", out]) == 0
     text = capsys.readouterr().out
     assert "30 recordings of Fx (N), " in text
-    assert "task states: approach 15, rotation 15, insertion 15, mating 13" in text
+    assert "task states: approach (15), rotation (15), insertion (15), mating (13)" in text
+    assert "annotations states: approach (30 in 30 recordings), " in text
 
 
 @pytest.mark.parametrize(

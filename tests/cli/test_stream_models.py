@@ -111,6 +111,23 @@ def test_trials_follow_each_other_in_a_file(model_path, tmp_path, monkeypatch):
     assert max(told) == pytest.approx(expected[-1][1])
 
 
+def test_a_clock_that_goes_back_goes_on_in_a_file(tmp_path, monkeypatch):
+    rows = [{"wrench": [start + k], "time": start + 0.005 * k} for start in (90.0, 50.0) for k in range(40)]
+    lines = [json.dumps(row).encode() + b"\n" for row in rows]
+    monkeypatch.setattr(sys, "stdin", type("Stdin", (), {"buffer": io.BytesIO(b"".join(lines))}))
+    words = ["stream", "-", "--axes", "Fz", "--robot", "hiro", "--mcap", str(tmp_path / "o.mcap")]
+    assert main([*words, "-o", str(tmp_path / "o.jsonl")]) == 0
+    found: dict[str, list[float]] = {}
+    with AnyReader([tmp_path / "o.mcap"]) as reader:
+        for connection, time, _ in sorted(reader.messages(), key=lambda message: message[1]):
+            found.setdefault(connection.topic, []).append(time * 1e-9)
+    ends = [90.195, 90.195 + 1 + 0.195]
+    np.testing.assert_allclose(found["/signal"], np.r_[rows[0]["time"] : ends[0] : 40j, ends[0] + 1 : ends[1] : 40j])
+    events = map(json.loads, (tmp_path / "o.jsonl").read_text().splitlines())
+    told = np.array([event["time"] for event in events if event["event"] == "Word"])
+    np.testing.assert_allclose(found["/words"], np.where(told < 60, told - 50 + ends[0] + 1, told))
+
+
 @pytest.mark.parametrize("rule", ["paper", "fit"])
 def test_provisional_words_after_a_gap_are_new_ones(capsys, monkeypatch, rule):
     """Words that began at the same sample as one before the gap were not reported, or as its revisions."""

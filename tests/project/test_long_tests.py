@@ -13,7 +13,7 @@ def test_every_name_is_a_test() -> None:
     assert len(set(every)) == len(every)
     for name in every:
         file, _, test = name.partition("::")
-        assert f"def {test.partition('[')[0]}" in (ROOT / file).read_text(), name
+        assert f"def {test.partition('[')[0]}(" in (ROOT / file).read_text(), name
 
 
 def test_each_runs_in_one_of_four_parts_and_others_in_none() -> None:
@@ -27,11 +27,13 @@ def test_each_runs_in_one_of_four_parts_and_others_in_none() -> None:
     assert not any(part(other) for part in parts)
 
 
-def test_files_and_tests_stand_for_all_that_is_in_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.support.long_tests.names", lambda: ["a.py", "b.py::test", "c.py::test[1]"])
-    runs = chosen("1/1")
-    assert [runs(name) for name in ("a.py::test[1]", "b.py::test[1]", "b.py::test", "c.py::test[1]")] == [True] * 4
-    assert [runs(name) for name in ("b.py::test_other", "c.py::test[2]", "d.py::test")] == [False] * 3
+def test_a_test_stands_for_its_cases_and_a_line_stays_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.support.long_tests.lines", lambda: [["a.py::test", "a.py::test_two"], ["c.py::test[1]"]])
+    ran = ("a.py::test[1]", "a.py::test", "a.py::test_two", "c.py::test[1]")
+    others = ("a.py::test_other", "c.py::test[2]", "d.py::test")
+    assert [chosen("1/2")(name) for name in ran] == [True] * 3 + [False]
+    assert [chosen("2/2")(name) for name in ran] == [False] * 3 + [True]
+    assert [chosen("1/1")(name) for name in (*ran, *others)] == [True] * 4 + [False] * 3
 
 
 @pytest.mark.parametrize("option", ["some", "0/3", "4/3", "1/0", ""])

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rcbht_jax.encoding.thresholds import GradientThresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.labels import LAYER_SIZES
@@ -265,6 +266,19 @@ def test_words_and_beliefs_are_those_of_the_stream() -> None:
 def test_impossible_configurations_are_refused(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         EnvConfig(**change)
+
+
+def test_words_without_a_model_take_any_thresholds() -> None:
+    wrist = np.arange(24, 0, -1.0).reshape(6, 4)
+    two = np.concatenate([wrist, 2 * wrist])
+    np.testing.assert_array_equal(new_senses(EnvConfig(), 6, 7, thresholds=GradientThresholds(wrist)).limits, wrist)
+    np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=wrist).limits, np.tile(wrist, (2, 1)))
+    np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=two).limits, two)
+    for limits, sentence in ((wrist[:4], "every wrist, or"), (wrist[:, ::-1], "must be ordered")):
+        with pytest.raises(InputError, match=sentence):
+            new_senses(EnvConfig(), 12, 14, thresholds=limits)
+    with pytest.raises(InputError, match="not both"):
+        new_senses(EnvConfig(), 6, 6, model(), wrist)
 
 
 def test_what_does_not_fit_the_scenario_is_refused() -> None:
