@@ -84,20 +84,6 @@ def driven_fit(result: Result) -> str:
     return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
 
 
-@table("derivatives", "derivatives")
-def derivatives(result: Result) -> str:
-    """Largest relative difference of forward derivatives from central ones, by parameter."""
-    lines = []
-    for name, row in result["parameters"].items():
-        unit, by = row["step"], row["relative_difference"]
-        lines.append(
-            (f"`{name}`", f"{unit:.0e}", f"{row['forward'][2]:.3g}", f"{row['central'][2]:.3g}", f"{max(by):.1e}")
-        )
-    return markdown(
-        ("parameter", "half step, SI units", "mean Fz, forward", "mean Fz, central", "largest difference"), lines
-    )
-
-
 @table("snap-creep", "snap_creep")
 def snap_creep(result: Result) -> str:
     """Rear hooks of hooked-B by how little contacts creep and how far they reach: how long they hold out."""

@@ -142,8 +142,6 @@ CELLS = [
      ".2f hook_bench > parts > four tabs, two after two > press"),
     ("snap-needs", "seat 0.4 mm higher", "fall, N", ".2f snap_needs > rows > seat 0.4 mm higher > fall, N"),
     ("driven-fit", "B, black cells", "trials", "d driven_fit > scores > fitted > B, black cells > trials"),
-    ("derivatives", "`parts.friction`", "largest difference",
-     ".1e derivatives > parameters > parts.friction > relative_difference > 3"),
     ("snap-creep", "3", "0.95 mm", ".2f snap_creep > sweep > 3 > 0.95 > s after mating began"),
     ("snap-holds", "rear lips hold harder", "coverage",
      ".3f snap_creep > gate > rear lips hold harder > coverage > mean"),
