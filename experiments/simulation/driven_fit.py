@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -184,6 +184,31 @@ def by_gauss_newton(
     }  # fmt: skip
 
 
+def alone(data: Trials, scene: Scene, engine: str, iterations: int, begun: float) -> dict[str, Any]:
+    """The same fit to one session at a time: what a part of its own would explain."""
+    out = {}
+    for name, held in (("hooked-A", "A"), ("hooked-B", "B, black cells")):
+        seen = tuple(trial for trial in data.seen if trial.session == name)
+        objective = DrivenObjective(scene, {name: HOOKED[name]}, seen, engine)
+        how = search(4, 1, 0.1, 0)
+        other = [key for key in how.bounds if key.startswith("hooked-") and not key.startswith(f"{name}:")]
+        bounds = {key: bound for key, bound in how.bounds.items() if key not in other}
+        start = {key: min(max(_present(name, key.removeprefix(f"{name}:")), bound.low), bound.high)
+                 for key, bound in bounds.items()}  # fmt: skip
+        how = replace(how, bounds=bounds, start=start)
+
+        def progress(at: Iteration, values: Values) -> None:
+            print(f"{time.perf_counter() - begun:.0f} s, {at.candidates} candidates: {at.loss:.4f}", flush=True)
+
+        found = gauss_newton.fit(objective, how, iterations=iterations, progress=progress)
+        unseen = DrivenObjective(scene, objective.presets, data.held[held], engine)
+        out[name] = {
+            "loss": found.loss, "candidates": found.candidates, "values": found.values, "at_bound": found.at_bound,
+            "seen": scores(objective, found.values), "held": scores(unseen, found.values),
+        }  # fmt: skip
+    return out
+
+
 def traces(data: Trials, scene: Scene, start: Values, fitted: Values) -> dict[str, Any]:
     """Means of 0.1 s of one seen and one predicted trial: recorded, and of the presets and the fit, natively."""
     out = {}
@@ -238,6 +263,9 @@ def main(
         write_result("driven_fit", command, result, seed=seed, show=False)  # a search that is cut off leaves this much
     else:
         result = json.loads(fitted.read_text())["result"]
+    if result.get("alone") is None:
+        result["alone"] = alone(data, scene, engine, iterations, begun)
+        write_result("driven_fit", command, result, seed=seed, show=False)
     result["traces"] = traces(data, scene, how.start, result["gauss_newton"]["values"])
     target = result["gauss_newton"]["loss"]
     result["cma_es"] = by_search(objective, how, target, checkpoint, begun) if generations else None
