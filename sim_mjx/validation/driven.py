@@ -61,7 +61,7 @@ def control(
     """One control period; see :func:`sim_mjx.assembly.rollout.control`."""
     _, rotation, _ = kinematics.fk(joints)
     read, wrench = sensor.read_exactly(params.sensor, loop.sensor, raw, rotation)
-    rows = jnp.minimum(loop.tick + jnp.arange(2), params.periods - 1)
+    rows = jnp.minimum(loop.tick + jnp.arange(2, dtype=jnp.int32), params.periods - 1)
     phase = jnp.where(loop.tick < params.periods, DRIVEN, ENDED).astype(jnp.int32)
     return DrivenState(loop.tick + 1, read), params.path[rows], LogRow(wrench, joints, phase)
 

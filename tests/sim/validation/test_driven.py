@@ -132,7 +132,11 @@ def test_forward_derivatives_are_central_differences(path: np.ndarray) -> None:
     def means(wrench: jax.Array) -> jax.Array:
         return jnp.mean(wrench[:, 80:], axis=1)
 
-    with jax.enable_x64(True):
+    with (
+        jax.enable_x64(True),
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+    ):  # MJX is not strict
         tangents = [sensitivity.field_derivatives(scene, [one.parts], name, by) for name, by in NAMES.items()]
         value, forward = sensitivity.wrench_and_derivatives(scene, stack([one]), tangents, means)
         ends = [sensitivity.with_parts(one, name, sign * by) for name, by in NAMES.items() for sign in (1, -1)]
