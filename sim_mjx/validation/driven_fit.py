@@ -1,8 +1,9 @@
 """Parts identified from recorded motion: the wrench along the hand's recorded path, against the recorded one.
 
-The encoders say where the hand was. Moved along the same path, parts of the right shape and stiffness give the recorded
-wrench, whatever the controller was: nothing of the trial's course is fitted, only the parts and where they stand. As in
-:mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one (``B:parts.roll``).
+Recorded joint angles say where the hand was. Moved along the same path, parts of the right shape and stiffness give the
+recorded wrench, whatever the controller was: nothing of the trial's course is fitted, only the parts and where they
+stand. As in :mod:`sim_mjx.validation.joint_fit` a parameter is shared by all sessions, or belongs to one
+(``B:parts.roll``).
 """
 
 from __future__ import annotations
