@@ -21,6 +21,7 @@ from rcbht_jax.labels import AXES
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import hooked
+from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import native
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import sensitivity, sessions
@@ -39,7 +40,7 @@ LIMIT = 1e-2  # of the difference, relative
 
 def means(wrench: Float[Array, "trial time 6"]) -> Float[Array, "trial 6"]:
     """From touch on."""
-    return jnp.mean(wrench[:, int(BEFORE / QUICKER / 0.005) :], axis=1)
+    return jnp.mean(wrench[:, int(BEFORE / QUICKER / CONTROL_PERIOD) :], axis=1)
 
 
 def main(seconds: float = 12.0) -> None:

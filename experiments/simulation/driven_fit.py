@@ -1,9 +1,9 @@
 """One set of parts for sessions A and B from the hand's recorded motion: Gauss-Newton beside CMA-ES.
 
-The hand is moved along the encoders' path, and the wrench compared with the recorded one. Seen are some trials of A and
-the white cells of B's grid; the rest of A, B's black cells and all of C, with the part as fitted, are predicted. Both
-methods begin at the presets and minimise one sum of squares. A candidate is one simulation of all trials that are seen;
-those of Gauss-Newton's differences count.
+The hand is moved along the recorded joint angles, and the wrench compared with the recorded one. Seen are some trials
+of A and the white cells of B's grid; the rest of A, B's black cells and all of C, with the part as fitted, are
+predicted. Both methods begin at the presets and minimise one sum of squares. A candidate is one simulation of all
+trials that are seen; those of Gauss-Newton's differences count.
 Run: python -m experiments.simulation.driven_fit --engine warp
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,12 +21,11 @@ import tyro
 from experiments._lib.benchmarks import recorded
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
-from experiments.simulation.joint_fit import AROUND, SEEN, SHARED
+from experiments.simulation.joint_fit import AROUND, SEEN, SHARED, of_sessions, present
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.presets import HOOKED
-from sim_mjx.randomization import overrides
 from sim_mjx.validation import driven_fit, gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
 from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial
@@ -76,23 +75,14 @@ def trials(recordings: Recordings, folder: Path, of_a: int) -> Trials:
     return Trials((*made["hooked-A"][:of_a], *white), held)
 
 
-def search(population: int, generations: int, spread: float, seed: int) -> Search:
-    """From the presets' present values."""
-    bounds = SHARED | WIDER
-    start = {name: _present("hooked-A", name) for name in bounds}
-    for session in NAMES[:2]:
-        around = {
-            name: Bound(_present(session, name) - 1.5 * by, _present(session, name) + 1.5 * by)
-            for name, by in AROUND.items()
-        }
-        for name, bound in (OWN | around).items():
-            bounds[f"{session}:{name}"], start[f"{session}:{name}"] = bound, _present(session, name)
+def search(
+    names: tuple[str, ...], population: int = 4, generations: int = 1, spread: float = 0.1, seed: int = 0
+) -> Search:
+    """From the presets' present values; Gauss-Newton needs none of the numbers."""
+    around = {name: 1.5 * by for name, by in AROUND.items()}
+    bounds, start = of_sessions(names, SHARED | WIDER, OWN, around)
     start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
     return Search(bounds, population, generations, seed, start, spread)
-
-
-def _present(session: str, name: str) -> float:
-    return overrides.value(HOOKED[session].parts, HOOKED[session].sensor, name)
 
 
 def of_c(values: Values) -> Values:
@@ -102,7 +92,7 @@ def of_c(values: Values) -> Values:
     }
     for axis in range(3):
         name = f"parts.position[{axis}]"
-        moved[f"hooked-C:{name}"] += _present("hooked-C", name) - _present("hooked-B", name)
+        moved[f"hooked-C:{name}"] += present("hooked-C", name) - present("hooked-B", name)
     return values | moved
 
 
@@ -119,7 +109,7 @@ def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
         "trials": len(each),
         "explained": np.round(np.mean(each, axis=0), 3).tolist(),
         "rms": np.round(np.mean(away, axis=0), 4).tolist(),
-        "loss": float(np.sum(objective([values]) ** 2)),
+        "loss": float(np.sum(objective.residuals(wrenches) ** 2)),
         "unit": unit.tolist(),
     }
 
@@ -190,12 +180,7 @@ def alone(data: Trials, scene: Scene, engine: str, iterations: int, begun: float
     for name, held in (("hooked-A", "A"), ("hooked-B", "B, black cells")):
         seen = tuple(trial for trial in data.seen if trial.session == name)
         objective = DrivenObjective(scene, {name: HOOKED[name]}, seen, engine)
-        how = search(4, 1, 0.1, 0)
-        other = [key for key in how.bounds if key.startswith("hooked-") and not key.startswith(f"{name}:")]
-        bounds = {key: bound for key, bound in how.bounds.items() if key not in other}
-        start = {key: min(max(_present(name, key.removeprefix(f"{name}:")), bound.low), bound.high)
-                 for key, bound in bounds.items()}  # fmt: skip
-        how = replace(how, bounds=bounds, start=start)
+        how = search((name,))
 
         def progress(at: Iteration, values: Values) -> None:
             print(f"{time.perf_counter() - begun:.0f} s, {at.candidates} candidates: {at.loss:.4f}", flush=True)
@@ -253,7 +238,7 @@ def main(
     data = trials(recorded(), DATA, of_a)
     scene = driven(hooked(SUBSTEPS, impratio=HOOKED["hooked-A"].impratio))
     objective = DrivenObjective(scene, {name: HOOKED[name] for name in NAMES}, data.seen, engine)
-    how = search(population, max(generations, 1), spread, seed)
+    how = search(NAMES[:2], population, max(generations, 1), spread, seed)
     command = f"python -m experiments.simulation.driven_fit --engine {engine} --of-a {of_a} --iterations {iterations}"
     command += (
         f" --step {step:g} --population {population} --generations {generations} --spread {spread:g} --seed {seed}"

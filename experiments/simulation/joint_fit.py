@@ -82,20 +82,31 @@ def search(
     stands: bool = False,
 ) -> Search:
     """From the presets' present values, or from those of ``first`` where it has some; ``stands`` = the part is kept."""
-    bounds = {} if stands else dict(SHARED)
-    start = {name: _present(names[0], name) for name in bounds}
-    for session in names:
-        around = {
-            name: Bound(_present(session, name) - by, _present(session, name) + by) for name, by in AROUND.items()
-        }
-        for name, bound in (OWN | around).items():
-            bounds[f"{session}:{name}"], start[f"{session}:{name}"] = bound, _present(session, name)
+    bounds, start = of_sessions(names, {} if stands else SHARED, OWN, AROUND)
     start |= {name: value for name, value in (first or {}).items() if name in bounds}
     start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
     return Search(bounds, population, generations, seed, start, spread, {"sessions": list(names)})
 
 
-def _present(session: str, name: str) -> float:
+def of_sessions(
+    names: tuple[str, ...], shared: dict[str, Bound], own: dict[str, Bound], around: dict[str, float]
+) -> tuple[dict[str, Bound], Values]:
+    """Ranges and present values of what sessions share and what each has of its own.
+
+    Args:
+        names: of the sessions; what is shared begins at the first one's.
+        shared: ranges. own: of each session. around: likewise, on both sides of the preset's value.
+    """
+    bounds, start = dict(shared), {name: present(names[0], name) for name in shared}
+    for session in names:
+        places = {name: Bound(present(session, name) - by, present(session, name) + by) for name, by in around.items()}
+        for name, bound in (own | places).items():
+            bounds[f"{session}:{name}"], start[f"{session}:{name}"] = bound, present(session, name)
+    return bounds, start
+
+
+def present(session: str, name: str) -> float:
+    """What a session's preset has of a parameter."""
     return overrides.value(HOOKED[session].parts, HOOKED[session].sensor, name)
 
 

@@ -89,7 +89,6 @@ def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:
         heavier: times the arm's own inertia, stiffness and damping, so that it answers to its servos as before.
     """
     model, data = copy.copy(scene.model), mujoco.MjData(scene.model)
-    data.qpos[scene.joints] = 0.0
     mujoco.mj_forward(scene.model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(scene.model, data, mass)

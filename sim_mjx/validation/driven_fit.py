@@ -97,13 +97,13 @@ class DrivenObjective:
     engine: str = "native"
 
     def __call__(self, candidates: list[Values]) -> Residuals:
-        simulated = self.simulate(candidates)
+        return np.stack([self.residuals(wrenches) for wrenches in self.simulate(candidates)])
+
+    def residuals(self, wrenches: list[Wrench]) -> Float64[np.ndarray, " residual"]:
+        """Of one candidate, from what :meth:`simulate` gave for it."""
         unit = units(self.trials)
-        count = len(self.trials)
-        rows = [
-            np.concatenate([_residual(*pair, unit) for pair in zip(self.trials, one, strict=True)]) for one in simulated
-        ]
-        return np.stack(rows) / np.sqrt(6 * count)
+        parts = [_residual(*pair, unit) for pair in zip(self.trials, wrenches, strict=True)]
+        return np.concatenate(parts) / np.sqrt(6 * len(self.trials))
 
     def simulate(self, candidates: list[Values]) -> list[list[Wrench]]:
         """Wrenches [candidate][trial], less their means before touch, NaN where the physics diverged."""
