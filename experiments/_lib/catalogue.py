@@ -148,6 +148,7 @@ EXPERIMENTS = (
     ),
     Experiment("joint_fit", "simulation.joint_fit", 20, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment("driven_fit", "simulation.driven_fit", 25, ("--engine", "warp"), ("data",), elsewhere=GPU),
+    Experiment("driven_starts", "simulation.driven_starts", 10, ("--engine", "warp"), ("data",), elsewhere=GPU),
     Experiment("derivatives", "simulation.derivatives", 8, shorter=("--seconds", "4"), shorter_minutes=4),
     Experiment(
         "kill_resume", "simulation.kill_resume", 6, alone=True, shorter=("--trials", "1000", "--kills", "4"),

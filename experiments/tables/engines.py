@@ -84,6 +84,24 @@ def driven_fit(result: Result) -> str:
     return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
 
 
+@table("driven-starts", "driven_starts")
+def driven_starts(result: Result) -> str:
+    """What parts of session B explain along its recorded motion, and where they are loaded at mating."""
+    names = {"presets": "presets", "driven_fit": "fitted from the presets"}
+    names |= {"from many starts": "the best of seven starts"}
+    lines = []
+    for name, title in ({"recorded": "recorded"} | names).items():
+        load, scores = result["loads"][name], result["scores"].get(name)
+        told = ["–"] * 5
+        if scores is not None:
+            told = [f"{scores[part]['loss']:.2f}" for part in ("seen", "held")]
+            told += [f"{scores['held']['explained'][axis]:.2f}" for axis in (0, 2, 4)]
+        moved = f"{load['to the front']} of {load['trials']}"
+        lines.append((title, *told, f"{load['before'][0]:.0f} → {load['after'][0]:.0f}", moved))
+    axes = ("Fx", "Fz", "My")
+    return markdown(("", "not explained, seen", "not seen", *axes, "load, mm forward", "moves forward"), lines)
+
+
 @table("snap-creep", "snap_creep")
 def snap_creep(result: Result) -> str:
     """Rear hooks of hooked-B by how little contacts creep and how far they reach: how long they hold out."""

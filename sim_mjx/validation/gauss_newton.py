@@ -10,8 +10,11 @@ Source: Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Param
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +114,90 @@ def fit(
     ends = zip(search.bounds, point.tolist(), strict=True)
     at_bound = [name for name, share in ends if not INSIDE < share < 1 - INSIDE]
     return LeastSquares(values_of(point, search.bounds), float(here @ here), count, history, jacobian, at_bound)
+
+
+def fit_together(
+    objective: Objective,
+    searches: Sequence[Search],
+    *,
+    iterations: int = 20,
+    step: float = 0.02,
+    progress: Callable[[int, Iteration, Values], None] | None = None,
+) -> list[LeastSquares]:
+    """Several fits in step, for example from several starts: what they simulate at a time is one batch.
+
+    Each is the fit that :func:`fit` finds alone, if candidates of a batch do not depend on each other.
+
+    Args:
+        objective, iterations, step: of :func:`fit`. searches: one a fit.
+        progress: called as that of :func:`fit`, with the number of the fit first.
+
+    Raises:
+        InputError: as of :func:`fit`, or no search is given.
+
+    Example:
+        >>> from sim_mjx.validation.system_id import Bound
+        >>> from_two = [Search({"x": Bound(-2.0, 2.0)}, start={"x": x}) for x in (-1.5, 1.5)]
+        >>> two_minima = lambda candidates: np.array([[v["x"] ** 2 - 1, 0.1 * (v["x"] - 1)] for v in candidates])
+        >>> [round(found.values["x"], 1) for found in fit_together(two_minima, from_two)]
+        [-1.0, 1.0]
+    """
+    if not searches:
+        raise InputError("There is nothing to fit: at least one search is needed.")
+    shared = _Shared(objective, len(searches))
+
+    def one(number: int) -> LeastSquares:
+        def told(at: Iteration, values: Values) -> None:
+            if progress is not None:
+                progress(number, at, values)
+
+        try:
+            ask = partial(shared.ask, number)
+            return fit(ask, searches[number], iterations=iterations, step=step, progress=told)
+        finally:
+            shared.leave()
+
+    with ThreadPoolExecutor(len(searches)) as pool:
+        return list(pool.map(one, range(len(searches))))
+
+
+class _Shared:
+    """Answers fits in threads as soon as all that have not ended have asked."""
+
+    def __init__(self, objective: Objective, fits: int) -> None:
+        self.objective, self.fits = objective, fits
+        self.asked: dict[int, list[Values]] = {}
+        self.answers: dict[int, Residuals] = {}
+        self.failed: BaseException | None = None
+        self.turn = threading.Condition()
+
+    def ask(self, number: int, candidates: list[Values]) -> Residuals:
+        with self.turn:
+            self.asked[number] = candidates
+            self._answer()
+            self.turn.wait_for(lambda: number in self.answers or self.failed is not None)
+            if self.failed is not None:
+                raise self.failed
+            return self.answers.pop(number)
+
+    def leave(self) -> None:
+        """A fit has ended: the others wait for it no longer."""
+        with self.turn:
+            self.fits -= 1
+            self._answer()
+
+    def _answer(self) -> None:
+        if self.failed is not None or not self.asked or len(self.asked) < self.fits:
+            return
+        numbers = sorted(self.asked)
+        try:
+            found = self.objective([values for number in numbers for values in self.asked[number]])
+            ends = np.cumsum([len(self.asked[number]) for number in numbers])
+            self.answers = dict(zip(numbers, np.split(np.asarray(found, np.float64), ends[:-1]), strict=True))
+        except BaseException as error:  # every fit must end, whichever of their threads simulated
+            self.failed = error
+        self.asked = {}
+        self.turn.notify_all()
 
 
 def _differences(

@@ -142,6 +142,8 @@ CELLS = [
      ".2f hook_bench > parts > four tabs, two after two > press"),
     ("snap-needs", "seat 0.4 mm higher", "fall, N", ".2f snap_needs > rows > seat 0.4 mm higher > fall, N"),
     ("driven-fit", "B, black cells", "trials", "d driven_fit > scores > fitted > B, black cells > trials"),
+    ("driven-starts", "the best of seven starts", "not seen",
+     ".2f driven_starts > scores > from many starts > held > loss"),
     ("snap-creep", "3", "0.95 mm", ".2f snap_creep > sweep > 3 > 0.95 > s after mating began"),
     ("snap-holds", "rear lips hold harder", "coverage",
      ".3f snap_creep > gate > rear lips hold harder > coverage > mean"),

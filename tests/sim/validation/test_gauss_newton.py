@@ -92,3 +92,36 @@ def test_what_the_residuals_say_nothing_of_has_no_deviation() -> None:
 def test_impossible_settings_are_refused(iterations: int, step: float) -> None:
     with pytest.raises(InputError, match="Iterations"):
         gauss_newton.fit(rosenbrock, Search(BOUNDS), iterations=iterations, step=step)
+
+
+def test_fits_in_step_are_those_alone_in_fewer_batches() -> None:
+    searches = [Search(BOUNDS, start={"a": a, "b": 1.0}) for a in (-1.2, 0.3, 1.9)]
+    batches: list[int] = []
+
+    def counted(candidates: list[Values]) -> Residuals:
+        batches.append(len(candidates))
+        return rosenbrock(candidates)
+
+    seen: list[int] = []
+    together = gauss_newton.fit_together(counted, searches, iterations=20, progress=lambda n, *_: seen.append(n))
+    alone = [gauss_newton.fit(rosenbrock, search, iterations=20) for search in searches]
+    assert [found.values for found in together] == [found.values for found in alone]
+    assert sum(batches) == sum(found.candidates for found in alone)
+    assert len(batches) == max(1 + 2 * len(found.iterations) for found in alone)
+    assert set(seen) == {0, 1, 2}
+
+
+def test_a_simulation_that_fails_ends_every_fit() -> None:
+    def broken(candidates: list[Values]) -> Residuals:
+        if len(candidates) > 3:
+            raise InputError("The device is gone.")
+        return rosenbrock(candidates)
+
+    searches = [Search(BOUNDS, start={"a": a, "b": 1.0}) for a in (-1.2, 0.3, 1.9)]
+    with pytest.raises(InputError, match="device is gone"):
+        gauss_newton.fit_together(broken, searches)
+
+
+def test_no_search_is_refused() -> None:
+    with pytest.raises(InputError, match="at least one"):
+        gauss_newton.fit_together(rosenbrock, [])
