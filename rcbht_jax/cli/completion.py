@@ -13,7 +13,7 @@ import tyro
 from rcbht_jax.cli.command import Command
 
 COMMON = {"--help": (), "--json": ()}
-TOP = {"--help": (), "--version": ()}
+TOP: dict[str, tuple[str, ...]] = {"--help": (), "--version": ()}
 Shell = Literal["bash", "zsh", "fish"]
 
 
