@@ -13,6 +13,7 @@ import tyro
 from rcbht_jax.cli.command import Command
 
 COMMON = {"--help": (), "--json": ()}
+TOP: dict[str, tuple[str, ...]] = {"--help": (), "--version": ()}
 Shell = Literal["bash", "zsh", "fish"]
 
 
@@ -88,7 +89,7 @@ def _bash(table: dict[str, Options], zsh: bool) -> str:
     head = "autoload -U +X bashcompinit && bashcompinit\n" if zsh else ""
     return f"""{head}_rcbht() {{
   local current="${{COMP_WORDS[COMP_CWORD]}}" command="" option="" words="" word
-  for word in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
+  for word in "${{COMP_WORDS[@]:1:$((COMP_CWORD - 1))}}"; do
     case "$word" in
     -*) option="$word" ;;
     *) [ -z "$option" ] && _rcbht_is_command "${{command:+$command }}$word" && command="${{command:+$command }}$word" ;;
@@ -96,7 +97,7 @@ def _bash(table: dict[str, Options], zsh: bool) -> str:
   done
   case "$current" in
   -*) case "$command" in
-{_cases({"": ("--help", "--version"), **table})}    esac ;;
+{_cases({"": TOP, **table})}    esac ;;
   *) case "$command${{option:+ $option}}" in
 {_cases(children)}{_cases(values)}    esac ;;
   esac
@@ -117,15 +118,25 @@ def _cases(words: Mapping[str, Iterable[str]]) -> str:
 
 
 def _fish(table: dict[str, Options], summaries: dict[str, str]) -> str:
+    """Conditions on the command typed so far, which a function finds; files where a command takes no further word."""
+    children = _children(table)
+    commands = " ".join(f"'{name}'" for name in dict.fromkeys([*children, *table]) if name)
     lines = []
-    for typed, following in _children(table).items():
-        where = f"__fish_seen_subcommand_from {typed}" if typed else "__fish_use_subcommand"
+    for typed, following in children.items():
         for word in following:
             summary = summaries.get(f"{typed} {word}".strip(), "").replace("'", "\\'")
-            lines.append(f"complete -c rcbht -n '{where}' -a '{word}' -d '{summary}'")
-    for name, options in table.items():
-        where = " && ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
+            lines.append(f"complete -c rcbht -f -n '__rcbht_is \"{typed}\"' -a '{word}' -d '{summary}'")
+    for name, options in {"": TOP, **table}.items():
         for option, choices in options.items():
             values = f" -x -a '{' '.join(choices)}'" if choices else ""
-            lines.append(f"complete -c rcbht -n '{where}' -l {option[2:]}{values}")
-    return "\n".join(lines) + "\n"
+            lines.append(f"complete -c rcbht -n '__rcbht_is \"{name}\"' -l {option[2:]}{values}")
+    return f"""function __rcbht_is
+  set -l typed
+  for word in (commandline -opc)[2..-1]
+    string match -q -- '-*' $word; and break
+    set -l longer (string join ' ' $typed $word)
+    contains -- $longer {commands}; and set typed $longer
+  end
+  test "$typed" = "$argv[1]"
+end
+""" + "".join(f"{line}\n" for line in lines)

@@ -78,12 +78,19 @@ def default_processes(trials: int, shard: int) -> int:
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
-    """KEY=VALUE as a dictionary; whole numbers as such."""
+    """KEY=VALUE as a dictionary; decimal numbers as such."""
     pairs = [word.partition("=") for word in words]
     wrong = next((word for word, (name, equals, _) in zip(words, pairs, strict=True) if not (name and equals)), None)
     if wrong is not None:
         raise InputError(f"--launch-options has {wrong!r}; expected KEY=VALUE, for example timeout_min=60.")
-    return {name: int(value) if value.isdecimal() else value for name, _, value in pairs}
+    return {name: _number(value) for name, _, value in pairs}
+
+
+def _number(value: str) -> int | float | str:
+    """A decimal number as such; other words, such as "nan" or "1e3", may be names."""
+    if value.isdecimal():
+        return int(value)
+    return float(value) if value.replace(".", "", 1).isdecimal() else value
 
 
 def _environments(devices: str, gpus: bool) -> list[dict[str, str]]:

@@ -18,7 +18,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.labels import AXES
 from rcbht_jax.plots.canvas import new_figure, plain
 from rcbht_jax.types import Recordings
-from sim_mjx.plots.trial_overview import XYZ, shade_states, still
+from sim_mjx.plots.trial_overview import XYZ, headline, shade_states, still
 from sim_mjx.validation.replay import Replay
 
 INCHES, DPI = (9.6, 7.2), 100  # 960 x 720 pixels: even numbers, which video needs
@@ -79,7 +79,7 @@ def _pictures(
     arm, close = figure.add_axes((0.03, 0.44, 0.45, 0.5)), figure.add_axes((0.52, 0.44, 0.45, 0.5))
     drawings = still((arm, close), replay, 0.0)
     cursor = _forces(figure, recordings, row)
-    figure.suptitle(plain(f"{recordings.trial[row]}   ·   {recordings.outcome[row]}"), x=0.03, ha="left", fontsize=12)
+    figure.suptitle(plain(headline(replay, recordings, row)), x=0.03, ha="left", fontsize=12)
     canvas: Any = FigureCanvasAgg(figure)
     for count, sample in enumerate(samples.tolist()):
         for drawing in drawings:

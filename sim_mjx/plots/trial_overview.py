@@ -69,7 +69,7 @@ def trial_overview(
         panel.tick_params(labelbottom=panel is panels[-1])
     panels[-1].set_xlabel("time, s", fontsize=11)
     label_legend(figure, "llb", used, (0.06, 0.002), 7)
-    title = ", ".join(filter(None, (_title(replay, recordings, row), words)))
+    title = ", ".join(filter(None, (f"{headline(replay, recordings, row)}\n{replay.how}", words)))
     figure.suptitle(plain(title), x=0.06, y=0.988, ha="left", va="top", fontsize=14)
     return figure
 
@@ -219,11 +219,12 @@ def shade_states(ax: Axes, recordings: Recordings, row: int, names: bool) -> Non
             )
 
 
-def _title(replay: Replay, recordings: Recordings, row: int) -> str:
+def headline(replay: Replay, recordings: Recordings, row: int) -> str:
+    """What is known of a replayed trial, on one line."""
     if replay.of_parts:
         facts = f"{recordings.outcome[row]}; fault: {recordings.column('fault')[row]}"
-        return f"{recordings.trial[row]}   ·   {facts}\n{replay.how}"
+        return f"{recordings.trial[row]}   ·   {facts}"
     kind = f" ({recordings.column('failure_type')[row]})" if recordings.column("failure_type")[row] else ""
     facts = f"{recordings.source[row]}, {recordings.outcome[row]}{kind}; tabs past their lips: "
     past = [replay.marks[tab % 4] for tab in np.flatnonzero(replay.past[-1])]
-    return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}\n{replay.how}"
+    return f"{recordings.trial[row]}   ·   {facts}{' '.join(past) or 'none'}"

@@ -185,7 +185,7 @@ def slurm(
         executor.update_parameters(
             **({"timeout_min": 24 * 60} | ({"gpus_per_node": 1} if gpus else {}) | dict(options))
         )
-    except (NameError, TypeError, ValueError) as error:
+    except (AssertionError, NameError, TypeError, ValueError) as error:
         raise InputError(f"Slurm's options are wrong: {_first_line(error)}") from error
     jobs = executor.map_array(run_worker, [list(words)] * count, [os.getcwd()] * count)
     try:

@@ -169,7 +169,7 @@ def _made_by(simulated: dict[str, Any]) -> tuple[SynthesisConfig | None, str]:
     if differing:
         return (
             job,
-            f"It was made with other versions: {'; '.join(differing)}. Simulated again, its trials would differ.",
+            f"It was made with other versions: {'; '.join(differing)}. Simulated again, its trials may differ.",
         )
     return (job, "") if now == simulated else (None, "Its options are not those of the installed version.")
 

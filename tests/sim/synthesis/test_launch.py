@@ -192,8 +192,15 @@ def test_an_array_of_jobs_makes_the_same_bytes(
     assert made["notices"] == ["There is no Slurm here; the jobs run on this machine."]
     assert tree(target) == whole
     assert os.listdir(tmp_path) == ["t.zarr"]
-    assert main(["simulate", str(tmp_path / "u.zarr"), *SHORT, "--launch", "slurm", "--launch-options", "a=b"]) == 2
-    assert "Slurm's options are wrong" in capsys.readouterr().err
+    for wrong in ("a=b", "timeout_min=soon"):
+        assert main(["simulate", str(tmp_path / "u.zarr"), *SHORT, "--launch", "slurm", "--launch-options", wrong]) == 2
+        assert "Slurm's options are wrong" in capsys.readouterr().err
+
+
+def test_options_of_jobs_are_numbers_where_they_are_decimal() -> None:
+    words = ("timeout_min=60", "mem_gb=4.5", "slurm_time=1:30", "slurm_partition=gpu.2", "slurm_qos=nan")
+    expected = {"timeout_min": 60, "mem_gb": 4.5, "slurm_time": "1:30", "slurm_partition": "gpu.2", "slurm_qos": "nan"}
+    assert simulate_workers._options(words) == expected
 
 
 @pytest.fixture

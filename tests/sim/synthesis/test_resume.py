@@ -124,7 +124,7 @@ def test_work_with_other_options_is_not_resumed(change: dict[str, Any], words: s
 def test_work_of_other_code_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     interrupted(tmp_path / "t.zarr", SMALL)
     monkeypatch.setattr(plan, "code_hash", lambda: "other")
-    with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
+    with pytest.raises(InputError, match=r"the simulation's code \(sim_mjx_sha256\)"):
         synthesise(tmp_path / "t.zarr", SMALL, simulate=fake_engine)
 
 
@@ -185,7 +185,7 @@ def test_a_finished_store_that_was_damaged_is_no_result(tmp_path: Path, monkeypa
 def test_labels_of_other_code_or_thresholds_are_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job = replace(SMALL, window=5)
     for name, other, words in (
-        ("encoding_hash", lambda: "other", r"versions\.encoding_sha256"),
+        ("encoding_hash", lambda: "other", r"the encoder's code \(encoding_sha256\)"),
         ("label_limits", lambda: plan.thresholds.preset("pa10").limits, "thresholds"),
     ):
         interrupted(tmp_path / f"{name}.zarr", job)

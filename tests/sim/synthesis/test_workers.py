@@ -155,7 +155,7 @@ def test_workers_of_other_options_or_code_are_refused(tmp_path: Path, monkeypatc
             work_on(target, replace(SMALL, seed=6), simulate=fake_engine)
         with monkeypatch.context() as patch:
             patch.setattr(plan, "code_hash", lambda: "other")
-            with pytest.raises(InputError, match=r"versions\.sim_mjx_sha256"):
+            with pytest.raises(InputError, match=r"the simulation's code \(sim_mjx_sha256\)"):
                 synthesise(target, SMALL, simulate=fake_engine)
         return fake_engine(params)
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import mujoco.viewer
@@ -19,11 +20,12 @@ from rcbht_jax.cli import main
 from rcbht_jax.io import zarr as zarr_io
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.io.store import read_recordings
+from rcbht_jax.plots.canvas import new_figure
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.scene import one_arm
 from sim_mjx.assembly.two_arm_scene import two_arm
-from sim_mjx.plots import projection, trial_overview
+from sim_mjx.plots import animation, projection, trial_overview
 from sim_mjx.validation import replay
 
 TRIAL = "sim-C-000001"
@@ -76,7 +78,11 @@ def test_a_changed_trial_is_said_to_differ(simulated: Path, tmp_path: Path) -> N
 
 
 def test_pictures_and_films_are_written_whole(
-    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    simulated: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     png, gif = tmp_path / "a.png", tmp_path / "a.gif"
     assert main.main(["view", str(simulated), TRIAL, "-o", str(png), "--json"]) == 0
@@ -87,7 +93,10 @@ def test_pictures_and_films_are_written_whole(
         assert picture.size == (1600, 1450)
         assert len(picture.convert("RGB").resize((160, 145)).getcolors(160 * 145)) > 200  # not blank
     request.getfixturevalue("at_once")
+    figures: list[Any] = []
+    monkeypatch.setattr(animation, "new_figure", lambda *size: figures.append(new_figure(*size)) or figures[-1])
     assert main.main(["view", str(simulated), TRIAL, "-o", str(gif), "--speed", "20"]) == 0
+    assert "tabs past their lips" in figures[0].get_suptitle()  # as in a picture
     with Image.open(gif) as film:
         seconds = read_recordings(simulated).length[1] * 0.005
         assert film.n_frames == np.ceil(seconds / 20 * 10)  # at twenty times the speed, ten pictures a second
