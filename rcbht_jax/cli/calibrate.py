@@ -167,7 +167,8 @@ class Calibrate(RuleCommand):
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
         pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds)
-        both = score_candidates(data, config, pair)
+        known = details.pop("both", None)  # a search has scored both: to score two more means to compile for two
+        both = score_candidates(data, config, pair) if known is None else known
         penalties = np.zeros(2) if rest is None else rest.penalty(pair)
         result = {
             "method": self.method,
@@ -314,7 +315,9 @@ class Calibrate(RuleCommand):
                 progress=bar.update, rest=given.rest,
             )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
-        return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
+        both = np.array([list(found.values()) for found in (best.start_scores, best.scores)], np.float32)
+        details = {"evaluations": best.evaluations, "groups": self.groups, "options": plain, "both": both}
+        return best.thresholds, details
 
     def _gradient(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate

@@ -62,6 +62,20 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
     assert attrs["thresholds_from"]["method"] == method
 
 
+def test_a_search_is_not_scored_again(store, tmp_path, monkeypatch, capsys):
+    """Two more candidates are a program of their own, which takes long to compile; the scores are there already."""
+    scored, score = [], search.score_candidates
+    monkeypatch.setattr(search, "score_candidates", lambda *a, **k: scored.append((a, score(*a, **k))) or scored[-1][1])
+    words = ["--method", "search", "--candidates", "4", "--generations", "0", "--robot", "hiro", "--json"]
+    assert main(["calibrate", str(store), "-o", str(tmp_path / "found.json"), *words]) == 0
+    ((data, config, _), _), *more = scored
+    assert not more
+    said = json.loads(capsys.readouterr().out)
+    for thresholds, name in ((preset(), "preset_scores"), (read_thresholds(tmp_path / "found.json")[0], "scores")):
+        again = score(data, config, GradientThresholds(np.asarray(thresholds.limits)[None]))[0]
+        assert dict(zip(search.SCORES, again.tolist(), strict=True)) == said[name]
+
+
 @pytest.mark.parametrize(
     ("method", "options"),
     [
