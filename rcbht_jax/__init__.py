@@ -31,7 +31,8 @@ _FACE = {
     "introspection.snaps": ("SnapDetector",),
     "io.label_store": ("read_tracks", "write_tracks"),
     "io.store": ("read_recordings", "write_recordings"),
-    "learning.estimators": ("StateClassifier", "SvmClassifier", "WrenchFeatures"),
+    "learning.estimators": ("StateClassifier", "WrenchFeatures"),
+    "learning.svm_classifier": ("SvmClassifier",),
     "learning.evaluation": ("evaluate", "train"),
     "learning.predict": ("classify",),
     "learning.tasks": ("TaskSpec", "extract_features", "labelled_intervals"),
@@ -60,9 +61,10 @@ if TYPE_CHECKING:
     from rcbht_jax.introspection.snaps import SnapDetector
     from rcbht_jax.io.label_store import read_tracks, write_tracks
     from rcbht_jax.io.store import read_recordings, write_recordings
-    from rcbht_jax.learning.estimators import StateClassifier, SvmClassifier, WrenchFeatures
+    from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
     from rcbht_jax.learning.evaluation import evaluate, train
     from rcbht_jax.learning.predict import classify
+    from rcbht_jax.learning.svm_classifier import SvmClassifier
     from rcbht_jax.learning.tasks import TaskSpec, extract_features, labelled_intervals
     from rcbht_jax.types import LabelTracks, Recordings
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments._lib.headline_rows import SOURCES, headline_rows
+from experiments._lib.intervals import by_trial, with_width
 from experiments._lib.results_io import COMMITTED, committed
 from rcbht_jax.report.results import SCHEMA
 
@@ -49,6 +50,27 @@ def by_benchmark(rows: Record) -> dict[str, Record]:
         benchmark, method = name.split(" | ")
         nested.setdefault(benchmark, {})[method] = row
     return nested
+
+
+def with_intervals(nested: Record, benchmarks: Record, headline: Record) -> Record:
+    """Benchmark -> method -> row, whose accuracy has an interval of some width, by the trials that were tested.
+
+    From one session or batch to another it is Wilson's, for which resampled trials are too few (docs/evaluation.md).
+    The majority of classes that are equally frequent is right in the same share of any trials, and keeps none.
+    """
+    found: Record = {}
+    for benchmark, rows in nested.items():
+        folds = "folds" in benchmarks[benchmark]["split"]
+        trials = (
+            benchmarks[benchmark]["trials"] if folds else headline["rows"][f"{benchmark} | frozen"]["trials tested"]
+        )
+        found[benchmark] = {}
+        for method, row in rows.items():
+            score = row["accuracy"]
+            if method != "majority":
+                score = with_width(score, trials) if folds else by_trial(score["mean"], trials)
+            found[benchmark][method] = {**row, "accuracy": score}
+    return found
 
 
 def peer_rows(peers: Record, grammar: Record) -> dict[str, Record]:

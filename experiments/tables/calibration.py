@@ -5,11 +5,15 @@ from __future__ import annotations
 import statistics
 from typing import Any
 
+from experiments._lib.intervals import by_trial
 from experiments.tables.cells import NONE, markdown, score, table
 
+# Beginning of a title -> benchmark of the headline whose trials were tested, of what is tested once.
+SPLITS = {"REAL A -> B": "REAL states, A to B", "REAL B -> A": "REAL states, B to A", "SIM1 -> REAL": "REAL states"}
 
-@table("calibration", "calibration")
-def calibration(result: dict[str, Any]) -> str:
+
+@table("calibration", "calibration", "headline")
+def calibration(result: dict[str, Any], headline: dict[str, Any]) -> str:
     """Thresholds by each method, words alone; the best of a line in bold."""
     methods = {
         "preset": "preset", "context": "context", "search, best": "search, best",
@@ -25,24 +29,26 @@ def calibration(result: dict[str, Any]) -> str:
     }
     lines = []
     for title, row in rows.items():
-        means = [row[key]["words"]["accuracy"]["mean"] if key in row else None for key in methods]
-        best = max(value for value in means if value is not None)
-        lines.append((title, *(_bold(value, value == best) for value in means)))
+        found = {key: row[key]["words"]["accuracy"] for key in methods if key in row}
+        best = max(value["mean"] for value in found.values())
+        cells = {key: _of(value, title, headline) for key, value in found.items()}
+        cells = {key: f"**{cell}**" if found[key]["mean"] == best else cell for key, cell in cells.items()}
+        lines.append((title, *(cells.get(key, "not run") for key in methods)))
     return markdown(("", *methods.values()), lines)
 
 
-@table("calibration-near", "calibration_near")
-def calibration_near(result: dict[str, Any]) -> str:
+@table("calibration-near", "calibration_near", "headline")
+def calibration_near(result: dict[str, Any], headline: dict[str, Any]) -> str:
     """Thresholds near the preset: chosen, shrunk, averaged."""
     rows = result["rows"]
     sets = ("SIM1", "REAL A -> B", "REAL B -> A")
     methods = list(dict.fromkeys(name.split(" | ")[1] for name in rows))
-    lines = [(method, *(score(rows.get(f"{of} | {method}", {}).get("accuracy")) for of in sets)) for method in methods]
+    lines = [(method, *(_of(rows[f"{of} | {method}"]["accuracy"], of, headline) for of in sets)) for method in methods]
     return markdown(("", *sets), lines)
 
 
-@table("calibration-bank", "calibration_bank")
-def calibration_bank(result: dict[str, Any]) -> str:
+@table("calibration-bank", "calibration_bank", "headline")
+def calibration_bank(result: dict[str, Any], headline: dict[str, Any]) -> str:
     """Kernels of many thresholds and windows: one chosen, several averaged."""
     rows = result["rows"]
     sets = ("REAL A -> B", "REAL B -> A")
@@ -52,7 +58,7 @@ def calibration_bank(result: dict[str, Any]) -> str:
         gain = NONE
         if method != "preset":
             gain = f"{here['gain']['mean']:+.3f} ({here['gain']['low']:+.3f} to {here['gain']['high']:+.3f})"
-        there = [score(rows[f"{spec} | {of} | {method}"]["accuracy"]) for of in sets]
+        there = [_of(rows[f"{spec} | {of} | {method}"]["accuracy"], of, headline) for of in sets]
         lines.append((f"{spec}: {method}", score(here["accuracy"]), gain, *there))
     return markdown(("", "SIM1", "gain over the preset", *sets), lines)
 
@@ -118,7 +124,9 @@ def calibration_simulated(device: dict[str, Any], transfer: dict[str, Any]) -> s
     return markdown(("", "held-out simulated trials", "the authors' failures, ranks", "deviation"), lines)
 
 
-def _bold(value: float | None, best: bool) -> str:
-    if value is None:
-        return "not run"
-    return f"**{value:.3f}**" if best else f"{value:.3f}"
+def _of(accuracy: dict[str, float], title: str, headline: dict[str, Any]) -> str:
+    """A score of folds, or of one split with Wilson's interval, by trial."""
+    for start, benchmark in SPLITS.items():
+        if title.startswith(start):
+            return score(by_trial(accuracy["mean"], headline["rows"][f"{benchmark} | frozen"]["trials tested"]))
+    return score(accuracy)

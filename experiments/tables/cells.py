@@ -42,7 +42,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def ends(low: float, high: float) -> str:
-    """A 95 % interval behind its mean; nothing where the ends coincide: no mistake, or the same in every trial.
+    """A 95 % interval behind its mean; nothing where they coincide: the same by construction.
 
     >>> ends(0.5, 0.75), ends(1.0, 1.0)
     (' (0.500 to 0.750)', '')

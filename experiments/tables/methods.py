@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from experiments._lib.report_rows import by_benchmark, peer_rows
+from experiments._lib.intervals import by_trial, with_width
+from experiments._lib.report_rows import by_benchmark, peer_rows, with_intervals
 from experiments.tables.cells import NONE, markdown, score, table
 
 FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")
@@ -17,9 +18,9 @@ def _others(benchmarks: Iterable[str]) -> list[str]:
     return [name for name in benchmarks if name not in FOLDED]
 
 
-def _peers(peers: Result, grammar: Result, folded: bool) -> str:
+def _peers(peers: Result, grammar: Result, headline: Result, folded: bool) -> str:
     """Other methods and words, by cross-validation or from one session to another."""
-    nested = peer_rows(peers, grammar)
+    nested = with_intervals(peer_rows(peers, grammar), peers["benchmarks"], headline)
     benchmarks = FOLDED if folded else _others(nested)
     kinds = {method: row["kind"] for rows in nested.values() for method, row in rows.items()}
     lines = []
@@ -30,13 +31,13 @@ def _peers(peers: Result, grammar: Result, folded: bool) -> str:
     return markdown(("", *benchmarks), lines)
 
 
-table("peers-folds", "peers", "grammar")(partial(_peers, folded=True))
-table("peers-sessions", "peers", "grammar")(partial(_peers, folded=False))
+table("peers-folds", "peers", "grammar", "headline")(partial(_peers, folded=True))
+table("peers-sessions", "peers", "grammar", "headline")(partial(_peers, folded=False))
 
 
-def _grammar(result: Result, folded: bool) -> str:
+def _grammar(result: Result, headline: Result, folded: bool) -> str:
     """Words of several kinds, by cross-validation or from one session or batch to another."""
-    nested = by_benchmark(result["rows"])
+    nested = with_intervals(by_benchmark(result["rows"]), result["benchmarks"], headline)
     benchmarks = FOLDED if folded else _others(result["benchmarks"])
     lines = []
     for method in dict.fromkeys(method for rows in nested.values() for method in rows):
@@ -45,8 +46,8 @@ def _grammar(result: Result, folded: bool) -> str:
     return markdown(("", *benchmarks), lines)
 
 
-table("grammar-folds", "grammar")(partial(_grammar, folded=True))
-table("grammar-sessions", "grammar")(partial(_grammar, folded=False))
+table("grammar-folds", "grammar", "headline")(partial(_grammar, folded=True))
+table("grammar-sessions", "grammar", "headline")(partial(_grammar, folded=False))
 
 
 @table("table1", "table1_ours")
@@ -57,7 +58,10 @@ def table1(result: Result) -> str:
         what, labels = name.split(" | ")
         paper = NONE if row["paper"] is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*row["paper"])
         low, mean, high = row["paper's features, paper's protocol"]["fold_min_mean_max"]
-        nested, words = (row[f"{kind}, nested, grouped"]["accuracy"] for kind in ("paper's features", "words"))
+        trials = max(row["items"].values()) if "states" in what else sum(row["items"].values())
+        nested, words = (
+            with_width(row[f"{kind}, nested, grouped"]["accuracy"], trials) for kind in ("paper's features", "words")
+        )
         alone = row["duration alone"]["accuracy"]
         ours = (f"{mean:.3f} ({low:.3f} to {high:.3f})", score(nested), score(words), score(alone, False))
         lines.append((what, labels, paper, *ours))
@@ -70,7 +74,10 @@ def probes(result: Result) -> str:
     """What separates failure, success and session without any assembly."""
     nested = by_benchmark(result["rows"])
     views = list(next(iter(nested.values())))[1:]
-    lines = [(question, *(score(row[view]["balanced_accuracy"]) for view in views)) for question, row in nested.items()]
+    lines = []
+    for question, row in nested.items():
+        found = (with_width(row[view]["balanced_accuracy"], sum(row[view]["trials"].values())) for view in views)
+        lines.append((question, *map(score, found)))
     return markdown(("balanced accuracy", *views), lines)
 
 
@@ -80,7 +87,16 @@ def two_arm(result: Result) -> str:
     rows = {name: row for name, row in result.items() if isinstance(row, dict)}
     kinds = [kind for kind in next(iter(rows.values())) if kind != "trials"]
     names = {name: name.replace("two", "`two`", 1).replace("`two`-fixed", "`two-fixed`") for name in rows}
-    return markdown(("", *kinds), [(names[name], *(score(row[kind]) for kind in kinds)) for name, row in rows.items()])
+    lines = []
+    for name, row in rows.items():
+        tested = name.partition(", tested on ")[2]
+        if tested:
+            trials = rows[f"{tested}, cross-validated"]["trials"]
+            found = [by_trial(row[kind]["mean"], trials) for kind in kinds]
+        else:
+            found = [with_width(row[kind], row["trials"]) for kind in kinds]
+        lines.append((names[name], *map(score, found)))
+    return markdown(("", *kinds), lines)
 
 
 @table("two-arm-fidelity", "two_arm")

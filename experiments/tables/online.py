@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from experiments._lib.intervals import with_width
 from experiments.tables.cells import NONE, markdown, score, table
 
 Result = dict[str, Any]
@@ -57,7 +58,7 @@ def faults(result: Result) -> str:
         for part, title in zip(WARNED, (kind.replace("-", " "), "those at the boundary of success"), strict=True):
             cells = [preset["kinds"][kind][part] for preset in presets.values()]
             if kind != "missing-tab" or part == WARNED[0]:
-                lines.append((title, *(_counted(cell) for cell in cells)))
+                lines.append((title, *map(_counted, cells, presets.values())))
     lines.append(("false alarms per nominal trial", *(_false(preset) for preset in presets.values())))
     return markdown(("detected before the failing sub-task ends", *presets), lines)
 
@@ -69,7 +70,7 @@ def faults_apart(result: Result) -> str:
     lines = []
     for kind in ("wedging", "moved-part", "early-stop"):
         cells = [preset["kinds"][kind]["without contact"] for preset in presets.values()]
-        lines.append((f"{kind.replace('-', ' ')} without contact", *(_counted(cell) for cell in cells)))
+        lines.append((f"{kind.replace('-', ' ')} without contact", *map(_counted, cells, presets.values())))
     stops = [preset["kinds"]["early-stop"]["with contact"] for preset in presets.values()]
     for title, name in (("by the words", "by the words"), ("before the clock", "by the words, before the clock")):
         counts = (f"{cell[name]} of {cell['failures streamed']}" for cell in stops)
@@ -115,10 +116,11 @@ def _means(shares: list[dict[str, float] | None]) -> str:
     return ", ".join(NONE if share is None else f"{share['mean']:.3f}" for share in shares)
 
 
-def _counted(cell: dict[str, Any]) -> str:
+def _counted(cell: dict[str, Any], preset: dict[str, Any]) -> str:
     if not cell["failures streamed"]:
         return NONE
-    return f"{score(cell['share detected'])}; {cell['detected']} of {cell['failures streamed']}"
+    once = round(cell["failures streamed"] / len(preset["false alarms in each repeat"]))  # repeats share their trials
+    return f"{score(with_width(cell['share detected'], once))}; {cell['detected']} of {cell['failures streamed']}"
 
 
 def _false(preset: dict[str, Any]) -> str:

@@ -159,6 +159,7 @@ class SearchResult:
     value: float  # weighted sum of the scores, less the penalty of rest
     scores: dict[str, float]  # by name, see SCORES
     start_value: float  # value of the base
+    start_scores: dict[str, float]  # of the base
     evaluations: int
     history: list[tuple[int, float, float]]  # evaluations, seconds, best value so far on all trials
 
@@ -322,7 +323,7 @@ def search(
         if rung < 1:
             survivors = np.sort(np.argsort(-values, kind="stable")[: max(1, int(len(points) * options.keep))])
             points = points[np.union1d([0], survivors)]  # the base stays, for comparison
-    start_value, index = float(values[0]), int(values.argmax())
+    start, index = (float(values[0]), scores[0]), int(values.argmax())
     best = points[index], scores[index], values[index]
     run.note(float(best[2]))
     state = cma.CubeCma(cma.start(best[0], options.sigma))
@@ -339,7 +340,8 @@ def search(
         thresholds=jax.tree.map(lambda leaf: leaf[0], options.space.thresholds(best[0][None])),
         value=float(best[2]),
         scores=dict(zip(SCORES, best[1].tolist(), strict=True)),
-        start_value=start_value,
+        start_value=start[0],
+        start_scores=dict(zip(SCORES, start[1].tolist(), strict=True)),
         evaluations=run.number,
         history=run.history,
     )

@@ -14,6 +14,7 @@ from rcbht_jax._util.devices import wanted
 from rcbht_jax.cli.command import (
     Arm,
     Boundaries,
+    CompileCache,
     Flag,
     RuleCommand,
     Sessions,
@@ -120,12 +121,14 @@ class Calibrate(RuleCommand):
     """Figure to write: the thresholds over the gradients of each axis and state."""
     seed: int = 0
     """Seed of the random numbers."""
+    compile_cache: CompileCache = None
 
     FORMER: ClassVar[dict[str, str]] = {"--ledger": "--checkpoint"}
 
     def run(self) -> dict[str, Any]:
         import jax
 
+        from rcbht_jax._util import compile_cache
         from rcbht_jax.calibration.dataset import calibration_data
         from rcbht_jax.calibration.objective import SCORES, Objective
         from rcbht_jax.calibration.sample import read_sample
@@ -151,6 +154,7 @@ class Calibrate(RuleCommand):
         self._chosen_devices()  # wrong ones are said before the work
         if not self.out.parent.is_dir():
             raise InputError(f"{self.out.parent} is not a folder; create it, or choose another file.")
+        compile_cache.use(self.compile_cache)
         if self.method == "rest":
             return self._rest(read_sample(self.store, self._everything))
         spec = TaskSpec(self.task, self.boundaries, self.arm, self.source, self.session)
@@ -167,7 +171,8 @@ class Calibrate(RuleCommand):
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
         pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds)
-        both = score_candidates(data, config, pair)
+        known = details.pop("both", None)  # a search has scored both: to score two more means to compile for two
+        both = score_candidates(data, config, pair) if known is None else known
         penalties = np.zeros(2) if rest is None else rest.penalty(pair)
         result = {
             "method": self.method,
@@ -314,7 +319,9 @@ class Calibrate(RuleCommand):
                 progress=bar.update, rest=given.rest,
             )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
-        return best.thresholds, {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
+        both = np.array([list(found.values()) for found in (best.start_scores, best.scores)], np.float32)
+        details = {"evaluations": best.evaluations, "groups": self.groups, "options": plain, "both": both}
+        return best.thresholds, details
 
     def _gradient(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
         from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate

@@ -187,15 +187,24 @@ def messages(reader: Bag, connections: Sequence[Any]) -> Iterator[tuple[Any, int
             yield Malformed(f"a message cannot be read ({type(error).__name__}: {str(error)[:80]})")
 
 
+def is_wrench(axes: Sequence[str]) -> bool:
+    """Whether axes are those of a wrench, in its order, by the first letters of their names.
+
+    >>> is_wrench(["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]), is_wrench([f"joint{number}" for number in range(6)])
+    (True, False)
+    """
+    return "".join(axis[:1] for axis in axes).upper() in ("FFFMMM", "FFFTTT")
+
+
 class McapWriter:
     """Context manager that writes a stream as an MCAP file for Foxglove and PlotJuggler.
 
-    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where there are not six axes), ``/labels`` (codes
-    and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file appears
-    when the block ends; also when an error or an interruption ends it, with what was written until then, if anything
-    was. A trial whose stamps do not go on from those before begins a second after their end. Stamps of ROS end in 2038
-    and begin in 1970: where the first message lies outside, it is at time zero; single messages outside get the nearest
-    stamp.
+    Topics: ``/wrench`` (``geometry_msgs/WrenchStamped``; ``/signal`` where axes are not those of one), ``/labels``
+    (codes and names per axis), ``/words`` (as they are published), ``/belief/HEAD`` and ``/events`` (JSON). The file
+    appears when the block ends; also when an error or an interruption ends it, with what was written until then, if
+    anything was. A trial whose stamps do not go on from those before begins a second after their end. Stamps of ROS end
+    in 2038 and begin in 1970: where the first message lies outside, it is at time zero; single messages outside get the
+    nearest stamp.
 
     Raises:
         InputError: the folder of the file does not exist.
@@ -204,7 +213,7 @@ class McapWriter:
     def __init__(self, path: Path, axes: Sequence[str] = AXES) -> None:
         if not path.parent.is_dir():
             raise InputError(f"{path.parent} is not a folder; create it first.")
-        self._path, self._axes = path, list(axes)
+        self._path, self._axes, self._is_wrench = path, list(axes), is_wrench(axes)
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for kind, text in (
             ("Labels", _LABELS),
@@ -261,7 +270,7 @@ class McapWriter:
 
     def wrench(self, time: float, values: tuple[float, ...]) -> None:
         """One reading: N and Nm of a wrench, or the values of other axes as ``rcbht_msgs/Signal``."""
-        if len(values) != len(AXES):
+        if not self._is_wrench:
             self._write("/signal", "rcbht_msgs/msg/Signal", time, axis=self._axes, value=np.array(values))
             return
         vector = self._store.types["geometry_msgs/msg/Vector3"]

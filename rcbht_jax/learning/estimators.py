@@ -1,8 +1,8 @@
 """scikit-learn estimators: label features of wrenches, support vector machines, and both in one.
 
-``WrenchFeatures`` turns recordings into a feature matrix, ``SvmClassifier`` classifies feature matrices, and
-``StateClassifier`` chains them. They follow scikit-learn's conventions: ``clone``, ``Pipeline``, ``GridSearchCV`` over
-any parameter, ``set_output``, and sample groups by ``fit(X, y, groups=...)`` or metadata routing.
+``WrenchFeatures`` turns recordings into a feature matrix, ``StateClassifier`` chains it with ``SvmClassifier``. They
+follow scikit-learn's conventions: ``clone``, ``Pipeline``, ``GridSearchCV`` over any parameter, ``set_output``, and
+groups and weights of samples by ``fit(X, y, groups=..., sample_weight=...)`` or metadata routing.
 Parameters are fields, from which ``dataclass`` writes the ``__init__`` that scikit-learn inspects. They are checked in
 ``fit``, as scikit-learn expects, hence ``Any``.
 """
@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
-from rcbht_jax._util.values import positive, usable
+from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.rules import AnyConfig, config_of, limits_for
@@ -26,16 +26,13 @@ from rcbht_jax.encoding.thresholds import preset, validate
 from rcbht_jax.encoding.tolerance import FitLimits
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import Features, FeatureSpec, Intervals, interval_features
-from rcbht_jax.learning.probability import FOLDS, ProbabilisticSvm, fit_probabilistic
-from rcbht_jax.learning.svm import SvmSpec, fit, pairs
+from rcbht_jax.learning.svm_classifier import SvmClassifier
 from rcbht_jax.types import LabelTrack, LabelTracks, axis_names
 
 with needs_extra("learn"):
     from sklearn.base import BaseEstimator, ClassifierMixin, TransformerMixin, clone
-    from sklearn.utils import check_consistent_length
     from sklearn.utils.metaestimators import available_if
-    from sklearn.utils.multiclass import check_classification_targets
-    from sklearn.utils.validation import check_is_fitted, validate_data
+    from sklearn.utils.validation import check_is_fitted
 
 LAYOUTS = ("time-axis", "axis-time")
 
@@ -203,109 +200,6 @@ def _no_labels(axes: int) -> LabelTracks:
     return LabelTracks(track, track, track)
 
 
-@dataclass(kw_only=True, eq=False, repr=False)
-class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
-    """One-versus-one support vector machine, with probabilities by pairwise coupling.
-
-    Args:
-        kernel: ``"linear"``, ``"poly"`` (degree 3) or ``"rbf"``.
-        cost: C, positive.
-        scaling: standardise the features by mean and deviation of the training data.
-        ranks: scale by ranks among the training data instead; needs ``scaling``.
-        gamma: of the kernel: ``"auto"`` = 1 / features, ``"scale"`` = 1 / (features x variance).
-        balanced: weigh classes by the inverse of their frequency.
-        floor: least deviation to divide by when scaling.
-        feature_weight: positive factors ``[feature]`` of the scaled features; None = ones.
-        probability: fit Platt sigmoids on held-out groups as well, so that ``predict_proba`` is available.
-        cv: number of folds for the sigmoids, or a scikit-learn splitter that tests every sample once.
-        random_state: seed of these folds.
-
-    Attributes:
-        classes_: sorted classes.
-        n_features_in_: number of features.
-        model_: the fitted :class:`SvmModel`; plain arrays that need NumPy only.
-
-    Example:
-        >>> from sklearn.datasets import load_iris
-        >>> x, y = load_iris(return_X_y=True)
-        >>> machine = SvmClassifier(probability=True).fit(x, y, groups=np.arange(150) // 2)
-        >>> machine.score(x, y) > 0.95
-        True
-        >>> machine.predict_proba(x[:2]).sum(axis=1).round(6).tolist()
-        [1.0, 1.0]
-    """
-
-    kernel: Any = "rbf"
-    cost: Any = 1.0
-    scaling: Any = True
-    ranks: Any = False
-    gamma: Any = "auto"
-    balanced: Any = False
-    floor: Any = 0.0
-    feature_weight: Any = None
-    probability: Any = False
-    cv: Any = FOLDS
-    random_state: Any = 0
-
-    def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> SvmClassifier:
-        """Train on ``[sample, feature]`` with one class per sample.
-
-        Args:
-            X: features, finite.
-            y: classes.
-            groups: trial of each sample; samples of one trial stay together when probabilities are fitted. None = each
-                sample is a trial of its own.
-
-        Raises:
-            InputError: fewer than two classes, bad parameters, weights of features that are not positive or not one for
-                each, or too few groups for probabilities.
-        """
-        X, y = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
-        check_classification_targets(y)
-        groups = np.arange(len(y)) if groups is None else np.asarray(groups)
-        check_consistent_length(X, groups)
-        self.classes_, code = np.unique(y, return_inverse=True)
-        spec = SvmSpec(
-            self.kernel, self.cost, self.scaling, self.gamma, self.balanced, floor=self.floor, ranks=self.ranks
-        )
-        names = [str(name) for name in self.classes_]
-        weight = None if self.feature_weight is None else np.asarray(self.feature_weight, np.float64)
-        if weight is not None and not (weight.shape == (X.shape[1],) and positive(weight)):
-            raise InputError(f"feature_weight has the shape {weight.shape}; expected {X.shape[1]} positive numbers.")
-        if self.probability:
-            machine = fit_probabilistic(X, code, groups, names, spec, self.random_state, self.cv, weight)
-            self.model_, self.sigmoid_ = machine.svm, machine.sigmoid
-        else:
-            self.model_ = fit(X, code, names, spec, weight)
-        return self
-
-    def predict(self, X: Any) -> NDArray[Any]:
-        """Class of each sample, by majority of the pairwise votes; ties go to the earlier class."""
-        x = self._features(X)
-        return self.classes_[self.model_.predict_index(x)]
-
-    def decision_function(self, X: Any) -> Float[np.ndarray, " sample"] | Float[np.ndarray, "sample class"]:
-        """Two classes: positive for the second. More: votes plus a share of the decision values, as in ``SVC``."""
-        x = self._features(X)
-        decision = self.model_.decision(x)
-        if len(self.classes_) == 2:
-            return -decision[:, 0]
-        first, second = (np.eye(len(self.classes_))[side] for side in pairs(len(self.classes_)))
-        votes = np.where(decision > 0, 1.0, 0.0) @ first + np.where(decision > 0, 0.0, 1.0) @ second
-        confidence = decision @ (first - second)
-        return votes + confidence / (3 * (np.abs(confidence) + 1))
-
-    @available_if(lambda self: self.probability)  # type: ignore[untyped-decorator]
-    def predict_proba(self, X: Any) -> Float[np.ndarray, "sample class"]:
-        """Class probabilities; only with ``probability=True``."""
-        x = self._features(X)
-        return ProbabilisticSvm(self.model_, self.sigmoid_).probability(x)
-
-    def _features(self, X: Any) -> Float[np.ndarray, "sample feature"]:
-        check_is_fitted(self)
-        return validate_data(self, X, dtype=np.float64, reset=False)
-
-
 def _has(chain: StateClassifier, method: str) -> bool:
     given = SvmClassifier() if chain.classifier is None else chain.classifier  # an unfitted ensemble has no truth value
     return hasattr(getattr(chain, "classifier_", given), method)
@@ -352,16 +246,19 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
     layout: Any = "time-axis"
     classifier: Any = None
 
-    def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> StateClassifier:
+    def fit(
+        self, X: Any, y: Any, groups: ArrayLike | None = None, sample_weight: ArrayLike | None = None
+    ) -> StateClassifier:
         """Train on recordings with one class each; see :class:`WrenchFeatures` for their shapes.
 
         Args:
             X: recordings.
             y: classes.
             groups: trial of each recording, for a classifier whose own ``fit`` takes groups; others need none.
+            sample_weight: of each recording, for the classifier; a tolerance "auto" is of all recordings alike.
 
         Raises:
-            InputError: as the two parts do.
+            InputError: as the two parts do, or weights for a classifier whose own ``fit`` takes none.
         """
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
         self.features_ = WrenchFeatures(**described).fit(X)
@@ -370,10 +267,14 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
         self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
         if self.features_.feature_weight_ is not None:
             self.classifier_.set_params(feature_weight=self.features_.feature_weight_)
-        taken = signature(self.classifier_.fit).parameters.values()
-        takes = any(one.name == "groups" or one.kind is one.VAR_KEYWORD for one in taken)  # the latter: searches
-        grouped = {"groups": groups} if takes and groups is not None else {}
-        self.classifier_.fit(self.features_.transform(X), y, **grouped)
+        given = {"groups": groups, "sample_weight": sample_weight}
+        taken = signature(self.classifier_.fit).parameters
+        if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):  # searches pass anything on
+            if sample_weight is not None and "sample_weight" not in taken:
+                raise InputError(f"{type(self.classifier_).__name__} takes no sample_weight; fit without it.")
+            given = {name: given[name] for name in given if name in taken}
+        given = {name: value for name, value in given.items() if value is not None}
+        self.classifier_.fit(self.features_.transform(X), y, **given)
         self.classes_ = self.classifier_.classes_
         return self
 

@@ -65,6 +65,7 @@ def fit_probabilistic(
     seed: int = 0,
     folds: int | Any = FOLDS,
     weight: Weight = None,
+    sample_weight: Weight = None,
 ) -> ProbabilisticSvm:
     """Train the SVM on all items and its sigmoids on held-out decision values.
 
@@ -77,12 +78,14 @@ def fit_probabilistic(
         seed: of the folds.
         folds: how many, fewer where a class has fewer trials; or a scikit-learn splitter that tests every item once.
         weight: positive ``[feature]`` by which scaled features are multiplied; None = ones.
+        sample_weight: positive ``[item]``, how often each counts; None = once.
 
     Raises:
         InputError: a class has fewer than two trials, or a feature is not finite.
     """
-    held_out = held_out_decisions(x, y, groups, classes, spec, seed, folds, weight)
-    return ProbabilisticSvm(fit(x, y, classes, spec, weight), fit_sigmoids(held_out, y, len(classes)))
+    held_out = held_out_decisions(x, y, groups, classes, spec, seed, folds, weight, sample_weight)
+    sigmoids = fit_sigmoids(held_out, y, len(classes), sample_weight)
+    return ProbabilisticSvm(fit(x, y, classes, spec, weight, sample_weight), sigmoids)
 
 
 def held_out_decisions(
@@ -94,6 +97,7 @@ def held_out_decisions(
     seed: int,
     folds: int | Any = FOLDS,
     weight: Weight = None,
+    sample_weight: Weight = None,
 ) -> NDArray[np.float64]:
     """Decision values ``[item, pair]``, each by an SVM that was trained without the item's trial.
 
@@ -106,6 +110,7 @@ def held_out_decisions(
         seed: of the folds.
         folds: how many, fewer where a class has fewer trials; or a scikit-learn splitter.
         weight: of the features ``[feature]``; None = ones.
+        sample_weight: of the items ``[item]``; None = ones.
 
     Raises:
         InputError: a class has fewer than two trials, or the splitter does not test every item once.
@@ -116,44 +121,48 @@ def held_out_decisions(
         raise InputError(f"{folds} does not test every item exactly once, which held-out decision values need.")
     out = np.empty((len(y), len(classes) * (len(classes) - 1) // 2))
     for train, test in splits:
-        out[test] = fit(x[train], y[train], classes, spec, weight).decision(x[test])
+        counted = None if sample_weight is None else sample_weight[train]
+        out[test] = fit(x[train], y[train], classes, spec, weight, counted).decision(x[test])
     return out
 
 
-def fit_sigmoids(decision: Matrix, y: Ints, classes: int) -> NDArray[np.float64]:
+def fit_sigmoids(decision: Matrix, y: Ints, classes: int, sample_weight: Weight = None) -> NDArray[np.float64]:
     """One sigmoid per pair ``[pair, 2]`` from held-out decision values ``[item, pair]`` and classes ``[item]``."""
+    weight = np.ones(len(y)) if sample_weight is None else sample_weight
     first, second = pairs(classes)
     rows = [(y == i) | (y == j) for i, j in zip(first, second, strict=True)]
-    return np.stack([fit_sigmoid(decision[row, p], y[row] == first[p]) for p, row in enumerate(rows)])
+    return np.stack([fit_sigmoid(decision[row, p], y[row] == first[p], weight[row]) for p, row in enumerate(rows)])
 
 
-def fit_sigmoid(decision: Matrix, positive: NDArray[np.bool_]) -> NDArray[np.float64]:
+def fit_sigmoid(decision: Matrix, positive: NDArray[np.bool_], sample_weight: Weight = None) -> NDArray[np.float64]:
     """Slope and offset of Platt's sigmoid, by maximum likelihood of smoothed targets (Lin, Lin and Weng 2007).
 
     Args:
         decision: float ``[item]``, positive for the positive class.
         positive: ``[item]``; both kinds must occur.
+        sample_weight: ``[item]``, how often each counts; None = once.
 
     Raises:
         InputError: only one kind of item.
     """
     f = np.asarray(decision, np.float64)
-    count = int(positive.sum())
-    if not 0 < count < len(f):
-        raise InputError(f"a sigmoid needs items of both classes; {count} of {len(f)} are of the first.")
+    if not 0 < positive.sum() < len(f):
+        raise InputError(f"a sigmoid needs items of both classes; {positive.sum()} of {len(f)} are of the first.")
+    w = np.ones(len(f)) if sample_weight is None else sample_weight
+    count, others = w[positive].sum(), w[~positive].sum()
     # Targets are drawn inwards by one item each, so that separable classes keep a finite slope.
-    target = np.where(positive, (count + 1) / (count + 2), 1 / (len(f) - count + 2))
-    point = np.array([0.0, np.log((len(f) - count + 1) / (count + 1))])
-    loss = _loss(point, f, target)
+    target = np.where(positive, (count + 1) / (count + 2), 1 / (others + 2))
+    point = np.array([0.0, np.log((others + 1) / (count + 1))])
+    loss = _loss(point, f, target, w)
     for _ in range(_STEPS):
-        gradient, hessian = _derivatives(point, f, target)
+        gradient, hessian = _derivatives(point, f, target, w)
         if np.abs(gradient).max() < _FLAT:
             break
         direction = -np.linalg.solve(hessian, gradient)
         step = 1.0
         while step >= _SHORTEST:
             tried = point + step * direction
-            new = _loss(tried, f, target)
+            new = _loss(tried, f, target, w)
             if new < loss + 1e-4 * step * float(gradient @ direction):
                 point, loss = tried, new
                 break
@@ -163,9 +172,9 @@ def fit_sigmoid(decision: Matrix, positive: NDArray[np.bool_]) -> NDArray[np.flo
     return point
 
 
-def _loss(point: NDArray[np.float64], f: Matrix, target: Matrix) -> float:
+def _loss(point: NDArray[np.float64], f: Matrix, target: Matrix, weight: Matrix) -> float:
     z = point[0] * f + point[1]
-    return float(np.sum(np.logaddexp(0, z) - (1 - target) * z))
+    return float(np.sum(weight * (np.logaddexp(0, z) - (1 - target) * z)))
 
 
 def _sigmoid(x: Matrix) -> NDArray[np.float64]:
@@ -174,12 +183,12 @@ def _sigmoid(x: Matrix) -> NDArray[np.float64]:
 
 
 def _derivatives(
-    point: NDArray[np.float64], f: Matrix, target: Matrix
+    point: NDArray[np.float64], f: Matrix, target: Matrix, weight: Matrix
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     p = _sigmoid(-(point[0] * f + point[1]))
     design = np.stack([f, np.ones_like(f)], 1)
-    gradient = design.T @ (target - p)
-    hessian = (design * (p * (1 - p))[:, None]).T @ design + _RIDGE * np.eye(2)
+    gradient = design.T @ (weight * (target - p))
+    hessian = (design * (weight * p * (1 - p))[:, None]).T @ design + _RIDGE * np.eye(2)
     return gradient, hessian
 
 

@@ -34,7 +34,12 @@ class Scale:
 
 
 def fit_scale(
-    x: Matrix, scaling: bool, floor: float = 0.0, ranked: bool = False, weight: NDArray[np.float64] | None = None
+    x: Matrix,
+    scaling: bool,
+    floor: float = 0.0,
+    ranked: bool = False,
+    weight: NDArray[np.float64] | None = None,
+    sample_weight: NDArray[np.float64] | None = None,
 ) -> Scale:
     """The scale of training items ``[item, feature]``.
 
@@ -44,13 +49,18 @@ def fit_scale(
         floor: least deviation to divide by.
         ranked: by ranks instead of mean and deviation.
         weight: positive ``[feature]``, multiplied by last, so that many features do not outvote few.
+        sample_weight: ``[item]``, how often each counts in mean and deviation (in ranks once); None = once.
     """
     center, width, knots = np.zeros(x.shape[1]), np.ones(x.shape[1]), np.zeros((0, x.shape[1]))
     if scaling and ranked:
         knots = np.quantile(x, np.linspace(0, 1, KNOTS), axis=0).astype(np.float64)
     elif scaling:
         center, deviation = x.mean(0, dtype=np.float64), x.std(0, dtype=np.float64)
-        width = np.where(deviation > 0, np.maximum(deviation, floor), 1.0)
+        if sample_weight is not None:
+            center = np.average(x, 0, sample_weight)
+            deviation = np.sqrt(np.average((x - center) ** 2, 0, sample_weight))
+        varies = (np.ptp(x, 0) > 0) & (deviation > 0)  # rounding gives some constants a deviation of 1e-17
+        width = np.where(varies, np.maximum(deviation, floor), 1.0)
     return Scale(center, width if weight is None else width / weight, knots)
 
 

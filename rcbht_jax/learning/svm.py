@@ -30,7 +30,7 @@ DEGREE = 3
 
 Matrix = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
-Weight = NDArray[np.float64] | None  # positive [feature] by which scaled features are multiplied; None = ones
+Weight = NDArray[np.float64] | None  # positive: [feature] multiplies scaled features, [item] counts; None = ones
 Split = tuple[NDArray[np.int64], NDArray[np.int64]]  # rows to train on, rows to test on
 
 # Bound on the solver's iterations while selecting, reached only by costs that are hopeless for overlapping classes.
@@ -172,23 +172,34 @@ def gram(a: Matrix, b: Matrix, kernel: str, gamma: float) -> NDArray[np.float64]
     return np.exp(-gamma * np.maximum(square, 0))
 
 
-def _gamma(x: Matrix, kind: str) -> float:
+def _gamma(x: Matrix, kind: str, sample_weight: Weight = None) -> float:
     variance = float(x.var()) if kind == "scale" else 1.0
+    if kind == "scale" and sample_weight is not None:
+        center = np.average(x.mean(1), weights=sample_weight)
+        variance = float(np.average(((x - center) ** 2).mean(1), weights=sample_weight))
     return 1.0 / (x.shape[1] * (variance if variance > 0 else 1.0))
 
 
-def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weight = None) -> SvmModel:
+def fit(
+    x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weight = None, sample_weight: Weight = None
+) -> SvmModel:
     """Train on ``[item, feature]`` with class indices ``[item]``; ``weight`` ``[feature]`` follows the scaling.
+
+    ``sample_weight`` ``[item]``, positive, is how often each item counts; None = once.
 
     Raises:
         InputError: a class has no item, or a feature is not finite.
     """
     _check(x, y, classes)
     x = np.asarray(x, np.float64)
-    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks, weight)
+    scale = fit_scale(x, spec.scaling, spec.floor, spec.ranks, weight, sample_weight)
     scaled = scale(x)
-    gamma = _gamma(scaled, spec.gamma)
-    machine = _solved(scaled, y, spec.kernel, spec.cost, spec.balanced, -1, gamma)
+    gamma = _gamma(scaled, spec.gamma, sample_weight)
+    if spec.balanced and sample_weight is not None:  # SVC balances by the number of items
+        count = np.bincount(y, sample_weight)
+        sample_weight = sample_weight * (count.sum() / (len(count) * count))[y]
+    balanced = spec.balanced and sample_weight is None
+    machine = _solved(scaled, y, spec.kernel, spec.cost, balanced, -1, gamma, sample_weight)
     # scikit-learn turns the sign around when there are two classes only.
     sign = -1.0 if len(classes) == 2 else 1.0
     return SvmModel(
@@ -205,7 +216,16 @@ def fit(x: Matrix, y: Ints, classes: Sequence[str], spec: SvmSpec, weight: Weigh
     )
 
 
-def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterations: int, gamma: float = 1.0) -> Any:
+def _solved(
+    x: Matrix,
+    y: Ints,
+    kernel: str,
+    cost: float,
+    balanced: bool,
+    iterations: int,
+    gamma: float = 1.0,
+    sample_weight: Weight = None,
+) -> Any:
     """A fitted ``SVC``; its ``fit_status_`` is 1 if it stopped at the bound on iterations (-1 = none)."""
     # Imported by those who train only: it takes longer to import than a stream may take to start.
     with needs_extra("learn"):
@@ -222,7 +242,7 @@ def _solved(x: Matrix, y: Ints, kernel: str, cost: float, balanced: bool, iterat
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
-        return machine.fit(x, y)
+        return machine.fit(x, y, sample_weight)
 
 
 def _check(x: Matrix, y: Ints, classes: Sequence[str]) -> None:

@@ -87,6 +87,12 @@ def driven(scene: Scene, heavier: float = HEAVIER) -> Scene:
     Args:
         scene: of one arm.
         heavier: times the arm's own inertia, stiffness and damping, so that it answers to its servos as before.
+
+    >>> from sim_mjx.assembly.scene import hooked
+    >>> plain = hooked(4)
+    >>> servo = int(np.flatnonzero(np.isin(plain.model.actuator_trnid[:, 0], plain.hinges))[0])
+    >>> float((driven(plain).model.actuator_gainprm[servo, 0] / plain.model.actuator_gainprm[servo, 0]).round())
+    1000.0
     """
     model, data = copy.copy(scene.model), mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
@@ -108,6 +114,10 @@ def quicker_path(
     Args:
         joints: rad, at control periods. begin: s, of the stretch. seconds: its length, s.
         times: how many times as quickly.
+
+    >>> turning = np.linspace(0, 1, 101)[:, None] * np.ones(6)  # 0.5 s at control periods of 5 ms
+    >>> quicker_path(turning, 0.1, 0.045, 2.0)[:, 0].round(2).tolist()
+    [0.2, 0.22, 0.24, 0.26, 0.28]
     """
     when = np.arange(begin, begin + seconds, CONTROL_PERIOD * times)
     time = np.arange(len(joints)) * CONTROL_PERIOD

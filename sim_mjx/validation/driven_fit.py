@@ -61,6 +61,8 @@ def driven_trial(folder: Path, recordings: Recordings, row: int, name: str, pres
 
     Raises:
         InputError: the trial's folder or its angles are missing.
+
+    >>> driven_trial(Path("hiro"), recordings, 0, "hooked-B", HOOKED["hooked-B"])  # doctest: +SKIP
     """
     angles = recorded_angles(folder, recordings, row, preset)
     if preset.pose_lag:  # they are commands, which the servos get late
@@ -78,7 +80,13 @@ def _relative(wrench: Wrench) -> Wrench:
 
 
 def units(trials: Sequence[DrivenTrial]) -> Float64[np.ndarray, " 6"]:
-    """N and Nm, by which differences of an axis count: its recorded standard deviation."""
+    """N and Nm, by which differences of an axis count: its recorded standard deviation.
+
+    >>> wrench = np.zeros((200, 6))
+    >>> wrench[100:, 2] = np.tile([2.0, 6.0], 50)  # Fz
+    >>> units([DrivenTrial("push", "B", np.zeros((200, 6)), wrench, 100)]).tolist()  # the others hardly change
+    [0.5, 0.5, 2.0, 0.03, 0.03, 0.03]
+    """
     spread = [trial.wrench[trial.begin :].var(0) for trial in trials]
     return np.maximum(np.sqrt(np.mean(spread, axis=0)), LEAST)
 
@@ -89,6 +97,15 @@ class DrivenObjective:
 
     The sum of a candidate's squares is the mean, over trials and axes, of the part of an axis's variance that is not
     explained; the mean of each ``WINDOW`` samples counts, so that sensor noise does not.
+
+    >>> from sim_mjx.assembly.scene import hooked
+    >>> from sim_mjx.presets import HOOKED
+    >>> from sim_mjx.validation.driven import driven
+    >>> still = DrivenTrial("still", "hooked-B", np.zeros((120, 6)), np.zeros((120, 6)), 100)  # nothing is touched
+    >>> objective = DrivenObjective(driven(hooked(4)), {"hooked-B": HOOKED["hooked-B"]}, (still,))
+    >>> away = np.array([0, 0, 0.5, 0, 0, 0])  # N, one unit of one axis of six
+    >>> round(float((objective.residuals([still.wrench + away]) ** 2).sum()), 3)
+    0.167
     """
 
     scene: Scene  # from :func:`sim_mjx.validation.driven.driven`
@@ -133,7 +150,15 @@ def _residual(trial: DrivenTrial, wrench: Wrench, unit: Float64[np.ndarray, " 6"
 
 
 def explained(trial: DrivenTrial, wrench: Wrench) -> Float64[np.ndarray, " 6"]:
-    """Share of the variance of each axis of the recorded wrench that a simulated one explains, at most 1."""
+    """Share of the variance of each axis of the recorded wrench that a simulated one explains, at most 1.
+
+    >>> wrench = np.random.default_rng(0).normal(size=(200, 6))
+    >>> trial = DrivenTrial("push", "B", np.zeros((200, 6)), wrench, 100)
+    >>> explained(trial, wrench).tolist()
+    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    >>> explained(trial, wrench / 2).round(1).tolist()  # half of each value leaves about a quarter of the variance
+    [0.7, 0.7, 0.7, 0.7, 0.7, 0.7]
+    """
     recorded = trial.wrench[trial.begin :]
     left = ((wrench[trial.begin :] - recorded) ** 2).sum(0)
     return 1.0 - left / ((recorded - recorded.mean(0)) ** 2).sum(0)

@@ -37,7 +37,12 @@ Statistics = Callable[[Wrenches], Float[Array, "trial statistic"]]
 
 
 def smooth(scene: Scene) -> Scene:
-    """The scene in the smooth setting; of hooks, whose hand should be :func:`sim_mjx.validation.driven.driven`."""
+    """The scene in the smooth setting; of hooks, whose hand should be :func:`sim_mjx.validation.driven.driven`.
+
+    >>> from sim_mjx.assembly.scene import hooked
+    >>> smooth(hooked(4)).model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    True
+    """
     model = copy.copy(scene.model)
     model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     model.opt.tolerance = 1e-10
@@ -63,6 +68,12 @@ def field_derivatives(scene: Scene, parts: Sequence[PartParams], name: str, step
 
     Raises:
         InputError: there is no such parameter.
+
+    >>> from sim_mjx.assembly.scene import hooked
+    >>> from sim_mjx.presets import HOOKED
+    >>> tangent = field_derivatives(hooked(4), [HOOKED["hooked-B"].parts], "parts.mount_stiffness[2]", 1.0)
+    >>> [name for name, value in tangent.items() if np.abs(value).max() > 0]
+    ['jnt_stiffness']
     """
     ends = [[scene.fields(moved(one, name, by)) for one in parts] for by in (step, -step)]
     return {
@@ -72,7 +83,13 @@ def field_derivatives(scene: Scene, parts: Sequence[PartParams], name: str, step
 
 
 def moved(parts: PartParams, name: str, by: float) -> PartParams:
-    """Parts of one trial whose parameter ``name`` is larger by ``by``, in all elements that the name covers."""
+    """Parts of one trial whose parameter ``name`` is larger by ``by``, in all elements that the name covers.
+
+    >>> from sim_mjx.presets import HOOKED
+    >>> parts = HOOKED["hooked-B"].parts
+    >>> (moved(parts, "parts.mount_stiffness[2]", 5.0).mount_stiffness - parts.mount_stiffness).tolist()
+    [0.0, 0.0, 5.0]
+    """
     zero, covered = (overrides.apply_overrides(parts, "parts", ((name, end),)) for end in (0.0, 1.0))
     attribute = name.removeprefix("parts.").partition("[")[0]
     before = np.array(getattr(parts, attribute), np.float64)
@@ -81,7 +98,14 @@ def moved(parts: PartParams, name: str, by: float) -> PartParams:
 
 
 def with_parts(trial: DrivenParams, name: str, by: float) -> DrivenParams:
-    """One trial with the parts of :func:`moved`."""
+    """One trial with the parts of :func:`moved`.
+
+    >>> from sim_mjx.presets import HOOKED
+    >>> preset = HOOKED["hooked-B"]
+    >>> trial = DrivenParams(preset.parts, preset.sensor, np.zeros((20, 6)), np.array(20, np.int32))
+    >>> round(float(with_parts(trial, "parts.friction", 0.1).parts.friction - preset.parts.friction), 3)
+    0.1
+    """
     return replace(trial, parts=moved(trial.parts, name, by))
 
 
@@ -94,6 +118,10 @@ def wrench_and_derivatives(
         scene: in the smooth setting. params: batch of driven trials.
         tangents: derivatives of the model's fields by each parameter; see :func:`field_derivatives`.
         statistics: of the wrenches; differentiable.
+
+    >>> tangents = [field_derivatives(scene, [trial.parts], "parts.friction", 1e-4)]  # doctest: +SKIP
+    >>> means = lambda wrench: jnp.mean(wrench, axis=1)  # doctest: +SKIP
+    >>> wrench_and_derivatives(smooth(scene), stack([trial]), tangents, means)  # doctest: +SKIP
     """
     job = _Job(scene, params, statistics)
     names = tuple(tangents[0])

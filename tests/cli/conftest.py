@@ -11,7 +11,7 @@ from rcbht_jax.introspection import model as model_files
 from tests.support.introspection_models import model
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     """The programs of these tests stay out of the user's cache."""
     monkeypatch.setattr(compile_cache, "use", lambda folder: None)

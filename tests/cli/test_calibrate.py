@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rcbht_jax as rj
+from rcbht_jax._util import compile_cache
 from rcbht_jax.calibration import sample, search
 from rcbht_jax.calibration.rest import auto_thresholds
 from rcbht_jax.cli.main import main
@@ -60,6 +61,24 @@ def test_calibrated_thresholds_label_a_store(store, tmp_path, capsys, method, op
     _, attrs = read_tracks(store, f"online-W5-{method}")
     np.testing.assert_allclose(attrs["thresholds"], said["limits"])
     assert attrs["thresholds_from"]["method"] == method
+
+
+def test_a_search_is_not_scored_again(store, tmp_path, monkeypatch, capsys):
+    """Two more candidates are a program of their own, which takes long to compile; the scores are there already."""
+    scored, score = [], search.score_candidates
+    monkeypatch.setattr(search, "score_candidates", lambda *a, **k: scored.append((a, score(*a, **k))) or scored[-1][1])
+    caches: list[Path] = []
+    monkeypatch.setattr(compile_cache, "use", caches.append)
+    words = ["--method", "search", "--candidates", "4", "--generations", "0", "--robot", "hiro", "--json"]
+    words += ["--compile-cache", str(tmp_path)]
+    assert main(["calibrate", str(store), "-o", str(tmp_path / "found.json"), *words]) == 0
+    ((data, config, _), _), *more = scored
+    assert not more
+    assert caches == [tmp_path]
+    said = json.loads(capsys.readouterr().out)
+    for thresholds, name in ((preset(), "preset_scores"), (read_thresholds(tmp_path / "found.json")[0], "scores")):
+        again = score(data, config, GradientThresholds(np.asarray(thresholds.limits)[None]))[0]
+        assert dict(zip(search.SCORES, again.tolist(), strict=True)) == said[name]
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,10 @@ def test_thresholds_of_a_large_store_come_from_a_stated_sample(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """The search itself is left out: what it is given, and what is said of it, is looked at."""
-    unsought = partial(search.SearchResult, value=0.0, scores={}, start_value=0.0, evaluations=0, history=[])
+    none = dict.fromkeys(search.SCORES, 0.0)
+    unsought = partial(
+        search.SearchResult, value=0.0, scores=none, start_value=0.0, start_scores=none, evaluations=0, history=[]
+    )
     monkeypatch.setattr(search, "search", lambda data, config, options, **_: unsought(options.space.base))
     monkeypatch.setattr(search, "score_candidates", lambda *_: np.zeros((2, len(SCORES))))
     words = ["calibrate", stored, "--method", method, "--session", "b", "-o", tmp_path / "l.json"]

@@ -28,8 +28,6 @@ from rcbht_jax.labels import LAYERS
 from rcbht_jax.report import live_page
 from tests.support.introspection_models import trial
 
-pytestmark = pytest.mark.usefixtures("no_cache")
-
 
 class Stdin:
     def __init__(self, data: bytes) -> None:

@@ -22,8 +22,6 @@ from rcbht_jax.io.rosbags import McapWriter, read_bag
 from rcbht_jax.io.store import write_recordings
 from tests.support.introspection_models import model, trial
 
-pytestmark = pytest.mark.usefixtures("no_cache")
-
 
 @pytest.mark.parametrize(("axes", "rate"), [("Fx Fy Fz Mx My Mz", 125), ("a b c d e f", 500), ("a b c d e f", None)])
 def test_the_page_shows_words_beside_a_model_of_another_rate_or_of_other_names(tmp_path, monkeypatch, axes, rate):

@@ -18,11 +18,17 @@ from experiments._lib.report_rows import NAME, report_rows
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
+from rcbht_jax.learning.metrics import wilson
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "experiments" / "results"
 DECIMAL = re.compile(r"(?<![\d.])\d\.\d{2,4}(?!\d)")
 SCORE = re.compile(r"(?<![\d.])[01]?\.\d{2,}")
+INTERVAL = re.compile(r"([01]\.\d{3}) \(([01]\.\d{3}) to ([01]\.\d{3})\)")
+WITH_INTERVALS = (
+    "peers-folds", "peers-sessions", "grammar-folds", "grammar-sessions", "calibration", "calibration-near",
+    "calibration-bank", "probes", "two-arm", "ablations",
+)  # fmt: skip
 # Pages whose scores are all generated.
 BY_HAND = (
     "README.md", "docs/evaluation.md", "docs/measurements/classification.md", "docs/sim_to_real.md", "docs/engines.md",
@@ -202,9 +208,42 @@ def test_every_number_of_a_table_is_in_the_results_that_it_declares(
     held = {f"{abs(value) / unit:.{digits}f}" for value in values for digits in (2, 3, 4) for unit in (1, 1e6, 1e9)}
     if name in ("results", "ablations"):  # what the paper prints is text in the rows
         held |= set(DECIMAL.findall((RESULTS / f"{NAME}.json").read_text()))
-    printed = DECIMAL.findall("\n".join(lines[2:]))
+    printed = DECIMAL.findall(
+        INTERVAL.sub(lambda found: found[1 if by_wilson(found, values) else 0], "\n".join(lines[2:]))
+    )
     assert bool(printed) == (name not in ("experiments", "pictures", "repeatability", "native-cores"))  # none below ten
     assert set(printed) <= held
+
+
+def by_wilson(found: re.Match[str], values: list[float]) -> bool:
+    """Whether an interval on a page is Wilson's of a committed score, by some number of trials."""
+    means = {value for value in values if f"{value:.3f}" == found[1]}
+    ends = (wilson(mean * trials, trials) for mean in means for trials in range(1, 400))
+    return any((f"{low:.3f}", f"{high:.3f}") == found.groups()[1:] for low, high in ends)
+
+
+@pytest.mark.parametrize("name", WITH_INTERVALS)
+def test_every_score_has_an_interval(name: str) -> None:
+    """Of no mistake, too; but not the share of the most frequent class, where all are equally frequent."""
+    cells = [cell for line in TABLES[name]("").splitlines()[2:] if "majority" not in line for cell in line.split(" | ")]
+    scores = [cell.strip("*| ") for cell in cells if re.match(r"\**[01]\.\d{3}", cell)]
+    assert scores
+    assert [score for score in scores if not INTERVAL.fullmatch(score)] == []
+    assert not re.search(r"\((\d\.\d{3}) to \1\)", " ".join(scores))
+
+
+def test_intervals_of_a_single_split_count_its_trials() -> None:
+    lines = [line.split(" | ") for line in TABLES["peers-sessions"]("").splitlines()]
+    (row,) = [line for line in lines if line[0] == "| MultiRocketHydra + ridge"]
+    tested = {
+        "REAL states, A to B": (1.0, 19),
+        "REAL states, B to A": (0.75, 16),
+        "REAL merged states, B to A": (0.6667, 16),
+    }
+    titles = [cell.strip("| ") for cell in lines[0]]
+    for title, (share, trials) in tested.items():
+        low, high = wilson(share * trials, trials)
+        assert row[titles.index(title)].startswith(f"{share:.3f} ({low:.3f} to {high:.3f})")
 
 
 @pytest.mark.parametrize(("name", "row", "column", "mark"), CELLS, ids=[cell[0] for cell in CELLS])

@@ -14,6 +14,7 @@ import zarr
 from numcodecs.zstd import compress
 from zarr.codecs import BytesCodec, Crc32cCodec, GzipCodec, ShardingCodec, ZstdCodec
 
+from rcbht_jax._util import compile_cache
 from rcbht_jax.cli.main import main
 from rcbht_jax.errors import InputError
 from rcbht_jax.io import store
@@ -59,6 +60,7 @@ def test_a_huge_time_axis_is_one_sentence(
     encoded: Path, words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(encoded.parent)
+    monkeypatch.setattr(compile_cache, "use", lambda folder: None)
     count = 2 if words[0] == "plot" else 1
     status = main([*words[:count], str(encoded), *words[count:]])
     error = capsys.readouterr().err

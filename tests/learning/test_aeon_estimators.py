@@ -10,7 +10,8 @@ pytest.importorskip("aeon", reason="aeon wants older numba and pandas than const
 from aeon.testing.estimator_checking import parametrize_with_checks
 
 from rcbht_jax.learning.aeon_estimators import AeonStateClassifier, AeonWrenchFeatures
-from rcbht_jax.learning.estimators import StateClassifier, SvmClassifier, WrenchFeatures
+from rcbht_jax.learning.estimators import StateClassifier, WrenchFeatures
+from rcbht_jax.learning.svm_classifier import SvmClassifier
 
 PROBABLE = SvmClassifier(kernel="linear", probability=True)
 

@@ -194,8 +194,9 @@ def _mcap(data: DataSet, folder: Path, progress: Progress) -> None:
             _mcap_recording(block, row, folder / f"{block.first + row:06d}.mcap")
             progress(1)
     layout = (
-        "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped), `/labels` (whenever one "
-        "changes; online labels appear when they were published), `/events` (starts of annotated intervals);\n"
+        "* `NNNNNN.mcap`: recording N, from time 0: `/wrench` (geometry_msgs/WrenchStamped; `/signal` where axes are "
+        "not those of one), `/labels` (whenever one changes; online labels appear when they were published), "
+        "`/events` (starts of annotated intervals);\n"
         "* `trials.csv`: one row per recording: names, outcome, further columns;\n"
         "* `annotations.csv`: one row per annotated interval, where there are some;\n"
         "* `dataset.json`: sampling period, columns with units, alphabets, provenance."

@@ -174,9 +174,9 @@ def _parquet(path: Path, axes: tuple[str, ...], count: int) -> Iterator[NDArray[
 
 def _mcap(path: Path, axes: tuple[str, ...]) -> NDArray[np.float32]:
     from rcbht_jax.io.importing.bags import read_bag_tables  # rosbags is an extra of its own
+    from rcbht_jax.io.rosbags import is_wrench
 
-    # McapWriter: a signal of other than six axes has a topic of its own.
-    [table] = read_bag_tables(path, path.name, "/wrench" if len(axes) == 6 else "/signal")
+    [table] = read_bag_tables(path, path.name, "/wrench" if is_wrench(axes) else "/signal")  # as McapWriter has it
     values = [column for key, column in table.columns.items() if key != "stamp"]
     if len(values) != len(axes):
         raise InputError(f"{path} has {len(values)} numbers in a message for {len(axes)} axes.")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.export import FORMATS, DataSet, export, load
@@ -96,3 +97,17 @@ def test_a_damaged_export_is_one_sentence(exported: Path) -> None:
     (exported / "dataset.json").write_text("[")
     with pytest.raises(InputError, match="is not JSON"):
         read_source(exported)
+
+
+@pytest.mark.parametrize(("letters", "topic"), [("FFFTTT", "/wrench"), ("jjjjjj", "/signal")])
+def test_six_axes_are_a_wrench_in_mcap_only_by_their_names(letters: str, topic: str, tmp_path: Path) -> None:
+    """Torques of six joints are no force along x; either comes back with its names."""
+    wrench = np.random.default_rng(0).normal(size=(2, 50, 6)).astype(np.float32)
+    axes = tuple(f"{letter}{number}" for number, letter in enumerate(letters))
+    export(DataSet.of(Recordings.from_arrays(list(wrench), 200.0, axes=axes)), tmp_path / "out", "mcap")
+    with (tmp_path / "out/000001.mcap").open("rb") as file:
+        assert {channel.topic for channel in make_reader(file).get_summary().channels.values()} == {topic}
+    import_source(tmp_path / "out", tmp_path / "again.zarr", "mcap")
+    again = read_recordings(tmp_path / "again.zarr")
+    assert again.axes == axes
+    np.testing.assert_array_equal(again.wrench, wrench)
