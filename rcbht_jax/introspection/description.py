@@ -2,8 +2,8 @@
 
 Built from the lines of primitives (best those of the fit rule). A change is a rise or fall between two turning points
 that are at least a given height apart (zigzag rule), or between one and a level stretch; its times are those at which a
-tenth and nine tenths of it are done. Several changes in alternation, equally far apart, are a ringing. What begins
-together is one sentence. Forces that are let go at once have a sentence of their own.
+tenth and nine tenths of it are done. Several changes in alternation, equally far apart and without a new push, are a
+ringing. What begins together is one sentence. Forces that are let go at once have a sentence of their own.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ PLATEAU = 0.5  # s of a level stretch that divides one rise into two
 SLOWEST_HALF = 1.0  # s between turning points of a ringing at most
 _SWINGS = 4  # changes that make a ringing
 _UNEVEN = 3.0  # ratio of the longest to the shortest half period of a ringing
+_PUSH = 2.0  # ratio of a swing to the one before or, at the first, after it: what exceeds it does not ring by itself
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,8 @@ def with_ringing(series: Sequence[Change]) -> list[Change | Ringing]:
 def _goes_on(run: list[Change]) -> bool:
     gaps = np.diff([(change.start + change.end) / 2 for change in run])
     heights = np.abs([change.rise for change in run])
-    return bool(gaps.max() <= min(SLOWEST_HALF, _UNEVEN * gaps.min()) and heights[0] <= 2 * heights[1])
+    even = gaps.max() <= min(SLOWEST_HALF, _UNEVEN * gaps.min())
+    return bool(even and heights[0] <= _PUSH * heights[1] and (heights[1:] <= _PUSH * heights[:-1]).all())
 
 
 def _told(run: list[Change]) -> list[Change | Ringing]:

@@ -63,6 +63,17 @@ def test_even_swings_ring_and_a_single_push_does_not() -> None:
     assert with_ringing(slow) == slow
 
 
+def test_a_press_a_snap_and_a_pull_do_not_ring_and_what_rings_after_a_new_push_does() -> None:
+    rises = (7.0, -8.0, 20.0, -24.0)
+    phases = [Change("Fz", k * 0.5, k * 0.5 + 0.3, rise) for k, rise in enumerate(rises)]
+    assert with_ringing(phases) == phases
+    after = [Change("Fz", 2.0 + k * 0.5, 2.3 + k * 0.5, 20.0 * (-0.8) ** k) for k in range(4)]
+    told = with_ringing([*phases[:2], *after])
+    assert told[:2] == phases[:2]
+    assert isinstance(told[2], Ringing)
+    assert (told[2].start, told[2].height) == (2.0, 20.0)
+
+
 @given(st.lists(st.tuples(st.floats(0.01, 3.0), st.floats(0.1, 50.0)), max_size=12))
 def test_no_change_is_lost_or_told_twice(steps: list[tuple[float, float]]) -> None:
     starts = np.cumsum([0.0, *(gap for gap, _ in steps)])[:-1]
