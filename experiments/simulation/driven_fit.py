@@ -21,14 +21,14 @@ import tyro
 from experiments._lib.benchmarks import recorded
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
-from experiments.simulation.joint_fit import AROUND, SEEN, SHARED, of_sessions, present
+from experiments.simulation.joint_fit import AROUND, SEEN, SHARED, cells, of_sessions, present, within
 from rcbht_jax.labels import AXES
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import driven_fit, gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial
+from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial, Wrench
 from sim_mjx.validation.gauss_newton import Iteration, LeastSquares
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Losses, Search, Values
 
@@ -65,12 +65,9 @@ def trials(recordings: Recordings, folder: Path, of_a: int) -> Trials:
         name: [driven_fit.driven_trial(folder, recordings, row, name, HOOKED[name]) for row in those]
         for name, those in rows.items()
     }
-    cells = [
-        tuple(round(float(recordings.columns[f"deviation_{axis}"][row]) * 1e3) for axis in "xy")
-        for row in rows["hooked-B"]
-    ]
-    white = [trial for trial, cell in zip(made["hooked-B"], cells, strict=True) if cell in SEEN]
-    black = [trial for trial, cell in zip(made["hooked-B"], cells, strict=True) if cell not in SEEN]
+    placed = list(zip(made["hooked-B"], cells(recordings, np.array(rows["hooked-B"], int)), strict=True))
+    white = [trial for trial, cell in placed if cell in SEEN]
+    black = [trial for trial, cell in placed if cell not in SEEN]
     held = {"A": tuple(made["hooked-A"][of_a:]), "B, black cells": tuple(black), "C": tuple(made["hooked-C"])}
     return Trials((*made["hooked-A"][:of_a], *white), held)
 
@@ -81,8 +78,7 @@ def search(
     """From the presets' present values; Gauss-Newton needs none of the numbers."""
     around = {name: 1.5 * by for name, by in AROUND.items()}
     bounds, start = of_sessions(names, SHARED | WIDER, OWN, around)
-    start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
-    return Search(bounds, population, generations, seed, start, spread)
+    return Search(bounds, population, generations, seed, within(bounds, start), spread)
 
 
 def of_c(values: Values) -> Values:
@@ -97,8 +93,12 @@ def of_c(values: Values) -> Values:
 
 
 def scores(objective: DrivenObjective, values: Values) -> dict[str, Any]:
+    """What one candidate explains."""
+    return scores_of(objective, *objective.simulate([values]))
+
+
+def scores_of(objective: DrivenObjective, wrenches: list[Wrench]) -> dict[str, Any]:
     """Explained share of the variance by axis, mean over trials, and root mean square errors."""
-    (wrenches,) = objective.simulate([values])
     each = [driven_fit.explained(t, w).tolist() for t, w in zip(objective.trials, wrenches, strict=True)]
     unit = driven_fit.units(objective.trials)
     away = [

@@ -28,20 +28,19 @@ from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import committed, write_result
 from experiments.simulation import driven_fit as joint
 from experiments.simulation import fidelity_gate
+from experiments.simulation.joint_fit import cells, within
 from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.parts import TIP_HEIGHT
+from sim_mjx.assembly.parts import TIP_HEIGHT, PartParams
 from sim_mjx.assembly.scene import hooked
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import HOOKED
-from sim_mjx.randomization import overrides
 from sim_mjx.validation import gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
 from sim_mjx.validation.driven_fit import EARLY, DrivenObjective, DrivenTrial, Wrench
 from sim_mjx.validation.fidelity import rerun
 from sim_mjx.validation.gauss_newton import Iteration
-from sim_mjx.validation.joint_fit import physical
 from sim_mjx.validation.system_id import Bound, Search, Values
 
 SESSION = "hooked-B"
@@ -75,7 +74,7 @@ def search() -> Search:
     bounds = {name: bound for name, bound in pairs.items() if not name.startswith("parts.hook_overlap")} | WIDER
     start = dict(committed("driven_fit")["alone"][SESSION]["values"])
     start["parts.hook_overlap[0]"] = start["parts.hook_overlap[1]"] = start.pop("parts.hook_overlap[0:2]")
-    return Search(bounds, start={name: min(max(start[name], low), high) for name, (low, high, _) in bounds.items()})
+    return Search(bounds, start=within(bounds, start))
 
 
 def drawn(first: Search, count: int, seed: int) -> list[Values]:
@@ -146,10 +145,9 @@ def loads(trials: tuple[DrivenTrial, ...], wrenches: list[Wrench], recordings: R
     }  # fmt: skip
 
 
-def closed_loop(values: Values, recordings: Recordings) -> dict[str, Any]:
+def closed_loop(parts: PartParams, recordings: Recordings) -> dict[str, Any]:
     """What the gate says of session B with these parts, moved by the recorded controller."""
-    preset = HOOKED[SESSION]
-    preset = replace(preset, parts=overrides.apply_overrides(preset.parts, "parts", physical(values, SESSION)))
+    preset = replace(HOOKED[SESSION], parts=parts)
     target = sessions.recorded(recordings, SESSION)
     run, _, _ = rerun(preset, seed=0)
     row = fidelity_gate.row(preset, target.profiles, sessions.profiles(run))
@@ -162,10 +160,11 @@ def closed_loop(values: Values, recordings: Recordings) -> dict[str, Any]:
 def trials(recordings: Recordings) -> tuple[tuple[DrivenTrial, ...], tuple[DrivenTrial, ...]]:
     """Seen and predicted trials of session B."""
     data = joint.trials(recordings, DATA, 0)
-    aside = {str(name): float(y) for name, y in zip(recordings.trial, recordings.columns["deviation_y"], strict=True)}
+    rows = sessions.recorded_rows(recordings, SESSION)
+    cell = dict(zip(recordings.trial[rows].tolist(), cells(recordings, rows), strict=True))
 
     def reaches(trial: DrivenTrial) -> bool:
-        return round(aside[trial.name] * 1e3) != BESIDE
+        return cell[trial.name][1] != BESIDE
 
     return tuple(filter(reaches, data.seen)), tuple(filter(reaches, data.held["B, black cells"]))
 
@@ -191,20 +190,20 @@ def main(
     scene = driven(hooked(joint.SUBSTEPS, impratio=HOOKED[SESSION].impratio))
     objective = DrivenObjective(scene, {SESSION: HOOKED[SESSION]}, seen, engine)
     result = json.loads(found.read_text()) if found else fitted(objective, draws, fits, iterations, seed, begun)
-    natively = replace(objective, engine="native")
-    unseen = replace(natively, trials=held)
+    unseen, both = replace(objective, trials=held), replace(objective, trials=seen + held, engine="native")
     values = {"presets": joint.search((SESSION,)).start, "driven_fit": search().start}
     values |= {"from many starts": result["fits"][0]["values"]}
     result["trials"] = {"seen": [trial.name for trial in seen], "held": [trial.name for trial in held]}
-    result["scores"] = {
-        name: {"seen": joint.scores(natively, those), "held": joint.scores(unseen, those)}
-        for name, those in values.items()
-    }
-    both = replace(natively, trials=seen + held)
+    result["scores"] = {}
     result["loads"] = {"recorded": loads(both.trials, [trial.wrench for trial in both.trials], recordings)}
-    for name, those in values.items():
-        result["loads"][name] = loads(both.trials, both.simulate([those])[0], recordings)
-    result["closed loop"] = {name: closed_loop(values[name], recordings) for name in ("presets", "from many starts")}
+    for name, wrenches in zip(values, both.simulate(list(values.values())), strict=True):
+        parts = zip(("seen", "held"), (objective, unseen), (wrenches[: len(seen)], wrenches[len(seen) :]), strict=True)
+        result["scores"][name] = {part: joint.scores_of(of, those) for part, of, those in parts}
+        result["loads"][name] = loads(both.trials, wrenches, recordings)
+    result["closed loop"] = {
+        name: closed_loop(objective.parts(SESSION, values[name]), recordings)
+        for name in ("presets", "from many starts")
+    }
     command = f"python -m experiments.simulation.driven_starts --engine {engine} --draws {draws} --fits {fits}"
     command += f" --iterations {iterations} --seed {seed}"
     write_result("driven_starts", command, result, seed=seed, show=False)

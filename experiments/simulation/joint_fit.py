@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 import tyro
+from jaxtyping import Int
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.results_io import write_result
@@ -65,9 +66,7 @@ def shares(recordings: Recordings, names: tuple[str, ...]) -> dict[str, Share]:
     out = {name: Share(sessions.recorded(recordings, name), (), TRIALS) for name in names if name != "hooked-B"}
     if "hooked-B" in names:
         rows = sessions.recorded_rows(recordings, "hooked-B")
-        millimetres = np.stack([recordings.columns[f"deviation_{axis}"][rows] for axis in "xy"], 1) * 1e3
-        cells = [(int(x), int(y)) for x, y in np.round(millimetres)]
-        seen = rows[[cell in SEEN for cell in cells]]
+        seen = rows[[cell in SEEN for cell in cells(recordings, rows)]]
         out["hooked-B"] = Share(sessions.recorded(recordings, "hooked-B", seen), SEEN, len(SEEN))
     return out
 
@@ -84,8 +83,19 @@ def search(
     """From the presets' present values, or from those of ``first`` where it has some; ``stands`` = the part is kept."""
     bounds, start = of_sessions(names, {} if stands else SHARED, OWN, AROUND)
     start |= {name: value for name, value in (first or {}).items() if name in bounds}
-    start = {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in start.items()}
+    start = within(bounds, start)
     return Search(bounds, population, generations, seed, start, spread, {"sessions": list(names)})
+
+
+def cells(recordings: Recordings, rows: Int[np.ndarray, " row"]) -> list[tuple[int, int]]:
+    """Deviations of recordings of a grid, mm, x and y."""
+    millimetres = np.stack([recordings.columns[f"deviation_{axis}"][rows] for axis in "xy"], 1) * 1e3
+    return [(int(x), int(y)) for x, y in np.round(millimetres)]
+
+
+def within(bounds: dict[str, Bound], values: Values) -> Values:
+    """Values of some parameters, at the nearer end of its range where one lies outside."""
+    return {name: min(max(value, bounds[name].low), bounds[name].high) for name, value in values.items()}
 
 
 def of_sessions(
