@@ -66,6 +66,14 @@ class _Given(NamedTuple):
     rest: RestSlopes | RestRuns | None
 
 
+class _Found(NamedTuple):
+    """What a method has found."""
+
+    limits: AnyLimits
+    details: dict[str, Any]  # for the result
+    scores: np.ndarray | None = None  # [2, score] of the base and of these limits; None = not known
+
+
 @dataclass(frozen=True)
 class Calibrate(RuleCommand):
     """Find gradient thresholds on trials of a store and write them to a file.
@@ -167,12 +175,12 @@ class Calibrate(RuleCommand):
         teachers = recordings.take(np.unique(items.intervals[0].recording))
         base = self.limits(config, self.read_limits(teachers, self.store)[0], teachers)
         rest = self._rest_of(teachers, config)
-        thresholds, details = getattr(self, f"_{self.method}")(_Given(teachers, data, config, base, rest))
+        found: _Found = getattr(self, f"_{self.method}")(_Given(teachers, data, config, base, rest))
         seconds = time.perf_counter() - start
         weights = Objective.of(dict.fromkeys(self.objective, 1.0)).weights()
-        pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, thresholds)
-        known = details.pop("both", None)  # a search has scored both: to score two more means to compile for two
-        both = score_candidates(data, config, pair) if known is None else known
+        pair = jax.tree.map(lambda *leaves: np.stack(leaves), base, found.limits)
+        both = found.scores  # to score two more than a search has means to compile for two
+        both = score_candidates(data, config, pair) if both is None else both
         penalties = np.zeros(2) if rest is None else rest.penalty(pair)
         result = {
             "method": self.method,
@@ -185,7 +193,7 @@ class Calibrate(RuleCommand):
             "preset_rest_penalty": float(penalties[0]),
             "scores": dict(zip(SCORES, both[1].tolist(), strict=True)),
             "preset_scores": dict(zip(SCORES, both[0].tolist(), strict=True)),
-            **details,
+            **found.details,
         }
         provenance = {
             **result,
@@ -197,15 +205,15 @@ class Calibrate(RuleCommand):
             "data_hash": sample.data_hash,
             "trial_names": data.trial.tolist(),
         }
-        write_limits(self.out, thresholds, provenance, recordings.axes)
+        write_limits(self.out, found.limits, provenance, recordings.axes)
         if self.plot is not None:
             from rcbht_jax.encoding.thresholds import GradientThresholds
             from rcbht_jax.plots import save
             from rcbht_jax.plots.thresholds import threshold_figure
 
-            new, old = (GradientThresholds(gradients_of(x)) for x in (thresholds, base))
+            new, old = (GradientThresholds(gradients_of(x)) for x in (found.limits, base))
             save(threshold_figure(data, config.window, new, old, recordings.axes, recordings.units), self.plot)
-        return self._said(thresholds, recordings, seconds) | result
+        return self._said(found.limits, recordings, seconds) | result
 
     def _said(self, limits: AnyLimits, recordings: Recordings, seconds: float) -> dict[str, Any]:
         from rcbht_jax.encoding.rules import gradients_of
@@ -283,7 +291,7 @@ class Calibrate(RuleCommand):
             return RestRuns.of(teachers, config, self.rest_weight)
         return RestSlopes.of(teachers, self.window, self.rest_weight)
 
-    def _context(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
+    def _context(self, given: _Given) -> _Found:
         from rcbht_jax.calibration import contextual
         from rcbht_jax.calibration.rest import QUIET, RestSlopes
         from rcbht_jax.encoding.encoder import EncoderConfig
@@ -294,14 +302,14 @@ class Calibrate(RuleCommand):
         assert isinstance(config, EncoderConfig)  # run() refuses the fit rule
         every = np.arange(len(given.teachers))
         context = contextual.calibrate(given.teachers, every, config, given.base, copy, least)
-        return context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes}
+        return _Found(context.thresholds, {"trials_per_limit": context.trials.tolist(), "own_axes": self.own_axes})
 
     def _chosen_devices(self) -> list[jax.Device] | None:
         import jax
 
         return None if self.devices is None else jax.devices()[: wanted(self.devices, len(jax.devices()))]
 
-    def _search(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
+    def _search(self, given: _Given) -> _Found:
         from rcbht_jax.calibration.objective import Objective
         from rcbht_jax.calibration.search import SearchOptions, SearchSpace, search
 
@@ -320,10 +328,10 @@ class Calibrate(RuleCommand):
             )  # fmt: skip
         plain = {key: value for key, value in asdict(options).items() if key != "space"}
         both = np.array([list(found.values()) for found in (best.start_scores, best.scores)], np.float32)
-        details = {"evaluations": best.evaluations, "groups": self.groups, "options": plain, "both": both}
-        return best.thresholds, details
+        details = {"evaluations": best.evaluations, "groups": self.groups, "options": plain}
+        return _Found(best.thresholds, details, both)
 
-    def _gradient(self, given: _Given) -> tuple[AnyLimits, dict[str, Any]]:
+    def _gradient(self, given: _Given) -> _Found:
         from rcbht_jax.calibration.gradient import FIT_TEMPERATURE, GradientOptions, calibrate
 
         options = GradientOptions(
@@ -339,7 +347,7 @@ class Calibrate(RuleCommand):
                 rest=given.rest,
             )  # fmt: skip
         losses = [trained.history[0][1], trained.history[-1][1]]
-        return trained.thresholds, {"loss_first_last": losses, "options": asdict(options)}
+        return _Found(trained.thresholds, {"loss_first_last": losses, "options": asdict(options)})
 
 
 def _groups(choice: Literal["axis", "kind", "all"], recordings: Recordings) -> tuple[int, ...]:
