@@ -31,6 +31,11 @@ def by_trial(mean: float, trials: int) -> dict[str, Any]:
     return {"mean": mean, "low": low, "high": high, "interval by": "Wilson, by trial"}
 
 
+def tested(headline: dict[str, Any], benchmark: str) -> int:
+    """Trials of a benchmark that was tested once, from the result "headline"."""
+    return int(headline["rows"][f"{benchmark} | frozen"]["trials tested"])
+
+
 def bootstrap(correct: Bool[np.ndarray, " item"], groups: NDArray[Any], seed: int) -> tuple[float, float]:
     """95 % percentile bootstrap of the share of ``correct``, over groups: items of one trial are not independent.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments._lib.headline_rows import SOURCES, headline_rows
-from experiments._lib.intervals import by_trial, with_width
+from experiments._lib.intervals import by_trial, tested, with_width
 from experiments._lib.results_io import COMMITTED, committed
 from rcbht_jax.report.results import SCHEMA
 
@@ -61,9 +61,7 @@ def with_intervals(nested: Record, benchmarks: Record, headline: Record) -> Reco
     found: Record = {}
     for benchmark, rows in nested.items():
         folds = "folds" in benchmarks[benchmark]["split"]
-        trials = (
-            benchmarks[benchmark]["trials"] if folds else headline["rows"][f"{benchmark} | frozen"]["trials tested"]
-        )
+        trials = benchmarks[benchmark]["trials"] if folds else tested(headline, benchmark)
         found[benchmark] = {}
         for method, row in rows.items():
             score = row["accuracy"]

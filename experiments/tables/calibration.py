@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from typing import Any
 
-from experiments._lib.intervals import by_trial
+from experiments._lib.intervals import by_trial, tested
 from experiments.tables.cells import NONE, markdown, score, table
 
 # Beginning of a title -> benchmark of the headline whose trials were tested, of what is tested once.
@@ -128,5 +128,5 @@ def _of(accuracy: dict[str, float], title: str, headline: dict[str, Any]) -> str
     """A score of folds, or of one split with Wilson's interval, by trial."""
     for start, benchmark in SPLITS.items():
         if title.startswith(start):
-            return score(by_trial(accuracy["mean"], headline["rows"][f"{benchmark} | frozen"]["trials tested"]))
+            return score(by_trial(accuracy["mean"], tested(headline, benchmark)))
     return score(accuracy)
