@@ -57,12 +57,12 @@ class Trials:
     held: dict[str, tuple[DrivenTrial, ...]]  # by what they are
 
 
-def trials(recordings: Recordings, folder: Path, of_a: int) -> Trials:
-    """The recorded trials whose joint angles are there."""
+def trials(recordings: Recordings, folder: Path, of_a: int, after: float = driven_fit.AFTER) -> Trials:
+    """The recorded trials whose joint angles are there, with so many seconds of mating."""
     rows = {name: sessions.recorded_rows(recordings, name) for name in NAMES}
     rows = {name: driven_fit.rows_with_angles(folder, recordings, those, HOOKED[name]) for name, those in rows.items()}
     made = {
-        name: [driven_fit.driven_trial(folder, recordings, row, name, HOOKED[name]) for row in those]
+        name: [driven_fit.driven_trial(folder, recordings, row, name, HOOKED[name], after) for row in those]
         for name, those in rows.items()
     }
     placed = list(zip(made["hooked-B"], cells(recordings, np.array(rows["hooked-B"], int)), strict=True))

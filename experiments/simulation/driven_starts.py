@@ -12,38 +12,38 @@ Run: python -m experiments.simulation.driven_starts --engine warp
 
 from __future__ import annotations
 
-import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import jax
 import numpy as np
 import tyro
-from jaxtyping import Float64
 
 from experiments._lib.benchmarks import recorded
 from experiments._lib.catalogue import DATA
-from experiments._lib.results_io import committed, write_result
+from experiments._lib.results_io import committed, machine, write_result
 from experiments.simulation import driven_fit as joint
 from experiments.simulation import fidelity_gate
 from experiments.simulation.joint_fit import cells, within
-from rcbht_jax.robots import kinematics
+from rcbht_jax._util import checkpoint as checkpoint_file
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
-from sim_mjx.assembly.parts import TIP_HEIGHT, PartParams
+from sim_mjx.assembly.parts import PartParams
 from sim_mjx.assembly.scene import hooked
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import EARLY, DrivenObjective, DrivenTrial, Wrench
+from sim_mjx.validation.driven_fit import AFTER, EARLY, DrivenObjective, DrivenTrial, Wrench
 from sim_mjx.validation.fidelity import rerun
 from sim_mjx.validation.gauss_newton import Iteration
 from sim_mjx.validation.system_id import Bound, Search, Values
 
 SESSION = "hooked-B"
+NAMES = ("driven_starts", "driven_mating", "driven_loads")  # of results, in the order in which they were made
 BESIDE = -2  # mm, to the right: in these cells the hand stands on one corner, beside the slots
 OVERLAPS = {
     f"parts.hook_overlap[{tabs}]": Bound(0.3e-3, most) for tabs, most in (("0", 2.2e-3), ("1", 2.2e-3), ("2:4", 1.8e-3))
@@ -68,75 +68,82 @@ BEFORE, SINCE, LONG = 1.0, 1.0, 0.5  # s: before mating begins, after it began, 
 FORWARD = 10e-3  # m, by which the load must move to count as moved
 
 
-def search() -> Search:
-    """Ranges, and the fit of driven_fit to this session alone as the start."""
+def search(name: str = NAMES[0]) -> list[Search]:
+    """Ranges, and where candidates are drawn: around the fit of driven_fit to this session, and the searches before."""
     pairs = joint.search((SESSION,)).bounds
     bounds = {name: bound for name, bound in pairs.items() if not name.startswith("parts.hook_overlap")} | WIDER
     start = dict(committed("driven_fit")["alone"][SESSION]["values"])
     start["parts.hook_overlap[0]"] = start["parts.hook_overlap[1]"] = start.pop("parts.hook_overlap[0:2]")
-    return Search(bounds, start=within(bounds, start))
+    before = NAMES[: NAMES.index(name)]
+    starts = [start, *(fit["values"] for one in before for fit in committed(one)["fits"])]
+    return [Search(bounds, start=within(bounds, values)) for values in starts]
 
 
-def drawn(first: Search, count: int, seed: int) -> list[Values]:
-    """The start of a search, and candidates around it."""
-    rng, start = np.random.default_rng(seed), system_id.point_of(first)
-    points = [start]
+def drawn(around: list[Search], count: int, seed: int) -> list[Values]:
+    """The starts of some searches, and candidates around each in turn."""
+    rng, starts = np.random.default_rng(seed), [system_id.point_of(one) for one in around]
+    bounds, points = around[0].bounds, list(starts)
     while len(points) < count:
+        start = starts[len(points) % len(starts)]
         point = start + rng.normal(size=len(start)) * SPREAD
-        for at, name in enumerate(first.bounds):
+        for at, name in enumerate(bounds):
             if name in FREE and rng.random() < OFTEN:
                 point[at] = rng.uniform()
         points.append(np.clip(point, INSIDE, 1 - INSIDE))
-    return [system_id.values_of(point, first.bounds) for point in points]
+    return [system_id.values_of(point, bounds) for point in points]
 
 
-def fitted(
-    objective: DrivenObjective, draws: int, fits: int, iterations: int, seed: int, begun: float
-) -> dict[str, Any]:
-    """What was drawn, and every fit, the best first."""
-    first = search()
-    candidates = drawn(first, draws, seed)
+def best_drawn(objective: DrivenObjective, around: list[Search], draws: int, fits: int, seed: int) -> dict[str, Any]:
+    """Where the fits begin: at the first of the starts, and at the best that were drawn."""
+    candidates = drawn(around, draws, seed)
     losses = np.concatenate([
         (objective(candidates[at : at + BATCH]) ** 2).sum(1) for at in range(0, draws, BATCH)
     ])  # fmt: skip
-    best = [at for at in np.argsort(losses).tolist() if at][: fits - 1]
-    searches = [replace(first, start=candidates[at]) for at in (0, *best)]
+    chosen = [0, *(at for at in np.argsort(losses).tolist() if at)][:fits]
+    begun = [{"loss": float(losses[at]), "candidates": 0, "iterations": 0, "values": candidates[at]} for at in chosen]
+    return {"drawn": {"candidates": draws, "best": np.sort(losses)[:fits].round(4).tolist()}, "fits": begun}
+
+
+def fitted(
+    objective: DrivenObjective, first: Search, found: dict[str, Any], iterations: int, keep: Callable[[Any], None]
+) -> None:
+    """Go on with all fits, which are kept at every iteration; the best first at the end."""
+    begun, fits = time.perf_counter(), found["fits"]
+    before = [dict(fit) for fit in fits]
+    rounds = iterations - min(fit["iterations"] for fit in fits)
+    if rounds <= 0:
+        return
+
+    def entry(number: int, loss: float, candidates: int, done: int, values: Values) -> dict[str, Any]:
+        more = {
+            name: before[number][name] + count for name, count in (("candidates", candidates), ("iterations", done))
+        }
+        return {"loss": loss, **more, "values": values}
 
     def progress(number: int, at: Iteration, values: Values) -> None:
-        took = time.perf_counter() - begun
+        took, rows = time.perf_counter() - begun, len(first.bounds) + len(gauss_newton.DAMPINGS)
         print(f"{took:.0f} s, fit {number}, {at.candidates} candidates: {at.loss:.4f}", flush=True)
+        fits[number] = entry(number, at.loss, at.candidates, (at.candidates - 1) // rows, values)
+        keep(found)
 
-    found = gauss_newton.fit_together(objective, searches, iterations=iterations, progress=progress)
-    each = [{"loss": fit.loss, "candidates": fit.candidates, "values": fit.values} for fit in found]
-    return {
-        "drawn": {"candidates": draws, "best": np.sort(losses)[:fits].round(4).tolist()},
-        "fits": sorted(each, key=lambda fit: fit["loss"]),
-    }
-
-
-def load_point(trial: DrivenTrial, wrench: Wrench) -> Float64[np.ndarray, "time 2"]:
-    """Forward and left of the middle of the part, m, where a single force at the tips' height would give the moment."""
-    rotation = np.asarray(jax.vmap(kinematics.fk)(trial.path[: len(wrench)])[1])
-    force = np.einsum("tji,tj->ti", rotation, wrench[:, :3])
-    reference = np.asarray(HOOKED[trial.session].sensor.reference)
-    moment = np.einsum("tji,tj->ti", rotation, wrench[:, 3:]) + np.cross(reference, force)
-    up = np.where(np.abs(force[:, 0]) < 1.0, np.nan, force[:, 0])  # x of the wrist points up the hand, z backwards
-    back = (moment[:, 1] + TIP_HEIGHT * force[:, 2]) / up
-    left = (TIP_HEIGHT * force[:, 1] - moment[:, 2]) / up
-    return np.stack([-back, left], axis=1)
+    searches = [replace(first, start=fit["values"]) for fit in fits]
+    ended = gauss_newton.fit_together(objective, searches, iterations=rounds, progress=progress)
+    fits[:] = [entry(n, fit.loss, fit.candidates, rounds, fit.values) for n, fit in enumerate(ended)]
+    fits.sort(key=lambda fit: float(fit["loss"]))
+    keep(found)
 
 
-def loads(trials: tuple[DrivenTrial, ...], wrenches: list[Wrench], recordings: Recordings) -> dict[str, Any]:
+def loads(objective: DrivenObjective, wrenches: list[Wrench], recordings: Recordings) -> dict[str, Any]:
     """Medians over trials before and after mating begins, mm, and in how many the load moves to the front."""
     rows = {str(name): row for row, name in enumerate(recordings.trial)}
     starts, long = recordings.starts(HARMONISED), round(LONG / CONTROL_PERIOD)
     points = []
-    for trial, wrench in zip(trials, wrenches, strict=True):
+    for at, (trial, wrench) in enumerate(zip(objective.trials, wrenches, strict=True)):
         _, rotation, _, mating = starts[rows[trial.name]]
         begins = trial.begin + EARLY + round((mating - rotation) / CONTROL_PERIOD)
         first = (begins - round(BEFORE / CONTROL_PERIOD), begins + round(SINCE / CONTROL_PERIOD))
-        path = load_point(trial, wrench)
-        points.append([np.nanmedian(path[at : at + long], axis=0) for at in first])
+        path = objective.load_point(at, wrench)
+        points.append([np.nanmedian(path[row : row + long], axis=0) for row in first])
     before, after = np.median(points, axis=0) * 1e3
     moved = np.array([last[0] - first[0] for first, last in points])
     return {
@@ -157,9 +164,34 @@ def closed_loop(parts: PartParams, recordings: Recordings) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def trials(recordings: Recordings) -> tuple[tuple[DrivenTrial, ...], tuple[DrivenTrial, ...]]:
+def scored(
+    objective: DrivenObjective,
+    held: tuple[DrivenTrial, ...],
+    around: list[Search],
+    best: Values,
+    recordings: Recordings,
+) -> dict[str, Any]:
+    """Presets, starts and the best fit, by what they explain, where they are loaded, and in the closed loop."""
+    seen = objective.trials
+    both = replace(objective, trials=seen + held, engine="native")
+    values = {"presets": joint.search((SESSION,)).start, "driven_fit": around[0].start}
+    values |= {"from many starts": best}
+    out: dict[str, Any] = {"trials": {"seen": [t.name for t in seen], "held": [t.name for t in held]}, "scores": {}}
+    out["loads"] = {"recorded": loads(both, [trial.wrench for trial in both.trials], recordings)}
+    for name, wrenches in zip(values, both.simulate(list(values.values())), strict=True):
+        parts = zip(("seen", "held"), (seen, held), (wrenches[: len(seen)], wrenches[len(seen) :]), strict=True)
+        out["scores"][name] = {part: joint.scores_of(replace(both, trials=of), those) for part, of, those in parts}
+        out["loads"][name] = loads(both, wrenches, recordings)
+    out["closed loop"] = {
+        name: closed_loop(objective.parts(SESSION, values[name]), recordings)
+        for name in ("presets", "from many starts")
+    }
+    return out
+
+
+def trials(recordings: Recordings, after: float) -> tuple[tuple[DrivenTrial, ...], tuple[DrivenTrial, ...]]:
     """Seen and predicted trials of session B."""
-    data = joint.trials(recordings, DATA, 0)
+    data = joint.trials(recordings, DATA, 0, after)
     rows = sessions.recorded_rows(recordings, SESSION)
     cell = dict(zip(recordings.trial[rows].tolist(), cells(recordings, rows), strict=True))
 
@@ -175,38 +207,40 @@ def main(
     fits: int = 7,
     iterations: int = 10,
     seed: int = 0,
-    found: Path | None = None,
+    mating: float = AFTER,
+    load_weight: float = 0.0,
+    checkpoint: Path = Path("driven_starts_fits.json"),
+    score: bool = True,
 ) -> None:
     """See the module.
 
     Args:
-        engine: that simulates; the scores at the end are the native engine's.
+        engine: that fits; the scores at the end are the native engine's.
         draws: candidates that are drawn. fits: from the best of them and from the fit of driven_fit.
-        iterations: of Gauss-Newton. seed: of the draws. found: fits of an earlier run, which are scored only.
+        iterations: of Gauss-Newton. seed: of the draws.
+        mating: s, of it that are compared. load_weight: of the places where the hand is loaded, beside the wrench.
+            Searches with more than 4 s, and with a weight, have results of their own.
+        checkpoint: of the fits; an existing one is gone on with. score: what was found.
     """
-    begun = time.perf_counter()
     recordings = recorded()
-    seen, held = trials(recordings)
+    seen, held = trials(recordings, mating)
     scene = driven(hooked(joint.SUBSTEPS, impratio=HOOKED[SESSION].impratio))
-    objective = DrivenObjective(scene, {SESSION: HOOKED[SESSION]}, seen, engine)
-    result = json.loads(found.read_text()) if found else fitted(objective, draws, fits, iterations, seed, begun)
-    unseen, both = replace(objective, trials=held), replace(objective, trials=seen + held, engine="native")
-    values = {"presets": joint.search((SESSION,)).start, "driven_fit": search().start}
-    values |= {"from many starts": result["fits"][0]["values"]}
-    result["trials"] = {"seen": [trial.name for trial in seen], "held": [trial.name for trial in held]}
-    result["scores"] = {}
-    result["loads"] = {"recorded": loads(both.trials, [trial.wrench for trial in both.trials], recordings)}
-    for name, wrenches in zip(values, both.simulate(list(values.values())), strict=True):
-        parts = zip(("seen", "held"), (objective, unseen), (wrenches[: len(seen)], wrenches[len(seen) :]), strict=True)
-        result["scores"][name] = {part: joint.scores_of(of, those) for part, of, those in parts}
-        result["loads"][name] = loads(both.trials, wrenches, recordings)
-    result["closed loop"] = {
-        name: closed_loop(objective.parts(SESSION, values[name]), recordings)
-        for name in ("presets", "from many starts")
-    }
+    objective = DrivenObjective(scene, {SESSION: HOOKED[SESSION]}, seen, engine, load_weight)
+    name = NAMES[2 if load_weight else int(mating > AFTER)]
     command = f"python -m experiments.simulation.driven_starts --engine {engine} --draws {draws} --fits {fits}"
-    command += f" --iterations {iterations} --seed {seed}"
-    write_result("driven_starts", command, result, seed=seed, show=False)
+    command += f" --seed {seed} --mating {mating:g}" + (f" --load-weight {load_weight:g}" if load_weight else "")
+    keep = partial(checkpoint_file.save, checkpoint, command)
+    around = search(name)
+    result = checkpoint_file.load(checkpoint, command)
+    if result is None:
+        result = best_drawn(objective, around, draws, fits, seed) | {"fitted on": machine()}
+        keep(result)
+    fitted(objective, around[0], result, iterations, keep)
+    if not score:
+        return
+    best = min(result["fits"], key=lambda fit: float(fit["loss"]))
+    result |= scored(objective, held, around, best["values"], recordings)
+    write_result(name, f"{command} --iterations {iterations}", result, seed=seed, show=False)
 
 
 if __name__ == "__main__":

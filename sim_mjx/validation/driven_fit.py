@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
+import jax
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Bool, Float64, Int
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.robots import kinematics
 from rcbht_jax.robots.snap_assembly import HARMONISED
 from rcbht_jax.types import Recordings
 from sim_mjx import engines
-from sim_mjx.assembly.parts import PartParams
+from sim_mjx.assembly.parts import TIP_HEIGHT, PartParams
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
@@ -32,13 +35,15 @@ from sim_mjx.validation.replay import recorded_angles
 from sim_mjx.validation.system_id import Values
 
 Wrench = Float64[np.ndarray, "time 6"]
-BEFORE, AFTER = 0.6, 4.0  # s, of the path before rotation and after mating begin
+BEFORE, AFTER = 0.6, 4.0  # s, of the path before rotation begins and, by default, after mating begins
 BASE = slice(10, 100)  # samples before anything touches: what the sensor reads there is subtracted from both wrenches
 EARLY = 20  # samples before the recorded start of rotation at which the comparison begins
 COMMAND_LAG = 5  # control periods from a command to its servo, 20 to 25 ms as recorded
 WINDOW = 10  # samples whose mean is one residual
 LEAST = np.array([0.5, 0.5, 0.5, 0.03, 0.03, 0.03])  # N and Nm, least unit of an axis: it may hardly change
 LOST = 10.0  # residual of a simulation that diverged
+PRESSED = 5.0  # N, along the hand, from which on it is said where the hand is loaded
+LOAD_UNIT, LOAD_LOST = 10e-3, 3.0  # m, by which differences of that place count, and the most that one counts
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,14 @@ class DrivenTrial:
     begin: int  # sample at which the comparison begins
 
 
-def driven_trial(folder: Path, recordings: Recordings, row: int, name: str, preset: SessionPreset) -> DrivenTrial:
+def driven_trial(
+    folder: Path, recordings: Recordings, row: int, name: str, preset: SessionPreset, after: float = AFTER
+) -> DrivenTrial:
     """A recorded trial as something to simulate.
 
     Args:
         folder: of the authors' data sets. recordings: imported from it. row: of the recording.
-        name: of the preset.
+        name: of the preset. after: s, of the path after mating begins, at most.
 
     Raises:
         InputError: the trial's folder or its angles are missing.
@@ -69,7 +76,7 @@ def driven_trial(folder: Path, recordings: Recordings, row: int, name: str, pres
         angles = np.concatenate([np.repeat(angles[:1], COMMAND_LAG, axis=0), angles[:-COMMAND_LAG]])
     starts = recordings.starts(HARMONISED)[row]
     first = max(round((starts[1] - BEFORE) / CONTROL_PERIOD), 0)
-    last = min(round((starts[3] + AFTER) / CONTROL_PERIOD), len(angles), int(recordings.length[row]))
+    last = min(round((starts[3] + after) / CONTROL_PERIOD), len(angles), int(recordings.length[row]))
     wrench = recordings.wrench[row, first:last].astype(np.float64)
     begin = round(starts[1] / CONTROL_PERIOD) - first - EARLY
     return DrivenTrial(str(recordings.trial[row]), name, angles[first:last], _relative(wrench), begin)
@@ -112,6 +119,7 @@ class DrivenObjective:
     presets: dict[str, SessionPreset]
     trials: tuple[DrivenTrial, ...]
     engine: str = "native"
+    load_weight: float = 0.0  # of the places where the hand is loaded, in units of 10 mm, beside the wrench
 
     def __call__(self, candidates: list[Values]) -> Residuals:
         return np.stack([self.residuals(wrenches) for wrenches in self.simulate(candidates)])
@@ -120,7 +128,52 @@ class DrivenObjective:
         """Of one candidate, from what :meth:`simulate` gave for it."""
         unit = units(self.trials)
         parts = [_residual(*pair, unit) for pair in zip(self.trials, wrenches, strict=True)]
-        return np.concatenate(parts) / np.sqrt(6 * len(self.trials))
+        residuals = np.concatenate(parts) / np.sqrt(6 * len(self.trials))
+        if not self.load_weight:
+            return residuals
+        loads = [self._load_residual(at, wrench) for at, wrench in enumerate(wrenches)]
+        return np.concatenate([residuals, np.concatenate(loads) * np.sqrt(self.load_weight / (2 * len(self.trials)))])
+
+    def load_point(self, at: int, wrench: Wrench) -> Float64[np.ndarray, "time 2"]:
+        """Where one force at the height of the hooks' tips would give the moments, from the middle of the part.
+
+        Args:
+            at: number of the trial, whose path says how the hand is turned.
+            wrench: along it, or along its beginning.
+
+        Returns:
+            Forward and left, m; NaN where less than 1 N presses along the hand.
+        """
+        rotation = self._rotations[at][: len(wrench)]
+        force = np.einsum("tji,tj->ti", rotation, wrench[:, :3])
+        reference = np.asarray(self.presets[self.trials[at].session].sensor.reference)
+        moment = np.einsum("tji,tj->ti", rotation, wrench[:, 3:]) + np.cross(reference, force)
+        up = np.where(np.abs(force[:, 0]) < 1.0, np.nan, force[:, 0])  # x of the wrist points up the hand, z backwards
+        back = (moment[:, 1] + TIP_HEIGHT * force[:, 2]) / up
+        left = (TIP_HEIGHT * force[:, 1] - moment[:, 2]) / up
+        return np.stack([-back, left], axis=1)
+
+    def _load_residual(self, at: int, wrench: Wrench) -> Float64[np.ndarray, " residual"]:
+        """By windows in which the recorded hand was pressed."""
+        pressed, recorded = self._recorded_loads[at]
+        away = (self.load_point(at, wrench) - recorded)[self.trials[at].begin :] / LOAD_UNIT
+        windows = len(pressed)
+        means = away[: windows * WINDOW].reshape(windows, WINDOW, 2).mean(1)[pressed]
+        means = np.clip(np.nan_to_num(means, nan=LOAD_LOST), -LOAD_LOST, LOAD_LOST)
+        return (means / np.sqrt(max(len(means), 1))).ravel()
+
+    @cached_property
+    def _rotations(self) -> list[Float64[np.ndarray, "time 3 3"]]:
+        return [np.asarray(jax.vmap(kinematics.fk)(trial.path)[1], np.float64) for trial in self.trials]
+
+    @cached_property
+    def _recorded_loads(self) -> list[tuple[Bool[np.ndarray, " window"], Float64[np.ndarray, "time 2"]]]:
+        out = []
+        for at, trial in enumerate(self.trials):
+            up = np.einsum("tj,tj->t", self._rotations[at][:, :, 0], trial.wrench[:, :3])[trial.begin :]
+            windows = up[: len(up) // WINDOW * WINDOW].reshape(-1, WINDOW)
+            out.append(((windows > PRESSED).all(1), self.load_point(at, trial.wrench)))
+        return out
 
     def simulate(self, candidates: list[Values]) -> list[list[Wrench]]:
         """Wrenches [candidate][trial], less their means before touch, NaN where the physics diverged."""

@@ -144,12 +144,13 @@ def fit_together(
     """
     if not searches:
         raise InputError("There is nothing to fit: at least one search is needed.")
-    shared = _Shared(objective, len(searches))
+    shared, one_at_a_time = _Shared(objective, len(searches)), threading.Lock()
 
     def one(number: int) -> LeastSquares:
         def told(at: Iteration, values: Values) -> None:
             if progress is not None:
-                progress(number, at, values)
+                with one_at_a_time:
+                    progress(number, at, values)
 
         try:
             ask = partial(shared.ask, number)
