@@ -84,22 +84,28 @@ def driven_fit(result: Result) -> str:
     return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
 
 
-@table("driven-starts", "driven_starts")
-def driven_starts(result: Result) -> str:
+@table("driven-starts", "driven_starts", "driven_mating", "driven_loads")
+def driven_starts(*searches: Result) -> str:
     """What parts of session B explain along its recorded motion, and where they are loaded at mating."""
-    names = {"presets": "presets", "driven_fit": "fitted from the presets"}
-    names |= {"from many starts": "the best of seven starts"}
-    lines = []
-    for name, title in ({"recorded": "recorded"} | names).items():
-        load, scores = result["loads"][name], result["scores"].get(name)
-        told = ["–"] * 5
-        if scores is not None:
-            told = [f"{scores[part]['loss']:.2f}" for part in ("seen", "held")]
-            told += [f"{scores['held']['explained'][axis]:.2f}" for axis in (0, 2, 4)]
-        moved = f"{load['to the front']} of {load['trials']}"
-        lines.append((title, *told, f"{load['before'][0]:.0f} → {load['after'][0]:.0f}", moved))
-    axes = ("Fx", "Fz", "My")
-    return markdown(("", "not explained, seen", "not seen", *axes, "load, mm forward", "moves forward"), lines)
+    best = "from many starts"
+    rows = [
+        ("4 s", searches[0], {"presets": "presets", "driven_fit": "fitted from the presets", best: "best of 7 starts"}),
+        ("16 s", searches[1], {"presets": "presets", best: "best of 14 starts"}),
+        ("16 s", searches[2], {best: "best of 14 starts, loads counted"}),
+    ]
+    lines = [("recorded", *[NONE] * 6, *_loads(searches[0]["loads"]["recorded"]))]
+    for mating, result, names in rows:
+        for name, title in names.items():
+            scores = result["scores"][name]
+            left = [f"{scores[part]['loss']:.2f}" for part in ("seen", "held")]
+            axes = [f"{scores['held']['explained'][axis]:.2f}" for axis in (0, 2, 4)]
+            lines.append((title, mating, *left, *axes, *_loads(result["loads"][name])))
+    head = ("", "mating", "not explained, seen", "not seen", "Fx", "Fz", "My", "load, mm forward", "moves forward")
+    return markdown(head, lines)
+
+
+def _loads(load: Result) -> tuple[str, str]:
+    return f"{load['before'][0]:.0f} → {load['after'][0]:.0f}", f"{load['to the front']} of {load['trials']}"
 
 
 @table("snap-creep", "snap_creep")

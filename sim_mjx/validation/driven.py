@@ -8,6 +8,7 @@ than the real one follows them whatever it presses against. Every engine runs it
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass, replace
 
 import jax
@@ -118,7 +119,10 @@ def quicker_path(
     >>> turning = np.linspace(0, 1, 101)[:, None] * np.ones(6)  # 0.5 s at control periods of 5 ms
     >>> quicker_path(turning, 0.1, 0.045, 2.0)[:, 0].round(2).tolist()
     [0.2, 0.22, 0.24, 0.26, 0.28]
+    >>> [len(quicker_path(turning, begin, 0.05, 1.0)) for begin in (0.0, 0.1, 0.3)]
+    [10, 10, 10]
     """
-    when = np.arange(begin, begin + seconds, CONTROL_PERIOD * times)
+    periods = math.ceil(round(seconds / (CONTROL_PERIOD * times), 6))  # not one more where the quotient is rounded
+    when = begin + np.arange(periods) * (CONTROL_PERIOD * times)
     time = np.arange(len(joints)) * CONTROL_PERIOD
     return np.stack([np.interp(when, time, column) for column in joints.T.astype(np.float64)], axis=1)

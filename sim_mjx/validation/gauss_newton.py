@@ -130,7 +130,7 @@ def fit_together(
 
     Args:
         objective, iterations, step: of :func:`fit`. searches: one a fit.
-        progress: called as that of :func:`fit`, with the number of the fit first.
+        progress: called as that of :func:`fit`, with the number of the fit first; by one fit at a time.
 
     Raises:
         InputError: as of :func:`fit`, or no search is given.
@@ -155,6 +155,9 @@ def fit_together(
         try:
             ask = partial(shared.ask, number)
             return fit(ask, searches[number], iterations=iterations, step=step, progress=told)
+        except BaseException as error:
+            shared.fail(error)
+            raise
         finally:
             shared.leave()
 
@@ -180,6 +183,12 @@ class _Shared:
             if self.failed is not None:
                 raise self.failed
             return self.answers.pop(number)
+
+    def fail(self, error: BaseException) -> None:
+        """No fit goes on: what one of them raised is not to be found out at the end of the others."""
+        with self.turn:
+            self.failed = self.failed or error
+            self.turn.notify_all()
 
     def leave(self) -> None:
         """A fit has ended: the others wait for it no longer."""

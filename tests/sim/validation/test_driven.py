@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from rcbht_jax.errors import InputError
+from rcbht_jax.robots import kinematics
 from rcbht_jax.types import Recordings
 from sim_mjx.assembly import sensor
+from sim_mjx.assembly.parts import TIP_HEIGHT
 from sim_mjx.assembly.rollout import stack
 from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.engines import native
@@ -101,6 +103,31 @@ def test_a_trial_that_diverged_counts_as_lost(scene: Scene, path: np.ndarray, mo
     (residual,) = objective([{}])
     assert np.isfinite(residual).all()
     assert (residual**2).sum() == pytest.approx(driven_fit.LOST**2)
+
+
+def test_where_the_hand_is_loaded_is_found_and_counts(path: np.ndarray) -> None:
+    """A force at known points of the hand gives the moments that a sensor at its reference feels."""
+    forward, left = np.linspace(-0.02, 0.02, len(path)), 0.01
+    _, rotation, _ = jax.vmap(kinematics.fk)(path)
+    force = np.array([14.0, 2.0, -3.0])  # N, along the hand, to the left and backwards
+    reference = np.asarray(PRESET.sensor.reference)
+
+    def wrench(forward: np.ndarray) -> np.ndarray:
+        place = np.stack([np.full_like(forward, TIP_HEIGHT), np.full_like(forward, left), -forward], axis=1)
+        felt = np.concatenate([np.tile(force, (len(path), 1)), np.cross(place - reference, force)], axis=1)
+        return np.einsum("tij,thj->thi", rotation, felt.reshape(-1, 2, 3)).reshape(-1, 6)
+
+    trial = DrivenTrial("pressed", "hooked-B", path, wrench(forward), 20)
+    objective = DrivenObjective(hooked(4), {"hooked-B": PRESET}, (trial,), load_weight=0.8)
+    found = objective.load_point(0, trial.wrench)
+    np.testing.assert_allclose(found, np.stack([forward, np.full_like(forward, left)], axis=1), atol=1e-6)
+    plain = replace(objective, load_weight=0.0)
+    for moved, squares in ((0.0, 0.0), (0.01, 0.5), (1.0, 4.5)):  # 10 mm are a unit of one axis of two; three at most
+        candidate = wrench(forward + moved)
+        loads = (objective.residuals([candidate]) ** 2).sum() - (plain.residuals([candidate]) ** 2).sum()
+        assert loads == pytest.approx(0.8 * squares, rel=1e-3, abs=1e-9)
+    lifted = (objective.residuals([np.zeros_like(trial.wrench)]) ** 2).sum()  # it has no such place
+    assert lifted - (plain.residuals([np.zeros_like(trial.wrench)]) ** 2).sum() == pytest.approx(0.8 * 9.0)
 
 
 def test_recorded_trials_are_cut_around_contact(hiro_dir: Path, hiro_recordings: Recordings) -> None:
