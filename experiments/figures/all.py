@@ -188,6 +188,7 @@ FIGURES = {
     "word-stability": lambda: words.stability(committed("rate_distortion")),
     "snap-events": lambda: snaps.draw(committed("snaps")),
     "driven-fit": lambda: driven.draw(committed("driven_fit")),
+    "driven-loads": lambda: driven.loads(committed("driven_starts_loads")),
     "snap-hook": lambda: hook.bench(committed("hook_bench")),
     "calibration-curves": lambda: calibration_curves.draw(rows_of("calibration_curves")),
 }

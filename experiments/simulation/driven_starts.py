@@ -43,7 +43,7 @@ from sim_mjx.validation.gauss_newton import Iteration
 from sim_mjx.validation.system_id import Bound, Search, Values
 
 SESSION = "hooked-B"
-NAMES = ("driven_starts", "driven_mating", "driven_loads")  # of results, in the order in which they were made
+NAMES = ("driven_starts", "driven_starts_mating", "driven_starts_loads")  # of results, in the order of the searches
 BESIDE = -2  # mm, to the right: in these cells the hand stands on one corner, beside the slots
 OVERLAPS = {
     f"parts.hook_overlap[{tabs}]": Bound(0.3e-3, most) for tabs, most in (("0", 2.2e-3), ("1", 2.2e-3), ("2:4", 1.8e-3))
@@ -66,6 +66,8 @@ SPREAD, OFTEN, INSIDE = 0.12, 0.6, 0.01  # standard deviation of all others, and
 BATCH = 1024  # candidates that are simulated together
 BEFORE, SINCE, LONG = 1.0, 1.0, 0.5  # s: before mating begins, after it began, and how long each stretch is
 FORWARD = 10e-3  # m, by which the load must move to count as moved
+SHALLOW = {"parts.hook_overlap[0]": 0.4e-3, "parts.hook_overlap[1]": 0.5e-3, "parts.hook_overlap[2:4]": 0.5e-3}  # m
+SHOWN, POINT = ("presets", "from many starts"), 20  # parts of the picture, and samples of its points
 
 
 def search(name: str = NAMES[0]) -> list[Search]:
@@ -145,11 +147,32 @@ def loads(objective: DrivenObjective, wrenches: list[Wrench], recordings: Record
         path = objective.load_point(at, wrench)
         points.append([np.nanmedian(path[row : row + long], axis=0) for row in first])
     before, after = np.median(points, axis=0) * 1e3
-    moved = np.array([last[0] - first[0] for first, last in points])
+    moved = [bool(last[0] - first[0] > FORWARD) for first, last in points]
     return {
         "before": np.round(before, 1).tolist(), "after": np.round(after, 1).tolist(),
-        "to the front": int((moved > FORWARD).sum()), "trials": len(points),
+        "to the front": sum(moved), "trials": len(points), "moved": moved,
     }  # fmt: skip
+
+
+def traces(
+    objective: DrivenObjective, wrenches: dict[str, list[Wrench]], moved: list[bool], first: int
+) -> dict[str, Any]:
+    """Means of 0.1 s of two trials from ``first`` on: one whose load moves to the front, and one whose does not."""
+    out = {}
+    for title, which in (("at once", True), ("later", False)):
+        at = first + moved[first:].index(which)
+        curves: dict[str, Any] = {"trial": objective.trials[at].name}
+        for name, those in wrenches.items():
+            whole = len(those[at]) // POINT * POINT
+            drawn = np.column_stack([those[at][:, [0, 2, 4]], objective.load_point(at, those[at])[:, 0] * 1e3])
+            drawn[: objective.trials[at].begin, 3] = np.nan  # nothing is touched yet
+            means = np.clip(drawn[:whole].reshape(-1, POINT, 4).mean(1), -99.0, 99.0)
+            curves[name] = {
+                axis: [None if np.isnan(value) else round(value, 3) for value in column]
+                for axis, column in zip(("Fx", "Fz", "My", "load"), means.T.tolist(), strict=True)
+            }
+        out[title] = curves
+    return out
 
 
 def closed_loop(parts: PartParams, recordings: Recordings) -> dict[str, Any]:
@@ -173,18 +196,24 @@ def scored(
 ) -> dict[str, Any]:
     """Presets, starts and the best fit, by what they explain, where they are loaded, and in the closed loop."""
     seen = objective.trials
-    both = replace(objective, trials=seen + held, engine="native")
+    both = replace(objective, trials=seen + held, engine="native", load_weight=0.0)
     values = {"presets": joint.search((SESSION,)).start, "driven_fit": around[0].start}
-    values |= {"from many starts": best}
+    values |= {"from many starts": best, "with shallow hooks": best | SHALLOW}
     out: dict[str, Any] = {"trials": {"seen": [t.name for t in seen], "held": [t.name for t in held]}, "scores": {}}
     out["loads"] = {"recorded": loads(both, [trial.wrench for trial in both.trials], recordings)}
-    for name, wrenches in zip(values, both.simulate(list(values.values())), strict=True):
+    simulated = dict(zip(values, both.simulate(list(values.values())), strict=True))
+    for name, wrenches in simulated.items():
         parts = zip(("seen", "held"), (seen, held), (wrenches[: len(seen)], wrenches[len(seen) :]), strict=True)
         out["scores"][name] = {part: joint.scores_of(replace(both, trials=of), those) for part, of, those in parts}
         out["loads"][name] = loads(both, wrenches, recordings)
+        pairs = zip(out["loads"][name]["moved"], out["loads"]["recorded"]["moved"], strict=True)
+        out["loads"][name]["as recorded"] = sum(one == other for one, other in pairs)
+    simulated = {"recorded": [t.wrench for t in both.trials]} | {name: simulated[name] for name in SHOWN}
+    out["traces"] = traces(both, simulated, out["loads"]["recorded"]["moved"], len(seen))
     out["closed loop"] = {
-        name: closed_loop(objective.parts(SESSION, values[name]), recordings)
-        for name in ("presets", "from many starts")
+        name: closed_loop(objective.parts(SESSION, of), recordings)
+        for name, of in values.items()
+        if name != "driven_fit"
     }
     return out
 
@@ -238,8 +267,8 @@ def main(
     fitted(objective, around[0], result, iterations, keep)
     if not score:
         return
-    best = min(result["fits"], key=lambda fit: float(fit["loss"]))
-    result |= scored(objective, held, around, best["values"], recordings)
+    result["fits"].sort(key=lambda fit: float(fit["loss"]))
+    result |= scored(objective, held, around, result["fits"][0]["values"], recordings)
     write_result(name, f"{command} --iterations {iterations}", result, seed=seed, show=False)
 
 

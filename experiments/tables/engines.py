@@ -84,7 +84,7 @@ def driven_fit(result: Result) -> str:
     return markdown(("", "trials", "not explained", "Fx", "Fy", "Fz", "My"), lines)
 
 
-@table("driven-starts", "driven_starts", "driven_mating", "driven_loads")
+@table("driven-starts", "driven_starts", "driven_starts_mating", "driven_starts_loads")
 def driven_starts(*searches: Result) -> str:
     """What parts of session B explain along its recorded motion, and where they are loaded at mating."""
     best = "from many starts"
