@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import jit
 from rcbht_jax.encoding import encoder, fit, segments
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState
 from rcbht_jax.encoding.fit import FitConfig
@@ -39,7 +40,7 @@ _NEVER = 2**31 - 1  # samples
 _Held = tuple[Array, Array]  # int32 [24, lane], float [16, lane]
 
 
-@partial(jax.jit, static_argnums=0, static_argnames="group")
+@jit(static_argnums=0, static_argnames="group")
 def label_durations(
     config: AnyConfig,
     thresholds: AnyLimits | Float[Array, "candidate axis 5"],

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import jit
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderConfig, EncoderState, encode
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
@@ -159,7 +160,7 @@ def _gather(
     return piece.reshape(samples, slots * axes), count, lane_limits
 
 
-@partial(jax.jit, static_argnums=0)
+@jit(static_argnums=0)
 def _piece(
     config: AnyConfig,
     limits: jax.Array,
@@ -175,7 +176,7 @@ def _piece(
     return rule_of(config).scan_lanes(config, limits, jax.tree.map(restart, state), samples, count)
 
 
-@partial(jax.jit, static_argnums=0)
+@jit(static_argnums=0)
 def _drained(config: AnyConfig, limits: jax.Array, state: EncoderState) -> LabelTracks:
     return rule_of(config).drain(config, limits, state)
 
@@ -365,7 +366,7 @@ def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[
     return LabelTracks(*(layer(*each) for each in zip(widths, packed, used, strict=True)))
 
 
-@partial(jax.jit, static_argnums=0)
+@jit(static_argnums=0)
 def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array, Array]:
     """Dense labels ``[recording, axis, slot]``; then as :func:`_packed`."""
     dense = encode(config, _limits_of_each(limits, len(wrench)).astype(wrench.dtype), wrench, length)
@@ -373,7 +374,7 @@ def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -
     return dense, used, used.max(-1)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@jit(static_argnums=(0, 1))
 def _compacted(widths: tuple[int, int, int], shape: tuple[int, int], dense: LabelTracks, used: Array) -> LabelTracks:
     """As :func:`_trimmed`, of dense labels."""
     del used

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import jax
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.compiling import jit
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
@@ -21,25 +21,25 @@ from rcbht_jax.types import Array, LabelTracks
 
 MOST_SAMPLES = 2**31 - 2**20  # of a stream without a new start: samples are counted in 32 bits
 
-_unpack = jax.jit(unpack)
+_unpack = jit()(unpack)
 BLOCK = 64  # most windows in one call of a compiled loop
 
 StraightLines = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.floating], NDArray[np.floating]]
 
 
-@partial(jax.jit, static_argnums=0)
+@jit(static_argnums=0)
 def _step(config: AnyConfig, limits: Array, state: EncoderState, window: Array) -> tuple[EncoderState, PackedLabels]:
     return rule_of(config).step(config, limits, state, window)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@jit(static_argnums=(0, 1))
 def _held(
     labels: Callable[..., LabelTracks], config: AnyConfig, limits: Array, state: EncoderState, rest: Array, count: Array
 ) -> LabelTracks:
     return labels(config, limits, state, rest, count)
 
 
-@partial(jax.jit, static_argnums=0)
+@jit(static_argnums=0)
 def _lines(
     config: FitConfig, limits: Array, state: EncoderState, windows: Float[Array, "block window axis"], count: Array
 ) -> tuple[EncoderState, Any]:

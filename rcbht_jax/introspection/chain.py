@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from rcbht_jax._util.compiling import jit
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, checked_limits, rule_of
 from rcbht_jax.errors import InputError
@@ -106,7 +106,7 @@ def step(
     return StreamState(encoder, tuple(next_stats)), tuple(features), labels
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@jit(static_argnums=(0, 1))
 def _scan(
     config: AnyConfig, view: FeatureView, limits: Array, state: StreamState, rows: tuple[Array, ...]
 ) -> tuple[StreamState, Array]:

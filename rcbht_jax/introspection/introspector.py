@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.compiling import jit
 from rcbht_jax.encoding.encoder import PackedLabels
 from rcbht_jax.encoding.rules import AnyConfig
 from rcbht_jax.encoding.stream import WindowBuffer, held
@@ -110,8 +111,8 @@ def infer(
     return state, tuple(probabilities), published
 
 
-_infer = jax.jit(infer, static_argnums=0)
-_begin = jax.jit(begin_stream, static_argnums=(0, 1, 2))  # one small program in place of one per field
+_infer = jit(static_argnums=0)(infer)
+_begin = jit(static_argnums=(0, 1, 2))(begin_stream)  # one small program in place of one per field
 
 
 class Introspector:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -15,24 +14,8 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
-# JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
-_CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
-
 BLOCK = 16  # trials
 LARGEST = 1e5  # N or Nm; beyond it the physics has diverged
-
-
-@lru_cache
-def compiler_options(backend: str) -> dict[str, str | bool]:
-    """Options of ``jax.jit`` for programs of a backend; a version of JAX that does not know them gets none."""
-    if backend != "cpu":
-        return {}
-    try:
-        with jax.default_device(jax.devices("cpu")[0]):
-            jax.jit(jnp.negative, compiler_options=_CPU_OPTIONS).lower(jnp.float32(0)).compile()
-    except jax.errors.JaxRuntimeError:
-        return {}
-    return _CPU_OPTIONS
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:

@@ -19,12 +19,13 @@ import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import Program, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines import device
-from sim_mjx.engines.common import SETTLING, compiler_options, select_lanes
+from sim_mjx.engines.common import SETTLING, select_lanes
 from sim_mjx.engines.device import Fixed, Layout, Log, Outcome, State
 
 Trial = tuple[Hashable, int]  # key of its batch, and number in it

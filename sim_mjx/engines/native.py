@@ -26,10 +26,11 @@ from jaxtyping import Bool, Float32, Float64, Int, Int32
 from mujoco import rollout as mj_rollout
 from numpy.typing import NDArray
 
+from rcbht_jax._util.compiling import compiler_options
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import Program, Rollouts, as_float32, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, compiler_options, sane, select_lanes
+from sim_mjx.engines.common import SETTLING, collect, sane, select_lanes
 
 LANES = 64  # of a thread; a program for more lanes costs a trial less time, but more where trials are few
 THREADS = 8  # of a process; more wait for each other's turn for longer than their physics takes

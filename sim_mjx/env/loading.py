@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.encoding.thresholds import Thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.model import IntrospectionModel
@@ -14,7 +15,6 @@ from sim_mjx import engines
 from sim_mjx.assemblies import ASSEMBLIES
 from sim_mjx.assembly.rollout import as_float32, batch_size
 from sim_mjx.engines import device
-from sim_mjx.engines.common import compiler_options
 from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.environment import Environment, Trials
 from sim_mjx.env.physics import new_physics, settled

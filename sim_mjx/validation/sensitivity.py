@@ -21,11 +21,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Float64
 
+from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import Fields, PartParams
 from sim_mjx.assembly.scene import Scene
 from sim_mjx.engines import device
-from sim_mjx.engines.common import SETTLING, compiler_options
+from sim_mjx.engines.common import SETTLING
 from sim_mjx.engines.device import Fixed
 from sim_mjx.engines.quiet import mjx
 from sim_mjx.randomization import overrides

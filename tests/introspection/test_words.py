@@ -168,9 +168,9 @@ def test_a_stream_that_is_warm_compiles_nothing_at_its_first_gap(rule):
         config, limits_for(config, limits, 0.5 if rule == "fit" else None, wrench, np.array([9])), axes
     )
     stream.warm_up()
-    programs = held_by_a_stream._cache_size()
+    programs = held_by_a_stream.on("cpu")._cache_size()
     stream.push(np.cumsum(np.ones((50, len(axes))), 0))
     assert [event for event in stream.finish() if isinstance(event, Word)]
-    assert held_by_a_stream._cache_size() == programs
+    assert held_by_a_stream.on("cpu")._cache_size() == programs
     assert [event for event in stream.provisional() if isinstance(event, Word)]
-    assert held_by_a_stream._cache_size() == programs
+    assert held_by_a_stream.on("cpu")._cache_size() == programs

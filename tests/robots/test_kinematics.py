@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.errors import InputError
 from rcbht_jax.io.hiro import dat
 from rcbht_jax.robots import hiro, kinematics
 from sim_mjx.assembly import robot
 from sim_mjx.assembly.controllers import approach, half_cosine
-from sim_mjx.engines.common import compiler_options
 from sim_mjx.presets import preset
 
 SESSIONS = {
