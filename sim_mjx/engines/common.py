@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import lru_cache, wraps
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,9 @@ from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
 # JAX 0.10's default emitters make batched kinematics a hundred times slower on a CPU.
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 BLOCK = 16  # trials
 LARGEST = 1e5  # N or Nm; beyond it the physics has diverged
@@ -33,6 +36,17 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
     except jax.errors.JaxRuntimeError:
         return {}
     return _CPU_OPTIONS
+
+
+def single(function: Callable[P, R]) -> Callable[P, R]:
+    """The function in single precision, also where the program around it has set ``jax_enable_x64``."""
+
+    @wraps(function)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        with jax.enable_x64(False):
+            return function(*args, **kwargs)
+
+    return inside
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:

@@ -19,7 +19,7 @@ from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.environment import Environment, Trials
 from sim_mjx.env.physics import new_physics, settled
 from sim_mjx.env.senses import new_senses
-from sim_mjx.presets import DEFAULT
+from sim_mjx.presets import DEFAULT, PRESETS
 from sim_mjx.registry import SNAP, get_scenario
 
 # task -> the scenario that stands for it
@@ -64,6 +64,10 @@ def load(
         raise InputError(f"An environment runs on the device; use the engine {' or '.join(engines.IMPLEMENTATIONS)}.")
     if trials < 1 or parallel < 1:
         raise InputError(f"There are {trials} trials and {parallel} environments; expected 1 or more of each.")
+    if name not in (*ALIASES, *PRESETS) and "@" not in name:
+        raise InputError(
+            f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
+        )
     scenario = get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()
     if params is None:

@@ -16,7 +16,7 @@ from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import StreamState, begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
 from rcbht_jax.introspection.model import HeadArrays, IntrospectionModel, head_arrays
-from rcbht_jax.labels import LAYER_SIZES
+from rcbht_jax.labels import AXES, LAYER_SIZES, UNITS
 from rcbht_jax.types import Array
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import LARGEST
@@ -148,7 +148,7 @@ def new_senses(
         thresholds: of the words without a model, ``[6, 4]`` of every wrist or ``[axis, 4]``; None = HIRO's.
 
     Raises:
-        InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes or another
+        InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes, units or
             period, or a step that is no multiple of the encoder's window.
     """
     if model is not None and thresholds is not None:
@@ -164,6 +164,10 @@ def new_senses(
             f"The model knows {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
             f"{CONTROL_PERIOD:g} s."
         )
+    if model is not None and axes == len(AXES):
+        model.check_wrench("The scenario's wrench")
+    elif model is not None:
+        model.check_axes(model.axes, UNITS * (axes // len(UNITS)), "The scenario's wrench")
     return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
 
 

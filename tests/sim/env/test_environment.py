@@ -161,6 +161,26 @@ def test_actions_beyond_one_are_clipped() -> None:
     np.testing.assert_array_equal(wild.obs, full.obs)
 
 
+@pytest.mark.parametrize(("config", "size"), [(STEERED, 1), (STEERED, 7), (JOINT, 1), (JOINT, 12)])
+def test_actions_of_another_size_are_refused(config: EnvConfig, size: int) -> None:
+    env, reset, _ = compiled(config)
+    with pytest.raises(InputError, match=rf"An action has shape \({size},\); expected \(6,\)"):
+        jax.eval_shape(env.step, reset(jnp.int32(0)), jnp.zeros(size))
+
+
+def test_a_program_in_double_precision_gets_the_same_episode() -> None:
+    env, reset, step = compiled(EnvConfig(), models=True)
+    action = np.full(6, 0.3)
+    expected = step(step(reset(jnp.int32(1)), np.float32(action)), np.float32(action))
+    with jax.enable_x64(True):
+        begun = jax.jit(env.reset_to)(jnp.asarray(1))
+        found, _ = environments.jit(jax.lax.scan, static_argnums=0)(
+            lambda state, given: (env.step(state, given), None), begun, jnp.asarray([action, action])
+        )
+    assert [leaf.dtype for leaf in jax.tree.leaves(found)] == [leaf.dtype for leaf in jax.tree.leaves(expected)]
+    assert_equal(found, expected)
+
+
 def test_success_takes_all_tabs_and_time() -> None:
     states = run(JOINT, np.tile(np.float32([1, 1, 1, 1, 0, 0]), (9, 1)))
     seated = [float(state.metrics["seated"]) for state in states]
@@ -176,6 +196,13 @@ def test_success_takes_all_tabs_and_time() -> None:
     assert [float(three[-1].metrics[name]) for name in ("seated", "success")] == [0.75, 0.0]
     assert float(three[-1].reward) == 0.0
     assert float(states[-1].data.body[0]) > DEPTH
+
+
+def test_success_takes_a_control_period_however_short_the_hold() -> None:
+    brief = replace(JOINT, hold=0.001)
+    idle, seating = (run(brief, np.tile(np.float32(way), (9, 1))) for way in ([0] * 6, [1, 1, 1, 1, 0, 0]))
+    assert not any(float(state.metrics["success"]) for state in idle)
+    assert float(seating[-1].metrics["success"]) == 1.0
 
 
 def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
@@ -294,8 +321,21 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
     for options, sentence in (({"engine": "native"}, "runs on the device"), ({"trials": 0}, "There are 0 trials")):
         with pytest.raises(InputError, match=sentence):
             environments.load("B", **options)
-    with pytest.raises(InputError, match="There is no preset"):
+    with pytest.raises(InputError, match=r"no environment 'tea-making'; expected one of camera-snap, .*, A, .*@"):
         environments.load("tea-making")
+
+
+@pytest.mark.parametrize(
+    ("extra", "sentence"),
+    [
+        ({"axes": ["Mx", "My", "Mz", "Fx", "Fy", "Fz"]}, "the model learned Mx, My, Mz, Fx, Fy, Fz"),
+        ({"axes": list("abcdef"), "units": ["rad"] * 6}, "has a in N; the model learned it in rad"),
+        ({"units": ["kN"] * 6}, "has Fx in N; the model learned it in kN"),
+    ],
+)
+def test_a_model_of_other_axes_or_units_is_refused(extra: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        new_senses(EnvConfig(), 6, 6, replace(model(), extra=extra))
 
 
 def test_time_of_a_step() -> None:
