@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.encoder import EncoderConfig, unpack
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of, preset, validate
+from rcbht_jax.encoding.rules import checked_limits
+from rcbht_jax.encoding.thresholds import Thresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import StreamState, begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
@@ -149,7 +150,7 @@ def new_senses(
 
     Raises:
         InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes, units or
-            period, or a step that is no multiple of the encoder's window.
+            period, a step that is no multiple of the encoder's window, or nothing to observe.
     """
     if model is not None and thresholds is not None:
         raise InputError("A model has its own thresholds; give a model or thresholds, not both.")
@@ -168,14 +169,17 @@ def new_senses(
         model.check_wrench("The scenario's wrench")
     elif model is not None:
         model.check_axes(model.axes, UNITS * (axes // len(UNITS)), "The scenario's wrench")
-    return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
+    senses = Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
+    if not sum(senses.sizes.values()):
+        raise InputError("Nothing is observed: beliefs need a model.")
+    return senses
 
 
 def _chain(model: IntrospectionModel | None, axes: int, thresholds: Thresholds) -> tuple[Chain, tuple[Any, ...], Any]:
     if model is not None:
         return Chain.of(model), tuple(head_arrays(head) for head in model.heads), model.stacked_limits
-    limits = np.asarray(limits_of(thresholds), np.float64)
-    validate(limits)
+    config = EncoderConfig(dt=CONTROL_PERIOD)
+    limits = checked_limits(config, thresholds)
     if limits.shape not in ((6, 4), (axes, 4)):
         raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] of every wrist, or [{axes}, 4].")
-    return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), np.tile(limits, (axes // len(limits), 1))
+    return Chain(config, (), (), ()), (), np.tile(limits, (axes // len(limits), 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds, read_thresholds, write_thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.labels import LAYER_SIZES
@@ -295,12 +296,15 @@ def test_impossible_configurations_are_refused(change: dict[str, Any], sentence:
         EnvConfig(**change)
 
 
-def test_words_without_a_model_take_any_thresholds() -> None:
+def test_words_without_a_model_take_any_thresholds(tmp_path: Path) -> None:
     wrist = np.arange(24, 0, -1.0).reshape(6, 4)
     two = np.concatenate([wrist, 2 * wrist])
     np.testing.assert_array_equal(new_senses(EnvConfig(), 6, 7, thresholds=GradientThresholds(wrist)).limits, wrist)
     np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=wrist).limits, np.tile(wrist, (2, 1)))
     np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=two).limits, two)
+    file = tmp_path / "limits.json"
+    write_thresholds(file, GradientThresholds(wrist), {})
+    np.testing.assert_array_equal(new_senses(EnvConfig(), 6, 7, thresholds=read_thresholds(file)[0]).limits, wrist)
     for limits, sentence in ((wrist[:4], "every wrist, or"), (wrist[:, ::-1], "must be ordered")):
         with pytest.raises(InputError, match=sentence):
             new_senses(EnvConfig(), 12, 14, thresholds=limits)
@@ -311,6 +315,8 @@ def test_words_without_a_model_take_any_thresholds() -> None:
 def test_what_does_not_fit_the_scenario_is_refused() -> None:
     with pytest.raises(InputError, match="multiple of the encoder's window, 5"):
         new_senses(EnvConfig(periods=3), 6, 6)
+    with pytest.raises(InputError, match="beliefs need a model"):
+        new_senses(EnvConfig(observe=("beliefs",)), 6, 6)
     with pytest.raises(InputError, match="6 axes every"):
         new_senses(EnvConfig(), 12, 12, model())
     with pytest.raises(InputError, match="no force law"):
