@@ -139,9 +139,10 @@ class Report(Command):
 
         if self.tracks:
             return self.tracks, self.window, "paper", self.tolerance
-        now = self.window or self.tolerance or not list_tracks(self.store)
+        now = self.window is not None or self.tolerance or not list_tracks(self.store)
         name = "" if now else stored_by(self.store, self.rule)
-        return (name, None, "paper", ()) if name else ("", self.window or 5, self.rule, self.tolerance)
+        window = 5 if self.window is None else self.window
+        return (name, None, "paper", ()) if name else ("", window, self.rule, self.tolerance)
 
     def text(self, result: dict[str, Any]) -> str:
         return (

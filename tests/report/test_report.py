@@ -243,6 +243,7 @@ def test_command_refuses_and_replaces(store: Path, tmp_path: Path, capsys: pytes
         assert main(["report", str(store), *words]) == 2
     assert main(["report", str(store), "-o", str(out), "--results", str(tmp_path / "none")]) == 2
     assert main(["report", str(store), "-o", str(out), "--trial", "nobody"]) == 2
+    assert main(["report", str(store), "-o", str(out), "--window", "0"]) == 2
     folder_is_clean(tmp_path)
     out.write_text("old")
     capsys.readouterr()
