@@ -166,9 +166,8 @@ def _table2() -> Iterator[Record]:
 
 
 def _two_arm() -> Iterator[Record]:
-    result = committed("two_arm_states")
-    for what, scores in of_two_arms(result).items():
+    for what, (trials, scores) in of_two_arms(committed("two_arm_states")).items():
         yield _row(
-            "Two arms, states", f"{what} ({result[what]['trials']} trials)", scores["words"], ("lengths",),
-            "two_arm_states", duration=scores["duration alone"]["mean"],
+            "Two arms, states", f"{what} ({trials} trials)", scores["words"], ("lengths",), "two_arm_states",
+            duration=scores["duration alone"]["mean"],
         )  # fmt: skip

@@ -76,16 +76,16 @@ def of_table1(result: Record) -> dict[str, Record]:
     return found
 
 
-def of_two_arms(result: Record) -> dict[str, Record]:
-    """Row of the result "two_arm_states" -> method -> accuracy."""
+def of_two_arms(result: Record) -> dict[str, tuple[int, Record]]:
+    """Row of the result "two_arm_states" -> trials that were tested, and method -> accuracy."""
     rows = {name: dict(row) for name, row in result.items() if isinstance(row, dict)}
     trials = {name: row.pop("trials") for name, row in rows.items()}
     found = {}
     for name, row in rows.items():
         other = name.partition(", tested on ")[2]
-        found[name] = {
-            kind: by_trial(score["mean"], trials[f"{other}, cross-validated"]) if other
-            else with_width(score, trials[name])
-            for kind, score in row.items()
-        }  # fmt: skip
+        count = trials[f"{other}, cross-validated" if other else name]
+        scores = {
+            kind: by_trial(score["mean"], count) if other else with_width(score, count) for kind, score in row.items()
+        }
+        found[name] = count, scores
     return found

@@ -76,7 +76,7 @@ def probes(result: Result) -> str:
 @table("two-arm", "two_arm_states")
 def two_arm(result: Result) -> str:
     """The four states from both arms' grammars, within a set and from one set to another."""
-    rows = of_two_arms(result)
+    rows = {name: scores for name, (_, scores) in of_two_arms(result).items()}
     kinds = list(next(iter(rows.values())))
     names = {name: name.replace("two", "`two`", 1).replace("`two`-fixed", "`two-fixed`") for name in rows}
     return markdown(("", *kinds), [(names[name], *map(score, row.values())) for name, row in rows.items()])

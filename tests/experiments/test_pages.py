@@ -291,6 +291,8 @@ def test_rows_of_the_report_have_the_intervals_of_the_pages() -> None:
     for (method, benchmark), cell in shown.items():
         _, _, ours, interval, *_ = written[f"{benchmark}: {method}"]
         assert f"{ours} ({interval})" == cell
+    (moved,) = [row for row in rows if row.what == "trained on two, tested on recorded (13 trials)"]
+    assert moved.interval == pytest.approx(wilson(13 * moved.ours, 13), abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["peers", "probes", "table1"])
