@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 
 from rcbht_jax.encoding.thresholds import Thresholds
 from rcbht_jax.errors import InputError
@@ -55,7 +56,7 @@ def load(
         parallel: environments that step at once at most, for which "warp" reserves memory.
 
     Raises:
-        InputError: an unknown scenario or engine, one that does not run on the device, no trials, or a model,
+        InputError: an unknown scenario or engine, one that does not run on the device, no batch of trials, or a model,
             thresholds or a configuration that does not fit the scenario.
     """
     config = config or EnvConfig()
@@ -73,6 +74,8 @@ def load(
     if params is None:
         spec = spec or scenario.spec(nominal_share=1.0)
         params, _ = scenario.draw_batch(seed, range(trials), spec)
+    if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
+        raise InputError("The params are no batch of trials; expected those of draw_batch, one trial or more.")
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))
