@@ -72,6 +72,10 @@ def test_a_folder_without_rows_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[]")
     with pytest.raises(InputError, match='expected a JSON file with "schema"'):
         read_results(tmp_path)
+    (tmp_path / "a.json").unlink()
+    rows_file(tmp_path, rows=[])
+    with pytest.raises(InputError, match='expected a JSON file with "schema"'):
+        read_results(tmp_path)
     (tmp_path / "a.json").write_text("{")
     with pytest.raises(InputError, match=r"a\.json is not JSON"):
         read_results(tmp_path)
