@@ -39,7 +39,12 @@ def compiler_options(backend: str) -> dict[str, str | bool]:
 
 
 def single(function: Callable[P, R]) -> Callable[P, R]:
-    """The function in single precision, also where the program around it has set ``jax_enable_x64``."""
+    """The function in single precision, also where the program around it has set ``jax_enable_x64``.
+
+    >>> with jax.enable_x64(True):
+    ...     single(jnp.zeros)(3).dtype.name, jnp.zeros(3).dtype.name
+    ('float32', 'float64')
+    """
 
     @wraps(function)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
