@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from experiments._lib.scores import of_methods
 from rcbht_jax.learning.metrics import rule_of_three
 
 Record = dict[str, Any]
@@ -88,14 +89,14 @@ def headline_rows(
 
 
 def _offline(headline: Record, peers: Record) -> Iterator[HeadlineRow]:
+    measured = of_methods(peers, headline)
     for name, (title, paper, flags) in OFFLINE.items():
         rows = {what: headline["rows"][f"{name} | {what}"] for what in ("frozen", "frozen, relative")}
         others = {"statistics + random forest": headline["rows"][f"{name} | statistics + random forest"]["score"]}
         others |= {
             method: row["accuracy"]
-            for place, row in peers["rows"].items()
-            for benchmark, method in [place.split(" | ")]
-            if benchmark == name and row["kind"] == "peer" and method not in others
+            for method, row in measured.get(name, {}).items()
+            if row["kind"] == "peer" and method not in others
         }
         best = max(others, key=lambda method: others[method]["mean"])
         yield HeadlineRow(

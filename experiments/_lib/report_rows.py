@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from experiments._lib.headline_rows import SOURCES, headline_rows
-from experiments._lib.intervals import by_trial, tested, with_width
+from experiments._lib.intervals import with_width
 from experiments._lib.results_io import COMMITTED, committed
+from experiments._lib.scores import RICHER, of_methods, of_probes, of_table1, of_two_arms
 from rcbht_jax.report.results import SCHEMA
 
 NAME = "report_rows"
@@ -21,13 +22,12 @@ NOTES = {
     "published": "The paper scored complete sequences of one selected split; ours are trials never trained on, "
     "in repeated splits.",
 }
-# Rows of the experiment "grammar" that are compared with the peers, and their titles there.
-RICHER = {
-    "richer words, choice of grammar": "richer words + SVM, without duration and offset",
-    "richer words and levels, choice of grammar": "richer words and levels + SVM",
-    "all families": "richer words + SVM, all",
-}
 _PRINTED = {"REAL states": "0.97 (0.93 to 1.00)", "SIM1 states": "0.89 (0.84 to 0.94)", "SIM2 states": "1.00"}
+# Trials of the published matrices, those of both outcomes where they are balanced.
+PUBLISHED = {
+    "REAL success/failure": 32, "SIM one-arm success/failure": 76, "REAL states": 46, "SIM one-arm states": 38,
+    "SIM two-arm states": 18,
+}  # fmt: skip
 Record = dict[str, Any]
 
 
@@ -43,51 +43,12 @@ def report_rows() -> Record:
     return {"schema": SCHEMA, "notes": NOTES, "sources": sources, "rows": [row for read in readers for row in read()]}
 
 
-def by_benchmark(rows: Record) -> dict[str, Record]:
-    """Rows named "benchmark | method" as benchmark -> method -> row."""
-    nested: dict[str, Record] = {}
-    for name, row in rows.items():
-        benchmark, method = name.split(" | ")
-        nested.setdefault(benchmark, {})[method] = row
-    return nested
-
-
-def with_intervals(nested: Record, benchmarks: Record, headline: Record) -> Record:
-    """Benchmark -> method -> row, whose accuracy has an interval of some width, by the trials that were tested.
-
-    From one session or batch to another it is Wilson's, for which resampled trials are too few (docs/evaluation.md).
-    The majority of classes that are equally frequent is right in the same share of any trials, and keeps none.
-    """
-    found: Record = {}
-    for benchmark, rows in nested.items():
-        folds = "folds" in benchmarks[benchmark]["split"]
-        trials = benchmarks[benchmark]["trials"] if folds else tested(headline, benchmark)
-        found[benchmark] = {}
-        for method, row in rows.items():
-            score = row["accuracy"]
-            if method != "majority":
-                score = with_width(score, trials) if folds else by_trial(score["mean"], trials)
-            found[benchmark][method] = {**row, "accuracy": score}
-    return found
-
-
-def peer_rows(peers: Record, grammar: Record) -> dict[str, Record]:
-    """Benchmark -> method -> row with its kind ("peer", "ours" or "probe"), from two results on the same folds."""
-    nested = by_benchmark(peers["rows"])
-    for benchmark, rows in nested.items():
-        for method, title in RICHER.items():
-            rows[title] = {"kind": "ours", **grammar["rows"][f"{benchmark} | {method}"]}
-    return nested
-
-
 def _row(
     group: str, what: str, score: Record, flags: tuple[str, ...], source: str,
     paper: str = "", peer: Record | None = None, duration: float | None = None,
 ) -> Record:  # fmt: skip
-    ends = _interval(score)  # of no width: no mistake, or the same in every trial
     return {
-        "group": group, "what": what, "paper": paper, "ours": _mean(score),
-        "interval": ends if ends[0] < ends[1] else None,
+        "group": group, "what": what, "paper": paper, "ours": _mean(score), "interval": _interval(score),
         "peer": peer, "duration": duration, "flags": flags, "source": f"{source}.json",
     }  # fmt: skip
 
@@ -102,7 +63,7 @@ def _mean(score: Record) -> float:
 
 def _interval(score: Record) -> tuple[float, float]:
     low, high = score["interval"] if "interval" in score else (score["low"], score["high"])
-    return low, high
+    return round(low, 6), round(high, 6)
 
 
 def _frozen() -> Iterator[Record]:
@@ -116,7 +77,7 @@ def _frozen() -> Iterator[Record]:
 
 def _words() -> Iterator[Record]:
     """Words and the best of the other methods."""
-    peers, richer = (by_benchmark(committed(name)["rows"]) for name in ("peers", "grammar"))
+    peers, richer = (of_methods(committed(name), committed("headline")) for name in ("peers", "grammar"))
     for benchmark in peers | richer:
         flags = ("batches", "lengths") if benchmark.startswith("failure types") else ("lengths",)
         others = {name: row["accuracy"] for name, row in peers.get(benchmark, {}).items() if row["kind"] == "peer"}
@@ -135,8 +96,7 @@ def _words() -> Iterator[Record]:
 
 def _probes() -> Iterator[Record]:
     """Words, and a classifier that cannot know the outcome."""
-    for question, views in by_benchmark(committed("probes")["rows"]).items():
-        scores = {view: row["balanced_accuracy"] for view, row in views.items()}
+    for question, scores in of_probes(committed("probes")).items():
         words = next((score for view, score in scores.items() if view.startswith("words")), None)
         if words is not None:
             yield _row(
@@ -163,13 +123,14 @@ def _sim_to_real() -> Iterator[Record]:
 
 def _table1_ours() -> Iterator[Record]:
     """Words for every set and kind of labels; the other protocols are in the file."""
-    for name, row in committed("table1_ours")["rows"].items():
+    result = committed("table1_ours")
+    for name, scores in of_table1(result).items():
         what, labels = name.split(" | ")
-        paper = "" if row["paper"] is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*row["paper"])
+        printed = result["rows"][name]["paper"]
+        paper = "" if printed is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*printed)
         yield _row(
-            "Words, Table I of the paper on our labels", f"{what}, {labels} labels",
-            row["words, nested, grouped"]["accuracy"], _flags(what == "REAL success/failure"), "table1_ours", paper,
-            duration=row["duration alone"]["accuracy"]["mean"],
+            "Words, Table I of the paper on our labels", f"{what}, {labels} labels", scores["words, nested, grouped"],
+            _flags(what == "REAL success/failure"), "table1_ours", paper, duration=scores["duration alone"]["mean"],
         )  # fmt: skip
 
 
@@ -177,10 +138,12 @@ def _table1() -> Iterator[Record]:
     for what, row in committed("table1_published")["rows"].items():
         low, mean, high = row["target"]["paper"]
         folds = "grouped" if "grouped" in row["measured"] else "repeated"
+        measured = row["measured"][folds]
+        ends = dict(zip(("low", "high"), measured["interval"], strict=True))
         yield _row(
             "Offline, published features", f"{what}, {folds}{' by trial' if folds == 'grouped' else ''}",
-            row["measured"][folds], _flags("success/failure" in what), "table1_published",
-            f"{mean:.2f} ({low:.2f} to {high:.2f})",
+            with_width({"mean": measured["mean"], **ends}, PUBLISHED[what]), _flags("success/failure" in what),
+            "table1_published", f"{mean:.2f} ({low:.2f} to {high:.2f})",
         )  # fmt: skip
 
 
@@ -203,9 +166,8 @@ def _table2() -> Iterator[Record]:
 
 
 def _two_arm() -> Iterator[Record]:
-    for what, row in committed("two_arm_states").items():
-        if isinstance(row, dict):
-            yield _row(
-                "Two arms, states", f"{what} ({row['trials']} trials)", row["words"], ("lengths",), "two_arm_states",
-                duration=row["duration alone"]["mean"],
-            )  # fmt: skip
+    for what, (trials, scores) in of_two_arms(committed("two_arm_states")).items():
+        yield _row(
+            "Two arms, states", f"{what} ({trials} trials)", scores["words"], ("lengths",), "two_arm_states",
+            duration=scores["duration alone"]["mean"],
+        )  # fmt: skip

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments._lib.report_rows import peer_rows
 from experiments._lib.results_io import committed
+from experiments._lib.scores import of_peers, of_probes, of_table1
 from experiments.figures import calibration_curves, dots, driven, early, faults, hook, online, sim_to_real, snaps, words
 from experiments.figures.style import DPI, IMAGES, LINES, OURS, PEER, PROBE, plain
 from rcbht_jax.plots import save
@@ -30,7 +30,8 @@ def peers() -> Figure:
     """One panel per benchmark: accuracy of every method with its interval, best on top."""
     facts = committed("peers")["benchmarks"]
     figure = new_figure((12.5, 9.4), DPI)
-    for number, (benchmark, methods) in enumerate(peer_rows(committed("peers"), committed("grammar")).items()):
+    measured = of_peers(*map(committed, ("peers", "grammar", "headline")))
+    for number, (benchmark, methods) in enumerate(measured.items()):
         ax = figure.add_subplot(2, len(facts) // 2, number + 1)
         rows = {method: row for method, row in methods.items() if method != "majority"}
         order = sorted(rows, key=lambda method: rows[method]["accuracy"]["mean"])
@@ -140,25 +141,19 @@ def confidence() -> Figure:
 
 def table1() -> Figure:
     """Table I of the paper on our labels, beside what duration alone reaches and what the paper prints."""
-    kinds = {
-        "paper's features, nested, grouped": "paper's features",
-        "words, nested, grouped": "words",
-        "duration alone": "duration alone",
-    }
+    result = committed("table1_ours")
     rows, printed = {}, {}
-    for name, row in rows_of("table1_ours").items():
-        title = name.replace(" | ", ", ")
-        rows[title] = {kind: row[cell]["accuracy"] for cell, kind in kinds.items()}
-        if row["paper"] is not None:
-            printed[title] = row["paper"][1]
+    for name, scores in of_table1(result).items():
+        title, paper = name.replace(" | ", ", "), result["rows"][name]["paper"]
+        rows[title] = {kind.removesuffix(", nested, grouped"): score for kind, score in scores.items()}
+        if paper is not None:
+            printed[title] = paper[1]
     return dots.draw(rows, "accuracy, grouped by trial, kernel and cost selected in nested folds", printed)
 
 
 def probes() -> Figure:
     """What tells failure, success and session without any assembly."""
-    rows = dots.of_rows(rows_of("probes"), "balanced_accuracy")
-    shown = {question: {kind: row[kind] for kind in list(row)[1:]} for question, row in rows.items()}
-    return dots.draw(shown, "balanced accuracy")
+    return dots.draw(of_probes(committed("probes")), "balanced accuracy")
 
 
 def failure_types() -> Figure:

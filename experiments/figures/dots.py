@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -47,12 +46,3 @@ def draw(rows: Mapping[str, Mapping[str, Score]], what: str, ticks: Mapping[str,
     figure.legend(loc="lower center", ncols=len(kinds) + bool(ticks), frameon=False, fontsize=8)
     figure.tight_layout(rect=(0, 0.35 / figure.get_figheight(), 1, 1))
     return figure
-
-
-def of_rows(rows: Mapping[str, Any], score: str) -> dict[str, dict[str, Score]]:
-    """Rows called "QUESTION | KIND" as question -> kind -> score."""
-    nested: dict[str, dict[str, Score]] = {}
-    for name, row in rows.items():
-        question, kind = name.split(" | ")
-        nested.setdefault(question, {})[kind] = row[score]
-    return nested

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from experiments._lib.intervals import by_trial, with_width
-from experiments._lib.report_rows import by_benchmark, peer_rows, with_intervals
+from experiments._lib.scores import of_methods, of_peers, of_probes, of_table1, of_two_arms
 from experiments.tables.cells import NONE, markdown, score, table
 
 FOLDED = ("REAL states", "SIM1 states", "SIM2 states", "failure types")
@@ -20,7 +19,7 @@ def _others(benchmarks: Iterable[str]) -> list[str]:
 
 def _peers(peers: Result, grammar: Result, headline: Result, folded: bool) -> str:
     """Other methods and words, by cross-validation or from one session to another."""
-    nested = with_intervals(peer_rows(peers, grammar), peers["benchmarks"], headline)
+    nested = of_peers(peers, grammar, headline)
     benchmarks = FOLDED if folded else _others(nested)
     kinds = {method: row["kind"] for rows in nested.values() for method, row in rows.items()}
     lines = []
@@ -37,7 +36,7 @@ table("peers-sessions", "peers", "grammar", "headline")(partial(_peers, folded=F
 
 def _grammar(result: Result, headline: Result, folded: bool) -> str:
     """Words of several kinds, by cross-validation or from one session or batch to another."""
-    nested = with_intervals(by_benchmark(result["rows"]), result["benchmarks"], headline)
+    nested = of_methods(result, headline)
     benchmarks = FOLDED if folded else _others(result["benchmarks"])
     lines = []
     for method in dict.fromkeys(method for rows in nested.values() for method in rows):
@@ -53,16 +52,12 @@ table("grammar-sessions", "grammar", "headline")(partial(_grammar, folded=False)
 @table("table1", "table1_ours")
 def table1(result: Result) -> str:
     """Table I of the paper on our labels."""
-    lines = []
+    scores, lines = of_table1(result), []
     for name, row in result["rows"].items():
         what, labels = name.split(" | ")
         paper = NONE if row["paper"] is None else "{1:.2f} ({0:.2f} to {2:.2f})".format(*row["paper"])
         low, mean, high = row["paper's features, paper's protocol"]["fold_min_mean_max"]
-        trials = max(row["items"].values()) if "states" in what else sum(row["items"].values())
-        nested, words = (
-            with_width(row[f"{kind}, nested, grouped"]["accuracy"], trials) for kind in ("paper's features", "words")
-        )
-        alone = row["duration alone"]["accuracy"]
+        nested, words, alone = scores[name].values()
         ours = (f"{mean:.3f} ({low:.3f} to {high:.3f})", score(nested), score(words), score(alone, False))
         lines.append((what, labels, paper, *ours))
     head = ("", "labels", "paper: mean (min to max)", "paper's features and protocol: mean (min to max)")
@@ -72,31 +67,19 @@ def table1(result: Result) -> str:
 @table("probes", "probes")
 def probes(result: Result) -> str:
     """What separates failure, success and session without any assembly."""
-    nested = by_benchmark(result["rows"])
-    views = list(next(iter(nested.values())))[1:]
-    lines = []
-    for question, row in nested.items():
-        found = (with_width(row[view]["balanced_accuracy"], sum(row[view]["trials"].values())) for view in views)
-        lines.append((question, *map(score, found)))
+    nested = of_probes(result)
+    views = list(next(iter(nested.values())))
+    lines = [(question, *(score(row[view]) for view in views)) for question, row in nested.items()]
     return markdown(("balanced accuracy", *views), lines)
 
 
 @table("two-arm", "two_arm_states")
 def two_arm(result: Result) -> str:
     """The four states from both arms' grammars, within a set and from one set to another."""
-    rows = {name: row for name, row in result.items() if isinstance(row, dict)}
-    kinds = [kind for kind in next(iter(rows.values())) if kind != "trials"]
+    rows = {name: scores for name, (_, scores) in of_two_arms(result).items()}
+    kinds = list(next(iter(rows.values())))
     names = {name: name.replace("two", "`two`", 1).replace("`two`-fixed", "`two-fixed`") for name in rows}
-    lines = []
-    for name, row in rows.items():
-        tested = name.partition(", tested on ")[2]
-        if tested:
-            trials = rows[f"{tested}, cross-validated"]["trials"]
-            found = [by_trial(row[kind]["mean"], trials) for kind in kinds]
-        else:
-            found = [with_width(row[kind], row["trials"]) for kind in kinds]
-        lines.append((names[name], *map(score, found)))
-    return markdown(("", *kinds), lines)
+    return markdown(("", *kinds), [(names[name], *map(score, row.values())) for name, row in rows.items()])
 
 
 @table("two-arm-fidelity", "two_arm")

@@ -12,7 +12,6 @@ from experiments._lib.results_io import COMMITTED
 from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables.cells import NONE, ends, markdown, table
 from rcbht_jax.errors import InputError
-from rcbht_jax.learning.metrics import wilson
 
 # Other methods than the frozen one: beginning of the group, of the row's text -> what it is called.
 ABLATIONS = {
@@ -41,16 +40,13 @@ NEEDS = {
 MODULES = Path(__file__).resolve().parents[1]
 
 
-@table("ablations", NAME, "headline", links=True)
-def ablations(record: dict[str, Any], headline: dict[str, Any], way: str) -> str:
+@table("ablations", NAME, links=True)
+def ablations(record: dict[str, Any], way: str) -> str:
     """Scores of other methods, which no headline may take."""
     rows = record["rows"]
     lines = []
     for (group, what), title in ABLATIONS.items():
         row = _only([row for row in rows if row["group"].startswith(group) and row["what"].startswith(what)], what)
-        tested = headline["rows"].get(f"{row['what'].split(':')[0]} | frozen", {}).get("trials tested", 0)
-        if row["interval"] is None:
-            row["interval"] = wilson(row["ours"] * tested, tested)
         link = f"[{Path(row['source']).stem}]({way}{row['source']})"
         lines.append(
             (

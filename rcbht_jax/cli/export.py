@@ -128,7 +128,7 @@ class Report(Command):
             "out": str(self.out),
             "shown": count,
             "recordings": len(data.recordings),
-            "tracks": data.tracks_name or None,
+            "tracks": data.tracks_name,
             "results": 0 if options.results is None else len(options.results.rows),
             "bytes": self.out.stat().st_size,
         }
@@ -137,15 +137,17 @@ class Report(Command):
         """Which words are shown: tracks, window, rule and tolerance of :func:`rcbht_jax.io.export.load`."""
         from rcbht_jax.io.label_store import list_tracks
 
-        if self.tracks or not (self.window or list_tracks(self.store)):
+        if self.tracks:
             return self.tracks, self.window, "paper", self.tolerance
-        name = "" if self.window or self.tolerance else stored_by(self.store, self.rule)
-        return (name, None, "paper", ()) if name else ("", self.window or 5, self.rule, self.tolerance)
+        now = self.window is not None or self.tolerance or not list_tracks(self.store)
+        name = "" if now else stored_by(self.store, self.rule)
+        window = 5 if self.window is None else self.window
+        return (name, None, "paper", ()) if name else ("", window, self.rule, self.tolerance)
 
     def text(self, result: dict[str, Any]) -> str:
         return (
             f"{result['out']}: {result['shown']} of {result['recordings']} recordings, labels "
-            f"{result['tracks'] or 'none'}, {result['results']} results, {result['bytes'] / 1e6:.1f} MB"
+            f"{result['tracks']}, {result['results']} results, {result['bytes'] / 1e6:.1f} MB"
         )
 
 

@@ -100,8 +100,12 @@ def label_legend(figure: Figure, layer: str, codes: Iterable[int], anchor: tuple
     legend.set_gid(f"legend-{layer}")
 
 
-def check_suffix(path: Path) -> str:
+def check_suffix(path: Path, others: tuple[str, ...] = ()) -> str:
     """The suffix of a figure's file, which decides its format, in lower case.
+
+    Args:
+        path: of the file.
+        others: suffixes that would do, too, but of no figure; named when it is refused.
 
     >>> check_suffix(Path("trial.PNG"))
     '.png'
@@ -111,7 +115,7 @@ def check_suffix(path: Path) -> str:
     """
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
-        raise InputError(f"{path} does not end in {', '.join(_METADATA)}; the suffix decides the format of a figure.")
+        raise InputError(f"{path} does not end in {', '.join((*_METADATA, *others))}; the suffix decides the format.")
     return suffix
 
 

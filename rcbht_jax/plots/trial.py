@@ -185,7 +185,7 @@ def _draw_signal(ax: Axes, recordings: Recordings, index: int, axis: int, primit
     ax.add_collection(lines, autolim=False)
     visible = values[(times >= view.start) & (times <= view.stop)]
     low, high = float(visible.min()), float(visible.max())
-    margin = max(0.08 * (high - low), 1e-3)
+    margin = 0.08 * (high - low) or 1e-3
     ax.set(xlim=(view.start, view.stop), ylim=(low - margin, high + margin))
     ax.set_ylabel(plain(", ".join(filter(None, (recordings.axes[axis], recordings.units[axis])))), fontsize=12)
     ax.grid(axis="y", color="0.9", linewidth=0.8)

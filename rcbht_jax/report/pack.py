@@ -109,7 +109,8 @@ def quantised(signal: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[
     """Whole steps ``[axis, time]`` with ``signal = low + step x steps`` within half a step; low and step ``[axis]``."""
     exact = signal.astype(np.float64)
     low = exact.min(1)
-    step = np.maximum(exact.max(1) - low, 1e-9) / LEVELS
+    wide = exact.max(1) - low
+    step = np.where(wide > 0.0, wide, 1e-9) / LEVELS
     return np.rint((exact - low[:, None]) / step[:, None]).astype(np.int64), low, step
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rcbht_jax
+from rcbht_jax._util.printable import plural
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.introspection.model import IntrospectionModel
@@ -70,6 +71,7 @@ def page(data: DataSet, options: Options = Options(), progress: Callable[[int], 
     }
     parts = {
         "TITLE": escape(options.title),
+        "SECTIONS": _sections(options),
         "STYLE": _asset("report.css"),
         "SUMMARY": _summary(data, len(rows)) + _about_model(data, options.model),
         "RESULTS": "" if options.results is None else results_html(options.results),
@@ -110,6 +112,12 @@ def _introspector(recordings: Recordings, options: Options) -> Introspector | No
     return Introspector(options.model, options.rate)
 
 
+def _sections(options: Options) -> str:
+    """Links to the sections that the page has."""
+    titles = {"data": "Data", "browser": "Trials"} | ({} if options.results is None else {"results": "Results"})
+    return " ".join(f'<a href="#{place}">{title}</a>' for place, title in titles.items())
+
+
 def _asset(file: str) -> str:
     return files("rcbht_jax.report").joinpath(file).read_text(encoding="utf-8")
 
@@ -127,11 +135,13 @@ def _summary(data: DataSet, shown: int) -> str:
     rule = "fit" if data.tracks_attrs.get("config", {}).get("rule") == "fit" else "published"
     words = f"labels {escape(data.tracks_name)}, words by the {rule} rule{'s' * (rule != 'fit')}"
     labels = words if data.tracks_name else "no labels"
+    seconds = samples * recordings.dt
+    lasting = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.1f} s"
     warnings = "".join(f"<li>{escape(sentence)}</li>" for sentence in confounds(data))
     return (
-        f"<p>{len(recordings)} recordings of {sources}: {', '.join(map(escape, outcomes))}; "
-        f"{samples * recordings.dt / 60:.1f} minutes at {1 / recordings.dt:g} Hz; {labels}. "
-        f"{shown} of them are in the browser below.</p>"
+        f"<p>{plural(len(recordings), 'recording')} of {sources}: {', '.join(map(escape, outcomes))}; "
+        f"{lasting} at {1 / recordings.dt:g} Hz; {labels}. "
+        f"{shown} of them {'is' if shown == 1 else 'are'} in the browser below.</p>"
         f"<h3>Known confounds of this data</h3><ul>{warnings}</ul>"
         f'<p class="made">Made by rcbht-jax {escape(rcbht_jax.__version__)}; content {_short(data)}.</p>'
     )

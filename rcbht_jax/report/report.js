@@ -116,7 +116,7 @@ function listWords() {
   const l = byId("layer").value * 1, a = view.axis < 0 ? view.lane[1] : view.axis, layer = layers[l], list = byId("list");
   if (!list.closest("details").open) return;
   const found = inView(l, a);
-  byId("caption").textContent = `${axes[a]} ${layer}: ${found.length} words between ${view.from.toFixed(2)} and ${view.to.toFixed(2)} s` +
+  byId("caption").textContent = `${axes[a]} ${layer}: ${found.length} word${found.length === 1 ? "" : "s"} between ${view.from.toFixed(2)} and ${view.to.toFixed(2)} s` +
     (found.length > 300 ? "; the first 300 are listed" : "") + (units[a] ? `; means in ${units[a]}, slopes in ${units[a]}/s` : "");
   list.replaceChildren(...found.slice(0, 300).map(word => {
     const line = document.createElement("tr"), t = n => (n * dt).toFixed(3), n = v => v.toPrecision(3);

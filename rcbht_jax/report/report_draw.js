@@ -4,6 +4,7 @@ const shownAxes = () => view.axis < 0 ? axes.map((_, a) => a) : [view.axis];
 const sizes = () => view.axis < 0 ? { signal: 78, band: 13, gap: 12 } : { signal: 300, band: 30, gap: 16 };
 const TOP = 34;
 const xOf = (t, width) => LEFT + (width - LEFT - RIGHT) * (t - view.from) / (view.to - view.from);
+const brief = value => { const text = value.toPrecision(3); return text.length > 8 ? value.toExponential(1) : text; };
 const tOf = (x, width) => view.from + (view.to - view.from) * (x - LEFT) / (width - LEFT - RIGHT);
 
 function prepare(canvas, height) {
@@ -46,7 +47,7 @@ function drawSignal(pen, width, a, top, height) {
   const last = Math.min(values.length, Math.ceil(view.to / dt) + 2);
   let low = Infinity, high = -Infinity;
   for (let i = first; i < last; i++) { low = Math.min(low, values[i]); high = Math.max(high, values[i]); }
-  if (high - low < 1e-3) { high += 5e-4; low -= 5e-4; }
+  if (high - low < 4 * view.trial.about.step[a]) { high += 5e-4; low -= 5e-4; } // flat, but for rounding
   const y = v => top + height - 4 - (height - 8) * (v - low) / (high - low);
   pen.save();
   pen.beginPath();
@@ -81,8 +82,8 @@ function drawSignal(pen, width, a, top, height) {
   pen.fillText(axes[a], LEFT - 4, top + height / 2 + 4);
   pen.fillStyle = "#555";
   pen.font = "10px system-ui, sans-serif";
-  pen.fillText(high.toPrecision(3), LEFT - 4, top + 10);
-  pen.fillText(low.toPrecision(3), LEFT - 4, top + height - 2);
+  pen.fillText(brief(high), LEFT - 4, top + 10);
+  pen.fillText(brief(low), LEFT - 4, top + height - 2);
   pen.textAlign = "left";
   if (view.axis >= 0) pen.fillText(units[a], LEFT + 4, top + 12);
   pen.font = "12px system-ui, sans-serif";

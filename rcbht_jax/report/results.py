@@ -59,7 +59,7 @@ def read_results(folder: Path) -> Results:
     """Read every ``*.json`` of a folder whose ``"schema"`` is :data:`SCHEMA`; other files are ignored.
 
     Raises:
-        InputError: no such folder, no file with that schema, or one that does not follow it.
+        InputError: no such folder, no row in files with that schema, or one that does not follow it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give one that holds a JSON file of result rows.")
@@ -68,8 +68,6 @@ def read_results(folder: Path) -> Results:
     sources: list[Source] = []
     records = {path: _record(path) for path in sorted(folder.glob("*.json"))}
     records = {path: record for path, record in records.items() if record.get("schema") == SCHEMA}
-    if not records:
-        raise InputError(f'{folder} holds no result rows; expected a JSON file with "schema": "{SCHEMA}".')
     for path, record in records.items():
         try:
             notes |= {str(flag): str(sentence) for flag, sentence in record["notes"].items()}
@@ -78,6 +76,8 @@ def read_results(folder: Path) -> Results:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             reason = f"{type(error).__name__}: {error}"
             raise InputError(f"{path} does not follow the schema {SCHEMA} ({reason}).") from error
+    if not rows:
+        raise InputError(f'{folder} holds no result rows; expected a JSON file with "schema": "{SCHEMA}".')
     return Results(tuple(rows), notes, tuple(sources))
 
 

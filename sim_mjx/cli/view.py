@@ -116,7 +116,7 @@ class View(Command):
         elif out.suffix.lower() in animation.SUFFIXES:
             animation.check(out)
         else:
-            check_suffix(out)
+            check_suffix(out, animation.SUFFIXES)
 
     def _replay(self, recordings: Recordings, row: int) -> Replay:
         from rcbht_jax.io.store import read_attrs
@@ -125,7 +125,10 @@ class View(Command):
         if "simulated" in read_attrs(self.store):
             return simulated(self.store, recordings, row)
         if self.data is None:
-            raise InputError("A recorded trial needs its joint angles; give the folder that was imported: --data DIR.")
+            raise InputError(
+                "A recorded trial of HIRO needs its joint angles; give the folder that was imported: --data DIR. Of "
+                "other robots only simulated trials can be seen."
+            )
         return recorded(self.data, recordings, row)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +15,27 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts
 
 SETTLING = 200  # physics steps before time zero, in which the tool's weight bends the servos
+P = ParamSpec("P")
+R = TypeVar("R")
+
 BLOCK = 16  # trials
 LARGEST = 1e5  # N or Nm; beyond it the physics has diverged
+
+
+def single(function: Callable[P, R]) -> Callable[P, R]:
+    """The function in single precision, also where the program around it has set ``jax_enable_x64``.
+
+    >>> with jax.enable_x64(True):
+    ...     single(jnp.zeros)(3).dtype.name, jnp.zeros(3).dtype.name
+    ('float32', 'float64')
+    """
+
+    @wraps(function)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> R:
+        with jax.enable_x64(False):
+            return function(*args, **kwargs)
+
+    return inside
 
 
 def select_lanes(which: Bool[Array, " lane"], first: Any, second: Any) -> Any:

@@ -25,7 +25,7 @@ from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import from_lips
 from sim_mjx.assembly.rollout import ONE_ARM, Program, Rollouts, batch_size
 from sim_mjx.assembly.scene import Scene
-from sim_mjx.engines.common import SETTLING, collect, select_lanes
+from sim_mjx.engines.common import SETTLING, collect, select_lanes, single
 from sim_mjx.engines.quiet import mjx
 
 LANES = 16
@@ -153,6 +153,7 @@ def layout_of(scene: Scene) -> Layout:
     return Layout(scene.program, joints, seen, tips, lips, scene.substeps, scene.seated)
 
 
+@single
 def put_scene(scene: Scene, count: int, impl: str) -> tuple[mjx.Model, mjx.Data]:
     """The scene's model on the device, and data of one trial; Warp's kernels step at most ``count`` at once."""
     sizes = {"naconmax": count * scene.model.npair, "njmax": _most_rows(scene.model)} if impl == "warp" else {}
@@ -187,6 +188,7 @@ def _most_rows(model: mujoco.MjModel) -> int:
     return int(contacts.sum() + model.jnt_limited.sum())
 
 
+@single
 def start(layout: Layout, fixed: Fixed) -> State:
     """In the home pose, where all angles are zero, not yet settled."""
     count = batch_size(fixed.params)
@@ -201,6 +203,7 @@ def _begin(layout: Layout, fixed: Fixed, body: Any) -> Any:
     return jax.vmap(layout.program.begin)(fixed.params, _raw(layout, body))
 
 
+@single
 def stretch(layout: Layout, fixed: Fixed, state: State) -> tuple[State, Log]:
     """``STRETCH`` control periods; the log leads with time.
 

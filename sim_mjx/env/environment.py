@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from rcbht_jax.errors import InputError
 from rcbht_jax.types import Array
 from sim_mjx.assembly.rollout import Program
 from sim_mjx.assembly.sensor import LONGEST_DELAY
 from sim_mjx.assembly.task import CONTROL_PERIOD, periods
-from sim_mjx.engines.common import LARGEST
+from sim_mjx.engines.common import LARGEST, single
 from sim_mjx.env.actions import action_size, joint_increments, with_set_points
 from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.physics import Fields, Glance, Physics
@@ -164,6 +165,7 @@ class Environment:
         """
         return self.begin(jax.tree.map(lambda leaf: jnp.asarray(leaf)[row], self.trials), row, seed)
 
+    @single
     def begin(self, trial: Trials, row: Int[Array, ""], seed: Array | None = None) -> State:
         """An episode of a trial that need not be one of ``trials``.
 
@@ -185,15 +187,21 @@ class Environment:
         wrench = jnp.zeros(self.senses.axes, jnp.float32)  # none has been measured yet
         return State(data, self.senses.observe(senses, joints, wrench), none, none, metrics, info)
 
+    @single
     def step(self, state: State, action: Float[Array, " action"]) -> State:
         """Go on for ``config.periods`` control periods with one action, which is clipped to -1 and 1.
 
         The reward is the rise of the share of seated tabs, and 1 more for success.
+
+        Raises:
+            InputError: an action of another shape.
         """
+        if jnp.shape(action) != (self.action_size,):
+            raise InputError(f"An action has shape {jnp.shape(action)}; expected ({self.action_size},).")
         action = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
         data, joints, wrench, phase = self._periods(state.data, action)
         sane = (jnp.abs(wrench) < LARGEST).all() & jnp.isfinite(joints).all()  # false for NaN
-        success = sane & (data.held >= round(self.config.hold / CONTROL_PERIOD))
+        success = sane & (data.held >= max(1, round(self.config.hold / CONTROL_PERIOD)))
         late = data.tick >= periods(self.program.timeout(data.params))
         if self.config.controller == "recorded":
             late = late | (phase[-1] == self.program.ended)

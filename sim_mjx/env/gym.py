@@ -71,7 +71,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """One step of all; where an episode had ended the action is not used, and the next one begins.
 
         Raises:
-            InputError: before the first :meth:`reset`, or actions of another shape.
+            InputError: before the first :meth:`reset`, or actions of another shape or NaN.
         """
         state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
         self._key, key = jax.random.split(self._key)
@@ -111,7 +111,7 @@ class SingleEnv(gymnasium.Env):
         """One step.
 
         Raises:
-            InputError: before the first :meth:`reset`, or an action of another shape.
+            InputError: before the first :meth:`reset`, or an action of another shape or NaN.
         """
         self._state = self._step(_started(self._state), _checked(action, (self.env.action_size,)))
         truncated = bool(self._state.info["truncation"] > 0.5)
@@ -139,6 +139,8 @@ def _checked(actions: ArrayLike, shape: tuple[int, ...]) -> Floats:
     values = np.asarray(actions, np.float32)
     if values.shape != shape:
         raise InputError(f"The actions have shape {values.shape}; expected {shape}.")
+    if np.isnan(values).any():
+        raise InputError("An action is NaN; expected numbers within -1 and 1.")
     return values
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 
 from rcbht_jax._util.compiling import compiler_options
 from rcbht_jax.encoding.thresholds import Thresholds
@@ -19,7 +20,7 @@ from sim_mjx.env.config import EnvConfig
 from sim_mjx.env.environment import Environment, Trials
 from sim_mjx.env.physics import new_physics, settled
 from sim_mjx.env.senses import new_senses
-from sim_mjx.presets import DEFAULT
+from sim_mjx.presets import DEFAULT, PRESETS
 from sim_mjx.registry import SNAP, get_scenario
 
 # task -> the scenario that stands for it
@@ -55,7 +56,7 @@ def load(
         parallel: environments that step at once at most, for which "warp" reserves memory.
 
     Raises:
-        InputError: an unknown scenario or engine, one that does not run on the device, no trials, or a model,
+        InputError: an unknown scenario or engine, one that does not run on the device, no batch of trials, or a model,
             thresholds or a configuration that does not fit the scenario.
     """
     config = config or EnvConfig()
@@ -64,11 +65,17 @@ def load(
         raise InputError(f"An environment runs on the device; use the engine {' or '.join(engines.IMPLEMENTATIONS)}.")
     if trials < 1 or parallel < 1:
         raise InputError(f"There are {trials} trials and {parallel} environments; expected 1 or more of each.")
+    if name not in (*ALIASES, *PRESETS) and "@" not in name:
+        raise InputError(
+            f"There is no environment {name!r}; expected one of {', '.join([*ALIASES, *PRESETS])}, or ASSEMBLY@ROBOT."
+        )
     scenario = get_scenario(ALIASES.get(name, name))
     scene = scenario.scene()
     if params is None:
         spec = spec or scenario.spec(nominal_share=1.0)
         params, _ = scenario.draw_batch(seed, range(trials), spec)
+    if len(counts := {np.shape(leaf)[:1] for leaf in jax.tree.leaves(params)}) != 1 or counts <= {(), (0,)}:
+        raise InputError("The params are no batch of trials; expected those of draw_batch, one trial or more.")
     physics = new_physics(scene, engines.IMPLEMENTATIONS[engine], max(parallel, batch_size(params)))
     senses = new_senses(config, 6 * len(scene.forces), len(scene.joints), model, thresholds)
     drawn = Trials(as_float32(params), device.fields_of(scene, params), *settled(scene, params))

@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.encoder import EncoderConfig, unpack
-from rcbht_jax.encoding.thresholds import Thresholds, limits_of, preset, validate
+from rcbht_jax.encoding.rules import checked_limits
+from rcbht_jax.encoding.thresholds import Thresholds, preset
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.chain import StreamState, begin_stream
 from rcbht_jax.introspection.introspector import Chain, infer
 from rcbht_jax.introspection.model import HeadArrays, IntrospectionModel, head_arrays
-from rcbht_jax.labels import LAYER_SIZES
+from rcbht_jax.labels import AXES, LAYER_SIZES, UNITS
 from rcbht_jax.types import Array
 from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.engines.common import LARGEST
@@ -148,8 +149,8 @@ def new_senses(
         thresholds: of the words without a model, ``[6, 4]`` of every wrist or ``[axis, 4]``; None = HIRO's.
 
     Raises:
-        InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes or another
-            period, or a step that is no multiple of the encoder's window.
+        InputError: a model and thresholds, thresholds of other axes or out of order, a model of other axes, units or
+            period, a step that is no multiple of the encoder's window, or nothing to observe.
     """
     if model is not None and thresholds is not None:
         raise InputError("A model has its own thresholds; give a model or thresholds, not both.")
@@ -164,14 +165,21 @@ def new_senses(
             f"The model knows {limits.shape[0]} axes every {chain.config.dt:g} s; this scenario has {axes} every "
             f"{CONTROL_PERIOD:g} s."
         )
-    return Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
+    if model is not None and axes == len(AXES):
+        model.check_wrench("The scenario's wrench")
+    elif model is not None:
+        model.check_axes(model.axes, UNITS * (axes // len(UNITS)), "The scenario's wrench")
+    senses = Senses(config.observe, axes, joints, chain, limits.astype(np.float32), heads)
+    if not sum(senses.sizes.values()):
+        raise InputError("Nothing is observed: beliefs need a model.")
+    return senses
 
 
 def _chain(model: IntrospectionModel | None, axes: int, thresholds: Thresholds) -> tuple[Chain, tuple[Any, ...], Any]:
     if model is not None:
         return Chain.of(model), tuple(head_arrays(head) for head in model.heads), model.stacked_limits
-    limits = np.asarray(limits_of(thresholds), np.float64)
-    validate(limits)
+    config = EncoderConfig(dt=CONTROL_PERIOD)
+    limits = checked_limits(config, thresholds)
     if limits.shape not in ((6, 4), (axes, 4)):
         raise InputError(f"Thresholds have shape {limits.shape}; expected [6, 4] of every wrist, or [{axes}, 4].")
-    return Chain(EncoderConfig(dt=CONTROL_PERIOD), (), (), ()), (), np.tile(limits, (axes // len(limits), 1))
+    return Chain(config, (), (), ()), (), np.tile(limits, (axes // len(limits), 1))

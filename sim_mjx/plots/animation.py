@@ -60,7 +60,8 @@ def film(
     """
     check(path)
     rate = RATE[path.suffix.lower()]
-    samples = np.arange(0, len(replay.qpos), max(speed / rate / replay.dt, 1.0)).astype(int)
+    last = len(replay.qpos) - 1
+    samples = np.append(np.arange(0, last, max(speed / rate / replay.dt, 1.0)), last).astype(int)  # also the end
     pictures = _pictures(replay, recordings, row, samples, progress)
     with atomic_write(path) as draft:
         (_write_gif if rate == RATE[".gif"] else _write_mp4)(draft, pictures, rate)
@@ -100,7 +101,7 @@ def _forces(figure: Figure, recordings: Recordings, row: int) -> Any:
         ax.plot(times, values[:, axis], color=color, linewidth=1.1, label=AXES[axis])
     shade_states(ax, recordings, row, names=True)
     ax.set(xlim=(0, times[-1]), xlabel="time, s", ylabel="force, N")
-    ax.legend(loc="lower right", ncols=3, fontsize=9, frameon=False)
+    ax.legend(loc="lower right", ncols=3, fontsize=9, framealpha=0.8, edgecolor="none")
     return ax.axvline(0.0, color="black", linewidth=1.2)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from experiments import pages
@@ -19,6 +20,7 @@ from experiments.figures.all import FIGURES, PICTURES
 from experiments.tables import TABLES
 from rcbht_jax.errors import InputError
 from rcbht_jax.learning.metrics import wilson
+from rcbht_jax.report.results import cells, read_results
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "experiments" / "results"
@@ -210,17 +212,17 @@ def test_every_number_of_a_table_is_in_the_results_that_it_declares(
     if name in ("results", "ablations"):  # what the paper prints is text in the rows
         held |= set(DECIMAL.findall((RESULTS / f"{NAME}.json").read_text()))
     printed = DECIMAL.findall(
-        INTERVAL.sub(lambda found: found[1 if by_wilson(found, values) else 0], "\n".join(lines[2:]))
+        INTERVAL.sub(lambda at: at[1 if by_wilson(at[1], at.groups()[1:], values) else 0], "\n".join(lines[2:]))
     )
     assert bool(printed) == (name not in ("experiments", "pictures", "repeatability", "native-cores"))  # none below ten
     assert set(printed) <= held
 
 
-def by_wilson(found: re.Match[str], values: list[float]) -> bool:
-    """Whether an interval on a page is Wilson's of a committed score, by some number of trials."""
-    means = {value for value in values if f"{value:.3f}" == found[1]}
-    ends = (wilson(mean * trials, trials) for mean in means for trials in range(1, 400))
-    return any((f"{low:.3f}", f"{high:.3f}") == found.groups()[1:] for low, high in ends)
+def by_wilson(mean: str, ends: tuple[str, ...], values: list[float]) -> bool:
+    """Whether an interval as printed is Wilson's of a committed score, by some number of trials."""
+    means = {value for value in values if f"{value:.3f}" == mean}
+    known = (wilson(value * trials, trials) for value in means for trials in range(1, 400))
+    return any((f"{low:.3f}", f"{high:.3f}") == ends for low, high in known)
 
 
 @pytest.mark.parametrize("name", WITH_INTERVALS)
@@ -265,12 +267,41 @@ def test_the_rows_of_the_report_are_those_of_the_results() -> None:
     stored = json.loads((RESULTS / f"{NAME}.json").read_text(encoding="utf-8"))
     assert stored == json.loads(json.dumps(report_rows())), "run python -m experiments.pages"
     for row in stored["rows"]:
-        values = set(numbers(json.loads((RESULTS / row["source"]).read_text())["result"]))
-        assert {row["ours"], *(row["interval"] or ()), *([row["duration"]] if row["duration"] else [])} <= values
-        if row["peer"]:  # that of richer words and of the frozen method may be a row of peers.json
-            other = row["source"] in ("grammar.json", "headline.json")
-            values |= set(numbers(results_io.committed("peers"))) if other else set()
-            assert {row["peer"]["mean"], *row["peer"]["interval"]} <= values
+        values = numbers(results_io.committed(Path(row["source"]).stem))
+        if row["source"] in ("grammar.json", "headline.json"):  # whose peer may be a row of peers.json
+            values += numbers(results_io.committed("peers"))
+        assert {row["ours"], *([row["duration"]] if row["duration"] else [])} <= set(values)
+        peer = row["peer"] or {"mean": row["ours"], "interval": row["interval"]}
+        for mean, (low, high) in ((row["ours"], row["interval"]), (peer["mean"], peer["interval"])):
+            assert mean in values
+            assert {low, high} <= set(values) or by_wilson(f"{mean:.3f}", (f"{low:.3f}", f"{high:.3f}"), values)
+
+
+def test_rows_of_the_report_have_the_intervals_of_the_pages() -> None:
+    rows = read_results(RESULTS).rows
+    assert [row.what for row in rows if row.interval is None or row.interval[0] >= row.interval[1]] == []
+    assert [row.what for row in rows if row.peer and row.peer.interval[0] >= row.peer.interval[1]] == []
+    shown = {
+        ("words + SVM, all", benchmark): cell
+        for name in ("peers-folds", "peers-sessions")
+        for head, _, *lines in [[line.strip("| ").split(" | ") for line in TABLES[name]("").splitlines()]]
+        for benchmark, cell in zip(head, next(line for line in lines if line[0] == "words + SVM, all")[1:], strict=True)
+    }
+    written = {row.what: cells(row) for row in rows if row.group.startswith("Words and other methods")}
+    assert len(shown) == 8
+    for (method, benchmark), cell in shown.items():
+        _, _, ours, interval, *_ = written[f"{benchmark}: {method}"]
+        assert f"{ours} ({interval})" == cell
+    (moved,) = [row for row in rows if row.what == "trained on two, tested on recorded (13 trials)"]
+    assert moved.interval == pytest.approx(wilson(13 * moved.ours, 13), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["peers", "probes", "table1"])
+def test_pictures_have_the_intervals_of_the_pages(name: str) -> None:
+    spans = [np.asarray(line.get_xydata()) for ax in FIGURES[name]().axes for line in ax.lines]
+    across = [span[:, 0] for span in spans if len(span) == 2 and span[0, 1] == span[1, 1]]
+    assert len(across) > 20
+    assert all(low < high for low, high in across)
 
 
 def numbers(value: Any) -> list[float]:

@@ -40,6 +40,16 @@ def test_any_number_of_axes_gets_the_same_room(axes: int) -> None:
     assert not overlapping(figure, [*bands, *(ax.yaxis.label for ax in figure.axes[::2])])
 
 
+def test_a_signal_in_large_units_fills_its_panel() -> None:
+    """In MN: limits of the picture go by the signal alone, and a flat one has some, too."""
+    force = np.zeros((1, 400, 2))
+    force[0, 200:, 0] = 1e-5
+    recordings = Recordings.from_arrays(force, 200.0, axes=["Fx", "Fz"], units=["MN", "MN"])
+    figure = trial_figure(recordings, words(2, [(1, 0, 400)]), 0)
+    assert figure.axes[0].get_ylim() == pytest.approx((-0.08e-5, 1.08e-5))
+    assert figure.axes[2].get_ylim() == pytest.approx((-1e-3, 1e-3))
+
+
 def test_names_of_many_states_do_not_cover_each_other_nor_the_title() -> None:
     marks = [(0, "step", f"a long name of step {number}", number * 0.4, number * 0.4 + 0.4) for number in range(25)]
     recordings = Recordings.from_arrays(np.zeros((1, 2000, 1)), 200.0, axes=["grip"], units=["N"], annotations=marks)

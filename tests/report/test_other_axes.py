@@ -1,4 +1,4 @@
-"""The report of recordings that are no wrench of six axes: their samples, words, names and units."""
+"""The report of recordings that are no wrench of six axes, or in other units: their samples, words and names."""
 
 from __future__ import annotations
 
@@ -44,3 +44,23 @@ def test_report_of_any_number_of_axes(units: tuple[str, ...], tmp_path: Path) ->
         )
         assert driver.execute_script(measure) + 4 <= driver.execute_script("return LEFT")
         assert [entry["message"] for entry in driver.get_log("browser")] == []
+
+
+def test_a_signal_in_large_units_fills_its_panel(tmp_path: Path) -> None:
+    """In kN, where a push is 0.0001; the numbers beside the panel are whole."""
+    force = np.random.default_rng(0).normal(size=(1, 401, 1)).cumsum(1) * 1e-5
+    store, page = tmp_path / "s.zarr", tmp_path / "s.html"
+    write_recordings(store, Recordings.from_arrays(force, 200.0, axes=["Fz"], units=["kN"]), {})
+    assert main(["report", str(store), "-o", str(page)]) == 0
+    with browser(1280, 900) as driver:
+        driver.get(page.as_uri())
+        driver.implicitly_wait(5)
+        assert driver.find_element("css selector", "#plot[aria-label^='trial-0']")
+        ys, texts = driver.execute_script(
+            "const ys = [], texts = [], own = { lineTo: (x, y) => ys.push(y), fillText: text => texts.push(text) };"
+            "view.trial.words[0][0] = []; const pen = new Proxy(own, { get: (own, key) => own[key] ?? (() => 0) });"
+            "drawSignal(pen, 800, 0, 0, 100); return [ys, texts];"
+        )
+    assert (min(ys), max(ys)) == pytest.approx((4.0, 96.0), abs=0.1)
+    assert np.float64(texts[1:]) == pytest.approx([force.max(), force.min()], rel=0.1)
+    assert max(map(len, texts)) <= 8

@@ -33,8 +33,8 @@ from rcbht_jax.io.store import read_recordings, write_recordings
 from rcbht_jax.labels import LAYERS, MEANING, name
 from rcbht_jax.report import Options, page
 from rcbht_jax.report.pack import LEVELS, infer_beliefs, pack, quantised, rounded
-from rcbht_jax.report.page import chosen, results_html
-from rcbht_jax.report.results import SCHEMA, cells, read_results
+from rcbht_jax.report.page import chosen
+from rcbht_jax.report.results import read_results
 from rcbht_jax.robots.snap_assembly import RECORDED
 from rcbht_jax.types import Recordings
 from tests.io.test_store import folder_is_clean, simple
@@ -159,7 +159,12 @@ def test_quantised_within_half_a_step(signal: np.ndarray) -> None:
     assert codes.min() >= 0
     assert codes.max() <= LEVELS
     error = np.abs(low[:, None] + step[:, None] * codes - signal.astype(np.float64))
-    assert (error <= step[:, None] * 0.5000001 + 1e-12).all()
+    assert (error <= step[:, None] * 0.5000001 + 1e-12 * np.abs(signal)).all()
+
+
+def test_small_numbers_are_quantised_as_finely() -> None:
+    codes, _, _ = quantised(np.float32([[0.0, 1e-11, 3e-11], [2.0, 2.0, 2.0]]))
+    np.testing.assert_array_equal(codes, [[0, round(LEVELS / 3), LEVELS], [0, 0, 0]])
 
 
 @given(hnp.arrays(np.float32, 20, elements=st.floats(-(2.0**100), 2.0**100, width=32, allow_subnormal=False)))
@@ -192,6 +197,27 @@ def test_page_fetches_nothing_and_survives_any_name(report: Path) -> None:
     assert [trial["trial"] for trial in facts["trials"]] == ["one", "two", NASTY, "four"]
 
 
+def test_links_of_a_page_lead_somewhere(data: DataSet, report: Path) -> None:
+    for text, links in ((page(data), 2), (report.read_text(), 3)):
+        nav = re.search(r"<nav.*?</nav>", text)
+        assert nav is not None
+        places = re.findall(r'href="#(\w+)"', nav[0])
+        assert len(places) == links
+        assert all(f'id="{place}"' in text for place in places)
+
+
+def test_a_store_without_labels_gets_words_on_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, out = signals().take(np.array([0])), tmp_path / "r.html"
+    write_recordings(tmp_path / "bare.zarr", one, {})
+    assert main(["report", str(tmp_path / "bare.zarr"), "-o", str(out)]) == 0
+    assert "1 of 1 recordings, labels online-W5-fit, 0 results" in capsys.readouterr().out
+    text = out.read_text()
+    assert "<p>1 recording of set: 1 success; 3.0 s at 200 Hz; labels online-W5-fit, words by the fit rule" in text
+    assert "1 of them is in the browser below" in text
+    [trial] = json.loads(re.search(r'id="facts">(.*?)</script>', text, re.S)[1])["trials"]
+    assert all(min(counts) > 0 for counts in trial["words"])
+
+
 def test_choice_of_trials(data: DataSet) -> None:
     assert chosen(data.recordings, Options(trials=("two", "four"))).tolist() == [1, 3]
     assert chosen(data.recordings, Options(most=2)).tolist() == [0, 3]
@@ -211,74 +237,13 @@ def test_beliefs_about_trials_seen_in_training_are_marked(data: DataSet, block: 
     assert "Beliefs:" not in page(data, Options(trials=("one",)))
 
 
-def rows_file(folder: Path, **changed: Any) -> Path:
-    """A file of result rows in the schema of docs/howto/share.md."""
-    peer = {"name": "rocket", "mean": 0.99, "interval": [0.9, 1]}
-    row = {"group": "g", "what": "<b>first</b>", "paper": "0.97", "ours": 0.9812, "interval": [0.95, 1], "peer": peer,
-           "duration": 0.5, "flags": ["few"], "source": "a.json"}  # fmt: skip
-    second = row | {"what": "second", "paper": "", "interval": None, "peer": None, "duration": None, "flags": []}
-    record = {
-        "schema": SCHEMA,
-        "notes": {"few": "Only <three> trials.", "unused": "never"},
-        "sources": [{"file": "a.json", "command": "make a", "date": "today", "machine": "2 cores"}],
-        "rows": [row, second],
-    }
-    path = folder / "rows.json"
-    path.write_text(json.dumps(record | changed), encoding="utf-8")
-    return path
-
-
-def test_result_rows_are_shown_with_their_notes(tmp_path: Path) -> None:
-    rows_file(tmp_path)
-    (tmp_path / "a.json").write_text('{"result": 1}')  # no schema: ignored
-    results = read_results(tmp_path)
-    first, second = (cells(row) for row in results.rows)
-    assert first == ("<b>first</b>", "0.97", "0.981", "0.950 to 1.000", "0.990 (0.900 to 1.000) rocket", "0.500")
-    assert second == ("second", "", "0.981", "", "", "")
-    html = results_html(results)
-    for part in ("&lt;b&gt;first", '<a href="#note-1">1</a>', '<li id="note-1">Only &lt;three&gt; trials.', "make a"):
-        assert html.count(part) == 1
-    assert "never" not in html
-    assert html.count("<tr>") == 5  # two heads, two rows, one source
-
-
-def test_the_committed_rows_can_be_read() -> None:
-    results = read_results(RESULTS)
-    assert {row.source for row in results.rows} <= {source.file for source in results.sources}
-    assert sum(row.peer is not None for row in results.rows) >= 8
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"rows": [{}]}, {"rows": 1}, {"notes": {}}, {"notes": None}, {"sources": [{"file": "a.json"}]},
-        *({"rows": [{"group": "g", "what": "w", "paper": "", "ours": 1, "interval": None, "flags": [], "peer": None,
-                     "duration": None, "source": "a.json"} | wrong]}
-          for wrong in ({"ours": "high"}, {"ours": "0.5"}, {"duration": "inf"}, {"interval": ["inf", 1]},
-                        {"interval": [1]}, {"what": 5}, {"peer": {"name": "p", "mean": "inf", "interval": [0, 1]}})),
-    ],
-)  # fmt: skip
-def test_rows_outside_the_schema_are_one_sentence(changed: dict[str, Any], tmp_path: Path) -> None:
-    rows_file(tmp_path, **changed)
-    with pytest.raises(InputError, match=f"rows.json does not follow the schema {SCHEMA}"):
-        read_results(tmp_path)
-
-
-def test_a_folder_without_rows_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(InputError, match='expected a JSON file with "schema"'):
-        read_results(tmp_path)
-    (tmp_path / "a.json").write_text("{")
-    with pytest.raises(InputError, match=r"a\.json is not JSON"):
-        read_results(tmp_path)
-
-
 def test_command_refuses_and_replaces(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "r.html"
     for words in (["-o", str(tmp_path / "r.txt")], ["-o", str(tmp_path / "no/r.html")], ["-o", str(tmp_path)]):
         assert main(["report", str(store), *words]) == 2
     assert main(["report", str(store), "-o", str(out), "--results", str(tmp_path / "none")]) == 2
     assert main(["report", str(store), "-o", str(out), "--trial", "nobody"]) == 2
+    assert main(["report", str(store), "-o", str(out), "--window", "0"]) == 2
     folder_is_clean(tmp_path)
     out.write_text("old")
     capsys.readouterr()

@@ -17,8 +17,9 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def test_a_picture_of_no_format_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # no store: reading it is the work
-    assert "trial.txt does not end in" in refused(capsys, str(tmp_path), "t", "-o", str(tmp_path / "trial.txt"))
+    file = tmp_path / "trial.txt"
+    said = refused(capsys, str(tmp_path), "t", "-o", str(file))  # no store: reading it is the work
+    assert "trial.txt does not end in .png, .svg, .pdf, .gif, .mp4;" in said
 
 
 def test_tracks_that_are_not_there_are_refused_before_the_simulation(

@@ -80,6 +80,14 @@ def test_logs_hold_the_whole_trial_and_the_scene_does_something() -> None:
     assert {bool(seated.all()) for *_, seated, _ in found} == {True, False}
 
 
+def test_a_program_in_double_precision_gets_the_same_trials() -> None:
+    params = plunger_trials(TIMEOUT[:8])
+    expected = device.simulate(SCENE, params, "jax")
+    with jax.enable_x64(True):
+        found = device.simulate(SCENE, params, "jax")
+    jax.tree.map(np.testing.assert_array_equal, each(found), each(expected))
+
+
 def test_lanes_that_wait_for_nobody_are_busy() -> None:
     """Forty trials through eight lanes; by eights the lanes would be idle for half the time."""
     params = plunger_trials(np.where(np.arange(40) % 8 == 0, 4.0, 0.45))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rcbht_jax.encoding.thresholds import GradientThresholds
+from rcbht_jax.encoding.thresholds import GradientThresholds, read_thresholds, write_thresholds
 from rcbht_jax.errors import InputError
 from rcbht_jax.introspection.introspector import Introspector
 from rcbht_jax.labels import LAYER_SIZES
@@ -161,6 +162,26 @@ def test_actions_beyond_one_are_clipped() -> None:
     np.testing.assert_array_equal(wild.obs, full.obs)
 
 
+@pytest.mark.parametrize(("config", "size"), [(STEERED, 1), (STEERED, 7), (JOINT, 1), (JOINT, 12)])
+def test_actions_of_another_size_are_refused(config: EnvConfig, size: int) -> None:
+    env, reset, _ = compiled(config)
+    with pytest.raises(InputError, match=rf"An action has shape \({size},\); expected \(6,\)"):
+        jax.eval_shape(env.step, reset(jnp.int32(0)), jnp.zeros(size))
+
+
+def test_a_program_in_double_precision_gets_the_same_episode() -> None:
+    env, reset, step = compiled(EnvConfig(), models=True)
+    action = np.full(6, 0.3)
+    expected = step(step(reset(jnp.int32(1)), np.float32(action)), np.float32(action))
+    with jax.enable_x64(True):
+        begun = jax.jit(env.reset_to)(jnp.asarray(1))
+        found, _ = environments.jit(jax.lax.scan, static_argnums=0)(
+            lambda state, given: (env.step(state, given), None), begun, jnp.asarray([action, action])
+        )
+    assert [leaf.dtype for leaf in jax.tree.leaves(found)] == [leaf.dtype for leaf in jax.tree.leaves(expected)]
+    assert_equal(found, expected)
+
+
 def test_success_takes_all_tabs_and_time() -> None:
     states = run(JOINT, np.tile(np.float32([1, 1, 1, 1, 0, 0]), (9, 1)))
     seated = [float(state.metrics["seated"]) for state in states]
@@ -176,6 +197,13 @@ def test_success_takes_all_tabs_and_time() -> None:
     assert [float(three[-1].metrics[name]) for name in ("seated", "success")] == [0.75, 0.0]
     assert float(three[-1].reward) == 0.0
     assert float(states[-1].data.body[0]) > DEPTH
+
+
+def test_success_takes_a_control_period_however_short_the_hold() -> None:
+    brief = replace(JOINT, hold=0.001)
+    idle, seating = (run(brief, np.tile(np.float32(way), (9, 1))) for way in ([0] * 6, [1, 1, 1, 1, 0, 0]))
+    assert not any(float(state.metrics["success"]) for state in idle)
+    assert float(seating[-1].metrics["success"]) == 1.0
 
 
 def test_wrappers_of_playground_reset_data_alone_and_add_their_own() -> None:
@@ -268,12 +296,15 @@ def test_impossible_configurations_are_refused(change: dict[str, Any], sentence:
         EnvConfig(**change)
 
 
-def test_words_without_a_model_take_any_thresholds() -> None:
+def test_words_without_a_model_take_any_thresholds(tmp_path: Path) -> None:
     wrist = np.arange(24, 0, -1.0).reshape(6, 4)
     two = np.concatenate([wrist, 2 * wrist])
     np.testing.assert_array_equal(new_senses(EnvConfig(), 6, 7, thresholds=GradientThresholds(wrist)).limits, wrist)
     np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=wrist).limits, np.tile(wrist, (2, 1)))
     np.testing.assert_array_equal(new_senses(EnvConfig(), 12, 14, thresholds=two).limits, two)
+    file = tmp_path / "limits.json"
+    write_thresholds(file, GradientThresholds(wrist), {})
+    np.testing.assert_array_equal(new_senses(EnvConfig(), 6, 7, thresholds=read_thresholds(file)[0]).limits, wrist)
     for limits, sentence in ((wrist[:4], "every wrist, or"), (wrist[:, ::-1], "must be ordered")):
         with pytest.raises(InputError, match=sentence):
             new_senses(EnvConfig(), 12, 14, thresholds=limits)
@@ -284,6 +315,8 @@ def test_words_without_a_model_take_any_thresholds() -> None:
 def test_what_does_not_fit_the_scenario_is_refused() -> None:
     with pytest.raises(InputError, match="multiple of the encoder's window, 5"):
         new_senses(EnvConfig(periods=3), 6, 6)
+    with pytest.raises(InputError, match="beliefs need a model"):
+        new_senses(EnvConfig(observe=("beliefs",)), 6, 6)
     with pytest.raises(InputError, match="6 axes every"):
         new_senses(EnvConfig(), 12, 12, model())
     with pytest.raises(InputError, match="no force law"):
@@ -294,8 +327,24 @@ def test_what_does_not_fit_the_scenario_is_refused() -> None:
     for options, sentence in (({"engine": "native"}, "runs on the device"), ({"trials": 0}, "There are 0 trials")):
         with pytest.raises(InputError, match=sentence):
             environments.load("B", **options)
-    with pytest.raises(InputError, match="There is no preset"):
+    for params in (jax.tree.map(lambda leaf: leaf[0], trials()), jax.tree.map(lambda leaf: leaf[:0], trials())):
+        with pytest.raises(InputError, match="no batch of trials"):
+            environments.load("B", params=params)
+    with pytest.raises(InputError, match=r"no environment 'tea-making'; expected one of camera-snap, .*, A, .*@"):
         environments.load("tea-making")
+
+
+@pytest.mark.parametrize(
+    ("extra", "sentence"),
+    [
+        ({"axes": ["Mx", "My", "Mz", "Fx", "Fy", "Fz"]}, "the model learned Mx, My, Mz, Fx, Fy, Fz"),
+        ({"axes": list("abcdef"), "units": ["rad"] * 6}, "has a in N; the model learned it in rad"),
+        ({"units": ["kN"] * 6}, "has Fx in N; the model learned it in kN"),
+    ],
+)
+def test_a_model_of_other_axes_or_units_is_refused(extra: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        new_senses(EnvConfig(), 6, 6, replace(model(), extra=extra))
 
 
 def test_time_of_a_step() -> None:

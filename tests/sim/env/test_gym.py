@@ -76,5 +76,8 @@ def test_misuse_is_refused(many: VectorEnv) -> None:
     many.reset(seed=0)
     with pytest.raises(InputError, match=r"shape \(6,\); expected \(3, 6\)"):
         many.step(SEATING)
+    with pytest.raises(InputError, match="An action is NaN"):
+        many.step(np.full((3, 6), np.nan))
+    many.step(np.full((3, 6), np.inf))  # as 1, the largest
     with pytest.raises(InputError, match="There are 0 environments"):
         VectorEnv(many.env, 0)
