@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
+from rcbht_jax._util.signals import in_precision, numbers_of
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
@@ -77,7 +78,7 @@ class WindowBuffer:
             InputError: wrong shape, a value that is not finite, or beyond ``LARGEST``, or more samples than can be
                 counted.
         """
-        chunk, axes = np.asarray(samples, self.samples.dtype), self.samples.shape[1]
+        chunk, axes = in_precision(numbers_of(samples), self.samples.dtype), self.samples.shape[1]
         if chunk.ndim != 2 or chunk.shape[1] != axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
         if not usable(chunk):
