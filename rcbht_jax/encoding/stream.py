@@ -142,7 +142,7 @@ class Encoder:
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
     Raises:
-        InputError: thresholds of another shape, or not in order.
+        InputError: thresholds of another shape, or not in order, or another dtype.
 
     Example:
         >>> import numpy as np, rcbht_jax as rj
@@ -157,6 +157,8 @@ class Encoder:
         limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
             raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
+        if dtype not in (np.float32, np.float64) or jax.dtypes.canonicalize_dtype(dtype) != dtype:
+            raise InputError(f"A stream of {dtype} was asked for; expected float32, or float64 in JAX's 64-bit mode.")
         self._config = config
         self._limits = jnp.asarray(limits, dtype)
         self._axes = limits.shape[0]
