@@ -23,7 +23,7 @@ def period(rate: float) -> float:
     """
     if not 0 < rate < float("inf"):
         raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
-    return 1 / rate
+    return 1 / float(rate)
 
 
 def read_parts(

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe, segments
-from rcbht_jax.encoding.choices import check_choices
+from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.pipe import PipeRules
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
@@ -65,6 +65,7 @@ class EncoderConfig:
     noise_below: float = 0.1
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
         if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
             raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe
-from rcbht_jax.encoding.choices import check_choices
+from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.encoder import (
     EncoderState,
     PackedLabels,
@@ -80,9 +80,9 @@ class FitConfig:
     lookback: float = 0.05
 
     def __post_init__(self) -> None:
-        seconds = {"latency_cap": self.latency_cap, "noise_below": self.noise_below, "lead_below": self.lead_below}
-        seconds |= {"lookback": self.lookback, "evidence": self.evidence, "impulse_below": self.impulse_below}
-        check_choices(self.window, self.dt, **seconds)
+        make_plain(self)
+        seconds = "latency_cap", "noise_below", "lead_below", "lookback", "evidence", "impulse_below"
+        check_choices(self.window, self.dt, **{name: getattr(self, name) for name in seconds})
         if not min(self.impulse_below, self.evidence, self.lookback) > 0:
             raise InputError("The longest impulse, the evidence and the look-back of a break must be positive times.")
 

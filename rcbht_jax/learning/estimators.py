@@ -18,6 +18,7 @@ from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.signals import period
 from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
@@ -146,16 +147,15 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return read_signals(X, self._encoder_config().dt, axis_first=self.layout == "axis-time")
 
     def _encoder_config(self) -> AnyConfig:
-        if not self.rate > 0:
-            raise InputError(f"The rate is {self.rate} Hz; expected a positive number.")
-        plain = config_of(self.rule, self.window, 1 / self.rate)
+        dt = period(float(self.rate))
+        plain = config_of(self.rule, self.window, dt)
         if self.config is None:
             return plain
         if type(self.config) is not type(plain):
             raise InputError(
                 f"The rule is {self.rule!r} and takes {type(plain).__name__}; config is a {type(self.config).__name__}."
             )
-        return replace(self.config, window=self.window, dt=1 / self.rate)
+        return replace(self.config, window=self.window, dt=dt)
 
     def __sklearn_is_fitted__(self) -> bool:
         return hasattr(self, "thresholds_")
