@@ -51,9 +51,9 @@ def make_plain(choices: Any) -> None:
     Lists and arrays become tuples, and numbers of NumPy and JAX those of Python.
 
     Example:
-        >>> import rcbht_jax as rj
-        >>> rj.FeatureSpec(["histogram"]).families  # which calls this
-        ('histogram',)
+        >>> import numpy as np, rcbht_jax as rj
+        >>> rj.EncoderConfig(dt=np.float64(0.25)).dt  # which calls this
+        0.25
     """
     for field in fields(choices):
         object.__setattr__(choices, field.name, _plain(getattr(choices, field.name)))
