@@ -178,7 +178,7 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     axes = len(names)
     if isinstance(thresholds, str):
         thresholds = preset(thresholds, names)
-    limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
+    limits = np.array(getattr(thresholds, "limits", thresholds), np.float64)  # a copy, which nobody changes
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
     if limits.shape != (axes, 4):

@@ -162,6 +162,19 @@ def test_numbers_of_any_type_are_those_of_single_precision(form: str) -> None:
     assert_trees_equal(*streams)
 
 
+def test_limits_that_are_changed_later_change_no_encoder() -> None:
+    memory = np.zeros(6 * 4 * 4 + 64, np.uint8)
+    start = -memory.ctypes.data % 64  # memory as JAX itself would use without a copy
+    limits = memory[start : start + 96].view(np.float32).reshape(6, 4)
+    limits[:] = rj.preset().limits
+    used, later = (rj.Encoder(rj.EncoderConfig(), limits) for _ in range(2))
+    features = rj.WrenchFeatures(thresholds=limits.astype(float))
+    published, learned = used.push(WRENCH[0]), features.fit(WRENCH).transform(WRENCH)
+    limits[:] = features.thresholds[:] = 1e6
+    assert_trees_equal(later.push(WRENCH[0]), published)
+    np.testing.assert_array_equal(features.transform(WRENCH), learned)
+
+
 READERS = {
     "encode": lambda values: rj.encode([values]),
     "from_arrays": lambda values: rj.Recordings.from_arrays([values]),
