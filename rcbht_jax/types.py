@@ -304,8 +304,8 @@ class Recordings:
         parts, named = read_parts(wrenches, period(rate))
         if not parts or len({part.shape[1:] for part in parts}) > 1 or parts[0].ndim != 2 or not parts[0].shape[1]:
             raise InputError(
-                f"Recordings have shapes {[part.shape for part in parts]}; expected [time, axis], at least one, with "
-                "the same axes."
+                f"Recordings have shapes {sorted({part.shape for part in parts})}; expected [time, axis], at least "
+                "one, with the same axes."
             )
         wrench, length = padded(parts)
         count, width = len(parts), wrench.shape[2]

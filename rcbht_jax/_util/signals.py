@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from rcbht_jax.errors import InputError
 
@@ -22,7 +23,7 @@ def period(rate: float) -> float:
     """
     if not 0 < rate < float("inf"):
         raise InputError(f"The rate is {rate} samples per second; expected a positive, finite number.")
-    return 1 / rate
+    return 1 / float(rate)
 
 
 def read_parts(
@@ -31,17 +32,20 @@ def read_parts(
     """Recordings of an array or of several, each as :func:`read_signal` does, and the names that they share.
 
     Raises:
-        InputError: recordings of different axes, or a time that disagrees or has a gap.
+        InputError: no array and no list, values that are no numbers, recordings of different axes, or a time that
+            disagrees or has a gap.
     """
     if is_frame(recordings) or is_xarray(recordings):
         values, names = read_signal(recordings, dt, axis_first)
         read = [(value, names) for value in values]
-    else:
+    elif isinstance(recordings, Iterable):
         read = [read_signal(recording, dt, axis_first) for recording in recordings]
+    else:
+        raise InputError(f"Recordings are {type(recordings).__name__}; expected an array, or a list of them.")
     named = list({names for _, names in read if names})
     if len(named) > 1:
         raise InputError(f"The recordings have different axes: {', '.join(named[0])}, and {', '.join(named[1])}.")
-    return [np.asarray(values, np.float32) for values, _ in read], next(iter(named), None)
+    return [in_precision(values, np.float32) for values, _ in read], next(iter(named), None)
 
 
 def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArray[Any], tuple[str, ...] | None]:
@@ -53,25 +57,58 @@ def read_signal(wrench: Any, dt: float, axis_first: bool = False) -> tuple[NDArr
         axis_first: values whose dimensions have no names are ``[..., axis, time]``.
 
     Raises:
-        InputError: a time that disagrees, has a gap or is none, or an xarray Dataset.
+        InputError: values that are no numbers, a time that disagrees, has a gap or is none, or an xarray Dataset.
     """
     if is_frame(wrench):
         index = getattr(wrench, "index", None)
         if index is not None and (index.name == "time" or index.dtype.kind in "mM"):
             _check_time(index, dt)
+        if (count := list(wrench.columns).count("time")) > 1:
+            raise InputError(f"There are {count} columns of the name time; keep one.")
         if "time" in wrench.columns:
             _check_time(wrench["time"], dt)
             wrench = wrench.drop(columns="time")
-        return _frame_values(wrench), tuple(map(str, wrench.columns))
+        return numbers_of(wrench), tuple(map(str, wrench.columns))
     if is_xarray(wrench):
         if hasattr(wrench, "data_vars"):
             raise InputError('An xarray Dataset holds several arrays; make one of them: dataset.to_array("axis").')
         wrench = ordered(wrench, axis_first)
         if "time" in wrench.coords and wrench.coords["time"].dims[-1:] == wrench.dims[-2:-1] != ():
             _check_time(wrench.coords["time"], dt)
-        return wrench.to_numpy(), _coordinate_names(wrench)
-    values = np.ma.filled(wrench.astype(np.float64), np.nan) if np.ma.isMaskedArray(wrench) else np.asarray(wrench)
+        return numbers_of(wrench.to_numpy()), _coordinate_names(wrench)
+    values = numbers_of(wrench)
     return (np.swapaxes(values, -1, -2) if axis_first and values.ndim > 1 else values), None
+
+
+def numbers_of(values: Any) -> NDArray[Any]:
+    """A host array of whole or floating point numbers; those that are masked or missing are NaN.
+
+    Raises:
+        InputError: something else, such as text, dates or complex numbers, or rows of different lengths.
+
+    Example:
+        >>> numbers_of(np.ma.masked_equal([1, 9], 9)).tolist()
+        [1.0, nan]
+    """
+    if np.ma.isMaskedArray(values):
+        return np.where(np.ma.getmaskarray(values), np.nan, numbers_of(values.data))
+    try:
+        array = _frame_values(values) if is_frame(values) else np.asarray(values)
+    except ValueError:
+        raise InputError("Rows of a signal have different lengths; expected as many numbers in each.") from None
+    if array.dtype == object and array.size and all(isinstance(value, Real) for value in array.flat):
+        array = array.astype(np.float64)
+    if array.dtype.kind in "fiub":
+        return array
+    if not np.can_cast(array.dtype, np.float32):  # as bfloat16 and its like can be
+        raise InputError(f"A signal of shape {array.shape} is {array.dtype}; expected numbers.")
+    return array.astype(np.float32)
+
+
+def in_precision(values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """Numbers in another precision; those beyond it become infinite, which encoders refuse."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values, dtype)
 
 
 def check_axes(

@@ -121,7 +121,7 @@ def loss(
     x = soft_shares(labels, batch.weights)
     if options.loss == "fit":
         flat = x.reshape(-1, x.shape[-1])
-        target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0])
+        target = jax.nn.one_hot(batch.y.reshape(-1), parameters.bias.shape[0], dtype=x.dtype)
         return 1 - ridge_leave_one_out(jnp.sqrt(flat + _FLOOR), target, batch.y.shape[1])[1]
     logits = _GAIN * x @ parameters.weights + parameters.bias[None, None]
     if options.loss == "logistic":
@@ -195,8 +195,8 @@ def calibrate(
 
 
 def _first(free: NDArray[np.float32], classes: int, options: GradientOptions) -> Parameters:
-    weights = 0.01 * jax.random.normal(jax.random.key(options.seed), (_FEATURES, classes))
-    return Parameters(jnp.asarray(free), weights, jnp.zeros(classes))
+    weights = 0.01 * jax.random.normal(jax.random.key(options.seed), (_FEATURES, classes), free.dtype)
+    return Parameters(jnp.asarray(free), weights, jnp.zeros(classes, free.dtype))  # in 64-bit mode the same numbers
 
 
 def limits_from(free: Float[Array, "6 limit"]) -> AnyLimits:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from numpy.typing import ArrayLike, NDArray
 
-from rcbht_jax._util.signals import is_xarray, ordered, period, read_parts, read_signal
+from rcbht_jax._util.signals import in_precision, is_xarray, ordered, period, read_parts, read_signal
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.fit import FitConfig
 from rcbht_jax.encoding.rules import AnyConfig, AnyLimits, config_of, limits_for
@@ -109,14 +109,12 @@ def _check_agreement(config: AnyConfig, rate: float, window: int, rule: str) -> 
 def _signal(wrench: Any, dt: float) -> tuple[NDArray[np.floating], tuple[str, ...]]:
     """Values ``[..., time, axis]`` and names of the axes."""
     values, names = read_signal(wrench, dt)
-    if values.dtype.kind not in "fiub" or values.ndim not in (2, 3) or 0 in values.shape[-1:]:
+    if values.ndim not in (2, 3) or 0 in values.shape[-1:]:
         raise InputError(
-            f"The wrench has shape {values.shape} of {values.dtype}; expected numbers [time, axis] or "
-            "[recording, time, axis]."
+            f"The wrench has shape {values.shape}; expected numbers [time, axis] or [recording, time, axis]."
         )
     double = np.result_type(values, np.float32) == np.float64 and jax.config.read("jax_enable_x64")
-    values = values.astype(np.float64 if double else np.float32)
-    return values, names or axis_names(values.shape[-1])
+    return in_precision(values, np.float64 if double else np.float32), names or axis_names(values.shape[-1])
 
 
 def read_signals(

@@ -90,14 +90,14 @@ def encode_batch(
         host arrays ``[recording, axis, slot]``, unused slots at the end.
 
     Raises:
-        InputError: wrong shapes, thresholds out of order, a length beyond the array, or values that are not finite.
+        InputError: wrong shapes or dtype, thresholds out of order, a length beyond the array, or values that are not
+            finite.
     """
     limits, axes = _checked(config, thresholds, wrench, length), wrench.shape[2]
     rule = rule_of(config)
     schedule = plan(length, _PIECE_WINDOWS * config.window)
     slots = schedule.recording.shape[1]
-    dtype = jnp.float64 if wrench.dtype == np.float64 else jnp.float32
-    state = rule.init(config, (slots * axes,), dtype)
+    state = rule.init(config, (slots * axes,), jax.dtypes.canonicalize_dtype(wrench.dtype))
     rows = _Rows(axes)
     for recording, offset in zip(schedule.recording, schedule.offset, strict=True):
         piece, count, lane_limits = _gather(wrench, length, limits, recording, offset, schedule.samples)
@@ -119,6 +119,8 @@ def _checked(
 ) -> NDArray[np.floating]:
     if wrench.ndim != 3 or not wrench.shape[2]:
         raise InputError(f"The wrench has shape {wrench.shape}; expected [recording, time, axis].")
+    if wrench.dtype not in (np.float32, np.float64):
+        raise InputError(f"The wrench is {wrench.dtype}; expected float32 or float64.")
     if length.shape != wrench.shape[:1] or length.size == 0:
         raise InputError(
             f"There are {length.size} lengths for {wrench.shape[0]} recordings; expected as many, at least one."
@@ -369,7 +371,7 @@ def _trimmed(widths: tuple[int, int, int], shape: tuple[int, int], packed: list[
 @jit(static_argnums=0)
 def _dense(config: EncoderConfig, limits: Array, wrench: Array, length: Array) -> tuple[LabelTracks, Array, Array]:
     """Dense labels ``[recording, axis, slot]``; then as :func:`_packed`."""
-    dense = encode(config, _limits_of_each(limits, len(wrench)).astype(wrench.dtype), wrench, length)
+    dense = encode(config, _limits_of_each(limits, len(wrench)), wrench, length)
     used = jnp.stack([(track.label != 0).sum(-1).ravel() for track in (dense.primitive, dense.mc, dense.llb)])
     return dense, used, used.max(-1)
 

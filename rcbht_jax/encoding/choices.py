@@ -1,9 +1,11 @@
-"""Ranges of the choices that every encoder has: counts of samples must fit in 32 bits, also in sums."""
+"""Choices as plain values, and ranges of those that every encoder has: counts must fit in 32 bits, also in sums."""
 
 from __future__ import annotations
 
 import math
 import numbers
+from dataclasses import fields
+from typing import Any
 
 from rcbht_jax.errors import InputError
 
@@ -41,3 +43,23 @@ def check_choices(window: int, dt: float, **seconds: float | None) -> None:
             raise InputError(
                 f"{name} is {value} s; expected zero or more, and at most {MAX_SAMPLES} samples of {dt} s."
             )
+
+
+def make_plain(choices: Any) -> None:
+    """Make the fields of a new frozen dataclass values that can be hashed, compared and written as JSON.
+
+    Lists and arrays become tuples, and numbers of NumPy and JAX those of Python.
+
+    Example:
+        >>> import numpy as np, rcbht_jax as rj
+        >>> rj.EncoderConfig(dt=np.float64(0.25)).dt  # which calls this
+        0.25
+    """
+    for field in fields(choices):
+        object.__setattr__(choices, field.name, _plain(getattr(choices, field.name)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(map(_plain, value))
+    return _plain(value.tolist()) if hasattr(value, "tolist") else value

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe, segments
-from rcbht_jax.encoding.choices import check_choices
+from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.pipe import PipeRules
 from rcbht_jax.encoding.thresholds import Thresholds, limits_of
 from rcbht_jax.errors import InputError
@@ -65,6 +65,7 @@ class EncoderConfig:
     noise_below: float = 0.1
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_choices(self.window, self.dt, latency_cap=self.latency_cap, noise_below=self.noise_below)
         if self.pipe not in ("two-slot", "one-slot") or self.rule not in ("paper", "similar"):
             raise InputError(f"Pipe {self.pipe!r} with rule {self.rule!r} is not known; see EncoderConfig.")
@@ -130,7 +131,7 @@ def step(
         config: static configuration.
         thresholds: limits ``[axis, 4]``, or ``[*lanes, 4]``.
         state: of the same lanes, the last of which are the axes.
-        window: ``config.window`` samples, N and Nm.
+        window: ``config.window`` samples, N and Nm; they are taken in the precision of the state.
 
     Returns:
         the new state and at most one label per layer and lane, packed.
@@ -158,6 +159,7 @@ def step_partial(
     """As :func:`step`, for a window whose first ``count`` samples are there; a single one is dropped."""
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
+    window, count = jnp.asarray(window, state.reals.dtype), count.astype(jnp.int32)
     x = segments.fit(window, count, _lane_limits(limits_of(thresholds), window), config.dt, state.time)
     return _advance(config, state, x, jnp.where(x.label > 0, count, 0))
 
@@ -193,7 +195,7 @@ def flush(
     """
     shape, lanes = state.time.shape, state.time.size
     state = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[: leaf.ndim - len(shape)], lanes), state)
-    rest, count = rest.reshape(config.window, lanes), count.reshape(lanes)
+    rest, count = jnp.asarray(rest, state.reals.dtype).reshape(config.window, lanes), count.reshape(lanes)
     lane_limits = jnp.broadcast_to(jnp.asarray(limits_of(thresholds), rest.dtype), (*shape, 4)).reshape(lanes, 4)
     state, out = step_partial(config, lane_limits, state, rest, count)
     joined = join_tracks(jax.tree.map(lambda leaf: leaf[:, None], unpack(out)), drain(config, state))
@@ -208,10 +210,12 @@ def encode(
 ) -> LabelTracks:
     """All labels of whole recordings: a scan of the same step, then the flush.
 
+    Under ``shard_map`` the kernels of a GPU need ``check_vma=False``.
+
     Args:
         config: static configuration.
         thresholds: limits ``[axis, 4]`` or ``[trial, axis, 4]``.
-        wrench: N and Nm, padded with anything finite.
+        wrench: N and Nm, padded with anything finite; float64 is encoded in double precision, all else in single.
         length: samples that count.
 
     Returns:
@@ -219,6 +223,7 @@ def encode(
         then 2, 5 and 8 slots for what the end of the stream publishes.
     """
     trials, _, axes = wrench.shape
+    wrench = segments.in_precision(wrench)
     lane_limits = _lane_limits(limits_of(thresholds), jnp.empty((1, trials * axes), wrench.dtype), (trials, axes))
     length, run = length.astype(jnp.int32), partial(_scan_whole, config)
     if jax.default_backend() == "gpu":
@@ -233,7 +238,7 @@ def _scan_whole(config: EncoderConfig, limits: Array, wrench: Array, length: Arr
     """As :func:`encode`, by a scan; limits ``[4, lane]``."""
     trials, total, axes = wrench.shape
     lanes = jnp.swapaxes(wrench, 0, 1).reshape(total, trials * axes)
-    empty = init((trials * axes,), wrench.dtype)
+    empty = segments.varying_as(lanes, init((trials * axes,), wrench.dtype))
     state, tracks = scan_lanes(config, limits, empty, lanes, jnp.repeat(length, axes))
     joined = join_tracks(tracks, drain(config, state))
     return jax.tree.map(lambda leaf: leaf.reshape(trials, axes, leaf.shape[-1]), joined)
@@ -258,7 +263,7 @@ def scan_lanes(
     Returns:
         the new state, and labels ``[lane, slot]`` with one slot per window.
     """
-    window, lanes = config.window, samples.shape[1]
+    window, lanes, count = config.window, samples.shape[1], count.astype(jnp.int32)
     samples, size = segments.whole_windows(samples, count, window)
     windows = len(size)
     start = jnp.broadcast_to(jnp.arange(windows, dtype=jnp.int32)[:, None] * window, (windows, lanes))

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from rcbht_jax.encoding import composition, pipe
-from rcbht_jax.encoding.choices import check_choices
+from rcbht_jax.encoding.choices import check_choices, make_plain
 from rcbht_jax.encoding.encoder import (
     EncoderState,
     PackedLabels,
@@ -28,7 +28,7 @@ from rcbht_jax.encoding.encoder import (
     unpack_segments,
 )
 from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
-from rcbht_jax.encoding.segments import gradient_label, whole_windows
+from rcbht_jax.encoding.segments import gradient_label, varying_as, whole_windows
 from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import MC, Primitive
@@ -80,9 +80,9 @@ class FitConfig:
     lookback: float = 0.05
 
     def __post_init__(self) -> None:
-        seconds = {"latency_cap": self.latency_cap, "noise_below": self.noise_below, "lead_below": self.lead_below}
-        seconds |= {"lookback": self.lookback, "evidence": self.evidence, "impulse_below": self.impulse_below}
-        check_choices(self.window, self.dt, **seconds)
+        make_plain(self)
+        seconds = "latency_cap", "noise_below", "lead_below", "lookback", "evidence", "impulse_below"
+        check_choices(self.window, self.dt, **{name: getattr(self, name) for name in seconds})
         if not min(self.impulse_below, self.evidence, self.lookback) > 0:
             raise InputError("The longest impulse, the evidence and the look-back of a break must be positive times.")
 
@@ -131,7 +131,7 @@ def step(
         limits: gradient limits and tolerance ``[axis, 5]`` or ``[*lanes, 5]``, of
             :meth:`rcbht_jax.encoding.tolerance.FitLimits.stacked`.
         state: of the same lanes, the last of which are the axes.
-        window: ``config.window`` samples, N and Nm.
+        window: ``config.window`` samples, N and Nm; they are taken in the precision of the state.
 
     Returns:
         the new state and at most one label per layer and lane, packed; see :func:`rcbht_jax.encoding.encoder.unpack`.
@@ -159,9 +159,9 @@ def step_partial(
     """As :func:`step`, for a window whose first ``count`` samples are there."""
     if window.shape[0] != config.window:
         raise InputError(f"The window has {window.shape[0]} samples; this encoder takes {config.window} at a time.")
-    samples = jnp.concatenate([state.reals[REALS:], window])
+    count, samples = count.astype(jnp.int32), jnp.concatenate([state.reals[REALS:], window.astype(state.reals.dtype)])
     after = residuals_after(samples, config.kept + count)
-    state, out = advance(config, by_lane(limits, window), state, samples, after, count)
+    state, out = advance(config, by_lane(limits, samples), state, samples, after, count)
     return state, _published(out, state.time)
 
 
@@ -188,7 +188,7 @@ def flush(
     """
     state, out = step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
-    return join_tracks(first, drain(config, by_lane(limits, rest), state))
+    return join_tracks(first, drain(config, by_lane(limits, state.reals), state))
 
 
 def scan_lanes(
@@ -221,7 +221,7 @@ def scan_stages(
 
     Arguments as of :func:`scan_lanes`; segments ``[slot, lane]`` in order of time, unused ones with the label 0.
     """
-    state = init(config, (samples.shape[1],), samples.dtype)
+    state = varying_as(samples, init(config, (samples.shape[1],), samples.dtype))
     state, out = _scan(config, limits, state, samples, count, lambda stages, _: tuple(stages))
     rest = stacked(drain_stages(config, limits, state), 0)
     return tuple(jax.tree.map(lambda a, b: jnp.concatenate([a, b]), *both) for both in zip(out, rest, strict=True))
@@ -232,7 +232,7 @@ def _scan(
 ) -> tuple[EncoderState, Any]:
     """A scan over windows; of what the five stages say in each, and of the time, ``kept_of`` chooses what to stack."""
     window, kept = config.window, config.kept
-    samples, counts = whole_windows(samples, count, window)
+    samples, counts = whole_windows(samples, count.astype(jnp.int32), window)
     windows = len(counts)
     # Every window with the samples before it; what follows a break does not depend on the state.
     line = jnp.concatenate([state.reals[REALS:], samples])

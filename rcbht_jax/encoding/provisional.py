@@ -49,7 +49,8 @@ def labels(
         >>> [int(f(config, limits, state, *none).primitive.label[0, 1]) for f in (fit.flush, labels)]
         [7, 3]
     """
-    samples, lanes = jnp.concatenate([state.reals[fit.REALS :], rest]), by_lane(limits, rest)
+    samples = jnp.concatenate([state.reals[fit.REALS :], jnp.asarray(rest, state.reals.dtype)])
+    lanes, count = by_lane(limits, samples), count.astype(jnp.int32)
     missing = _missing(config, lanes[4], state, samples, config.kept + count)
     state, out = fit.step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))

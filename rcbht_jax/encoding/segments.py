@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -129,6 +130,17 @@ def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Arr
     constant, impulse = 1 - above[..., 3:], above[..., :1]
     parts = [some * up, some * (1 - up), constant, impulse * up, impulse * (1 - up)]
     return jnp.concatenate(parts, -1)
+
+
+def in_precision(wrench: Array) -> Float[Array, "..."]:
+    """A signal as encoders take it: float64 stays, as far as JAX has it, all else becomes float32."""
+    wrench = jnp.asarray(wrench)
+    return wrench if wrench.dtype == np.float64 else wrench.astype(jnp.float32)
+
+
+def varying_as(samples: Array, state: Any) -> Any:
+    """A state that a loop begins with, which shard_map takes to differ among devices as the samples do."""
+    return jax.tree.map(lambda leaf: leaf + jnp.zeros_like(samples, leaf.dtype, leaf.shape), state)
 
 
 def whole_windows(

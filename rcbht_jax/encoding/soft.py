@@ -71,13 +71,14 @@ def soft_encode(
     Args:
         config: static configuration; its type chooses the rule.
         thresholds: limits ``[axis, 4]``; by the fit rule FitLimits, or their numbers ``[axis, 5]``, the tolerance last.
-        wrench: N and Nm, padded with anything finite.
+        wrench: N and Nm, padded with anything finite; its precision is that of the labels.
         length: samples that count.
         temperature: see :func:`rcbht_jax.encoding.segments.soft_windows` and :mod:`rcbht_jax.encoding.soft_runs`.
         straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape
-    limits = limit_values(thresholds)
+    wrench, limits = segments.in_precision(wrench), limit_values(thresholds)
+    temperature = jnp.asarray(temperature, wrench.dtype)
     lane_limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype)[None], (trials, *limits.shape))
     lane_limits = lane_limits.reshape(trials * axes, limits.shape[1])
     if isinstance(config, FitConfig):

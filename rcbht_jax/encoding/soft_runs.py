@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 
 from rcbht_jax.encoding.fit import SHORTEST, FitConfig
 from rcbht_jax.encoding.fit_line import Line, best_break, join, residuals_after, span_line
-from rcbht_jax.encoding.segments import soft_windows, whole_windows
+from rcbht_jax.encoding.segments import soft_windows, varying_as, whole_windows
 from rcbht_jax.errors import InputError
 from rcbht_jax.labels import Primitive
 from rcbht_jax.types import Array
@@ -104,7 +104,8 @@ def step(
         >>> bool(runs.weight[0, 0] > 0.99), int(runs.t1[0, 0]), int(runs.label[0, 0].argmax()) + 1
         (True, 5, 7)
     """
-    samples = jnp.concatenate([state.recent, jnp.asarray(window, state.recent.dtype)])
+    dtype, count = state.recent.dtype, count.astype(jnp.int32)
+    samples, temperature = jnp.concatenate([state.recent, jnp.asarray(window, dtype)]), jnp.asarray(temperature, dtype)
     there, now, stop = count > 0, state.time + count, config.kept + count
     first = config.kept - (state.time[None] - state.start - state.line.count)  # own samples of each run begin there
 
@@ -140,6 +141,7 @@ def step(
 def drain(config: FitConfig, limits: Float[Array, "*axes 5"], state: SoftState, temperature: Array | float) -> SoftRuns:
     """The present run, as it would end with the last sample."""
     recent = jnp.broadcast_to(state.recent[:, None], (config.kept, *state.start.shape))
+    temperature = jnp.asarray(temperature, recent.dtype)
     end = jnp.full_like(state.start, config.kept)
     line = join(state.line, span_line(recent, end - (state.time[None] - state.start - state.line.count), end))
     lane_limits = jnp.broadcast_to(jnp.asarray(limits, recent.dtype), (*state.time.shape, 5))
@@ -197,7 +199,7 @@ def soft_primitives(
     def body(state: SoftState, row: tuple[Array, Array]) -> tuple[SoftState, SoftRuns]:
         return step(config, limits, state, *row, temperature)
 
-    state = init(config, (lanes,), candidates, samples.dtype)
+    state = varying_as(samples, init(config, (lanes,), candidates, samples.dtype))
     rows = (padded.reshape(-1, config.window, lanes), counts)
     state, ended = jax.lax.scan(body, state, rows)
     last = drain(config, limits, state, temperature)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.compiling import jit
+from rcbht_jax._util.signals import in_precision, numbers_of
 from rcbht_jax._util.values import LARGEST, usable
 from rcbht_jax.encoding.encoder import EncoderState, PackedLabels, unpack
 from rcbht_jax.encoding.fit import FitConfig, running, step
@@ -77,7 +78,7 @@ class WindowBuffer:
             InputError: wrong shape, a value that is not finite, or beyond ``LARGEST``, or more samples than can be
                 counted.
         """
-        chunk, axes = np.asarray(samples, self.samples.dtype), self.samples.shape[1]
+        chunk, axes = in_precision(numbers_of(samples), self.samples.dtype), self.samples.shape[1]
         if chunk.ndim != 2 or chunk.shape[1] != axes:
             raise InputError(f"Samples have shape {chunk.shape}; expected [time, {axes}].")
         if not usable(chunk):
@@ -141,7 +142,7 @@ class Encoder:
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
     Raises:
-        InputError: thresholds of another shape, or not in order.
+        InputError: thresholds of another shape, or not in order, or another dtype.
 
     Example:
         >>> import numpy as np, rcbht_jax as rj
@@ -156,8 +157,10 @@ class Encoder:
         limits = checked_limits(config, thresholds)
         if limits.ndim != 2:
             raise InputError(f"Thresholds have shape {(*limits.shape[:-1], 4)}; a stream expects [axis, 4].")
+        if dtype not in (np.float32, np.float64) or jax.dtypes.canonicalize_dtype(dtype) != dtype:
+            raise InputError(f"A stream of {dtype} was asked for; expected float32, or float64 in JAX's 64-bit mode.")
         self._config = config
-        self._limits = jnp.asarray(limits, dtype)
+        self._limits = jnp.array(limits, dtype)  # a copy, which nobody changes
         self._axes = limits.shape[0]
         self._state: EncoderState = rule_of(config).init(config, (self._axes,), dtype)
         self._buffer = WindowBuffer(config.window, self._axes, dtype)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from rcbht_jax._util.untrusted import checked_fields
+from rcbht_jax.encoding.choices import make_plain
 from rcbht_jax.errors import InputError
 from rcbht_jax.features import signal_families
 from rcbht_jax.features import word_families as families
@@ -51,6 +52,7 @@ class FeatureSpec:
     balance: bool = False  # absolute families, elapsed time and all other families together weigh the same
 
     def __post_init__(self) -> None:
+        make_plain(self)
         known = set(self.families) <= set(FAMILIES) and set(self.layers) <= set(LAYERS)
         if not known or not self.families or not self.layers:
             raise InputError(

@@ -82,8 +82,6 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         series = [part for part, _ in read]
         if len(series) < 3 or len({(part.shape[1], names) for part, names in read}) > 1:
             raise InputError(f"{len(series)} recordings; it takes three or more nominal ones with the same axes.")
-        self.n_features_in_ = series[0].shape[1]
-        keep_names(self, read[0][1])
         names = np.arange(len(series)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
         if names.shape != (len(series),):
             raise InputError(f"There are {len(names)} groups for {len(series)} recordings.")
@@ -91,12 +89,13 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         parts = [_blocks(part, self._step) for part in series]
         if self.calibration == "split":
             train = np.sort(np.random.default_rng(self.random_state).permutation(len(parts))[: (len(parts) + 1) // 2])
-            self._model = self._learn([parts[row] for row in train], names[train])
+            model = self._learn([parts[row] for row in train], names[train])
             held = np.setdiff1d(np.arange(len(parts)), train)
-            self.peaks_ = np.array([self._peak(self._model, parts[row]) for row in held])
+            peaks = np.array([self._peak(model, parts[row]) for row in held])
         else:
-            self._model = self._learn(parts, names)
-            self.peaks_ = self._cross_peaks(parts, names)
+            model, peaks = self._learn(parts, names), self._cross_peaks(parts, names)
+        self._model, self.peaks_, self.n_features_in_ = model, peaks, series[0].shape[1]
+        keep_names(self, read[0][1])
         return self
 
     def scores(self, series: ArrayLike) -> Float[np.ndarray, " time"]:
@@ -336,8 +335,8 @@ class NominalMonitor(Monitor):
         return np.concatenate([changes, values], 1)
 
     def _learn(self, parts: list[NDArray[np.float64]], groups: NDArray[np.int64]) -> Bank:
-        if not set(self.levels) <= set(range(self.n_features_in_)):
-            raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {self.n_features_in_ - 1}.")
+        if not set(self.levels) <= set(range(axes := parts[0].shape[1])):
+            raise InputError(f"levels are {self.levels}; expected numbers of axes, 0 to {axes - 1}.")
         first = self._count(self.baseline)
         described = [self._describe(part, part[:first], part[:0], np.arange(len(part))) for part in parts]
         slack = self.slack * self.rate / self._step

@@ -97,9 +97,15 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         """
         if [len(part) for part in y] != recordings.length.tolist():
             raise InputError("The labels are of other lengths than the recordings.")
-        self.classes_ = np.setdiff1d(np.concatenate(y), [UNKNOWN])
-        if len(self.classes_) < 2:
-            raise InputError(f"There are {len(self.classes_)} classes in {len(y)} recordings; two are needed.")
+        classes = np.setdiff1d(np.concatenate(y), [UNKNOWN])
+        if len(classes) < 2:
+            raise InputError(f"There are {len(classes)} classes in {len(y)} recordings; two are needed.")
+        learned = clone(self)._learned(recordings, y, classes)  # a fit that fails leaves what was fitted before
+        self.__dict__.update(vars(learned))
+        return self
+
+    def _learned(self, recordings: Recordings, y: Sequence[NDArray[Any]], classes: NDArray[Any]) -> WrenchSegmenter:
+        self.classes_ = classes
         self.axes_, self._dt = (recordings.axes, recordings.units), recordings.dt
         self.thresholds_ = auto_thresholds(recordings, self.window)
         config = config_of(self.rule, self.window, recordings.dt)

@@ -18,6 +18,7 @@ from jaxtyping import Float, Float32
 from numpy.typing import ArrayLike, NDArray
 
 from rcbht_jax._util.optional import needs_extra
+from rcbht_jax._util.signals import period
 from rcbht_jax._util.values import usable
 from rcbht_jax.encoding.arrays import read_signals
 from rcbht_jax.encoding.batch import encode_batch
@@ -106,12 +107,12 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
             raise InputError("Recordings hold values that are not finite numbers; remove or interpolate them.")
         axes = wrench.shape[2]
         fitted = isinstance(self.thresholds, FitLimits)
-        self.thresholds_ = _limits(self.thresholds.gradients if fitted else self.thresholds, names or axis_names(axes))
-        limits = FitLimits(self.thresholds_, self.thresholds.tolerance) if fitted else self.thresholds_
-        self._encoding = limits_for(self._encoder_config(), limits, self.tolerance, wrench, length)
-        self.tolerance_ = np.asarray(self._encoding.tolerance) if isinstance(self._encoding, FitLimits) else None
+        gradients = _limits(self.thresholds.gradients if fitted else self.thresholds, names or axis_names(axes))
+        limits = FitLimits(gradients, self.thresholds.tolerance) if fitted else gradients
+        encoding = limits_for(self._encoder_config(), limits, self.tolerance, wrench, length)
         described = _describe(_no_labels(axes), np.array([1]), 1.0, self.features, names or ())
-        self.n_features_in_ = axes
+        self.thresholds_, self._encoding, self.n_features_in_ = gradients, encoding, axes
+        self.tolerance_ = np.asarray(encoding.tolerance) if isinstance(encoding, FitLimits) else None
         keep_names(self, names)
         self._names = np.array(described.names, object)
         self.feature_weight_ = described.weights(self.features or FeatureSpec())
@@ -146,16 +147,15 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
         return read_signals(X, self._encoder_config().dt, axis_first=self.layout == "axis-time")
 
     def _encoder_config(self) -> AnyConfig:
-        if not self.rate > 0:
-            raise InputError(f"The rate is {self.rate} Hz; expected a positive number.")
-        plain = config_of(self.rule, self.window, 1 / self.rate)
+        dt = period(float(self.rate))
+        plain = config_of(self.rule, self.window, dt)
         if self.config is None:
             return plain
         if type(self.config) is not type(plain):
             raise InputError(
                 f"The rule is {self.rule!r} and takes {type(plain).__name__}; config is a {type(self.config).__name__}."
             )
-        return replace(self.config, window=self.window, dt=1 / self.rate)
+        return replace(self.config, window=self.window, dt=dt)
 
     def __sklearn_is_fitted__(self) -> bool:
         return hasattr(self, "thresholds_")
@@ -178,7 +178,7 @@ def _limits(thresholds: Any, names: tuple[str, ...]) -> Float[np.ndarray, "axis 
     axes = len(names)
     if isinstance(thresholds, str):
         thresholds = preset(thresholds, names)
-    limits = np.asarray(getattr(thresholds, "limits", thresholds), np.float64)
+    limits = np.array(getattr(thresholds, "limits", thresholds), np.float64)  # a copy, which nobody changes
     limits = np.tile(limits, (axes, 1)) if limits.ndim == 1 else limits
     validate(limits)
     if limits.shape != (axes, 4):
@@ -258,24 +258,28 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
             sample_weight: of each recording, for the classifier; a tolerance "auto" is of all recordings alike.
 
         Raises:
-            InputError: as the two parts do, or weights for a classifier whose own ``fit`` takes none.
+            InputError: as the two parts do, weights for a classifier whose own ``fit`` takes none, or features with
+            balance for one that cannot weigh features.
         """
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
-        self.features_ = WrenchFeatures(**described).fit(X)
-        self.n_features_in_ = self.features_.n_features_in_
-        keep_names(self, tuple(getattr(self.features_, "feature_names_in_", ())))
-        self.classifier_ = SvmClassifier() if self.classifier is None else clone(self.classifier)
-        if self.features_.feature_weight_ is not None:
-            self.classifier_.set_params(feature_weight=self.features_.feature_weight_)
+        features = WrenchFeatures(**described).fit(X)
+        classifier = SvmClassifier() if self.classifier is None else clone(self.classifier)
+        kind = type(classifier).__name__
+        if features.feature_weight_ is not None:
+            if "feature_weight" not in classifier.get_params(deep=False):
+                raise InputError(f"{kind} takes no weights of features; choose features without balance.")
+            classifier.set_params(feature_weight=features.feature_weight_)
         given = {"groups": groups, "sample_weight": sample_weight}
-        taken = signature(self.classifier_.fit).parameters
+        taken = signature(classifier.fit).parameters
         if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):  # searches pass anything on
             if sample_weight is not None and "sample_weight" not in taken:
-                raise InputError(f"{type(self.classifier_).__name__} takes no sample_weight; fit without it.")
+                raise InputError(f"{kind} takes no sample_weight; fit without it.")
             given = {name: given[name] for name in given if name in taken}
         given = {name: value for name, value in given.items() if value is not None}
-        self.classifier_.fit(self.features_.transform(X), y, **given)
-        self.classes_ = self.classifier_.classes_
+        classifier.fit(features.transform(X), y, **given)
+        self.features_, self.classifier_, self.classes_ = features, classifier, classifier.classes_
+        self.n_features_in_ = features.n_features_in_
+        keep_names(self, tuple(getattr(features, "feature_names_in_", ())))
         return self
 
     def predict(self, X: Any) -> NDArray[Any]:

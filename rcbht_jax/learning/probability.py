@@ -115,7 +115,7 @@ def held_out_decisions(
     Raises:
         InputError: a class has fewer than two trials, or the splitter does not test every item once.
     """
-    number = min(folds, fewest_groups(y, groups)) if isinstance(folds, int) else folds
+    number = min(folds, fewest_groups(y, groups)) if isinstance(folds, int | np.integer) else folds
     splits = grouped_folds(y, groups, number, seed)
     if not np.array_equal(np.sort(np.concatenate([test for _, test in splits])), np.arange(len(y))):
         raise InputError(f"{folds} does not test every item exactly once, which held-out decision values need.")

@@ -269,12 +269,14 @@ def grouped_folds(y: Ints, groups: NDArray[Any], folds: int | Any, seed: int, gr
         group: what a group is called where there are too few.
 
     Raises:
-        InputError: a class has fewer groups than there are folds, or the splitter divides a group.
+        InputError: a class has fewer groups than there are folds, the splitter divides a group, or it is none.
     """
     with needs_extra("learn"):
         from sklearn.model_selection import StratifiedGroupKFold
 
-    if not isinstance(folds, int):
+    if not isinstance(folds, int | np.integer):
+        if not hasattr(folds, "split"):
+            raise InputError(f"The folds are {type(folds).__name__}; expected a number, or a scikit-learn splitter.")
         splits = [(np.asarray(a, np.int64), np.asarray(b, np.int64)) for a, b in folds.split(y, y, groups)]
         if any(np.intersect1d(groups[train], groups[test]).size for train, test in splits):
             raise InputError(f"{folds} puts items of one trial on both sides; use one for groups, such as GroupKFold.")

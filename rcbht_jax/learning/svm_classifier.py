@@ -95,11 +95,11 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         if counted is not None:
             kept = counted > 0
             X, y, groups, counted = X[kept], y[kept], groups[kept], counted[kept]
-        self.classes_, code = np.unique(y, return_inverse=True)
+        classes, code = np.unique(y, return_inverse=True)
         spec = SvmSpec(
             self.kernel, self.cost, self.scaling, self.gamma, self.balanced, floor=self.floor, ranks=self.ranks
         )
-        names = [str(name) for name in self.classes_]
+        names = [str(name) for name in classes]
         weight = None if self.feature_weight is None else np.asarray(self.feature_weight, np.float64)
         if weight is not None and not (weight.shape == (X.shape[1],) and positive(weight)):
             raise InputError(f"feature_weight has the shape {weight.shape}; expected {X.shape[1]} positive numbers.")
@@ -108,6 +108,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             self.model_, self.sigmoid_ = machine.svm, machine.sigmoid
         else:
             self.model_ = fit(X, code, names, spec, weight, counted)
+        self.classes_ = classes  # last: a fit that fails leaves the names of the machine that there is
         return self
 
     def predict(self, X: Any) -> NDArray[Any]:
@@ -133,7 +134,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return ProbabilisticSvm(self.model_, self.sigmoid_).probability(x)
 
     def _features(self, X: Any) -> Float[np.ndarray, "sample feature"]:
-        check_is_fitted(self)
+        check_is_fitted(self, "classes_")
         return validate_data(self, X, dtype=np.float64, reset=False)
 
 

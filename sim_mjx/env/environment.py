@@ -153,7 +153,7 @@ class Environment:
     def reset(self, rng: Key) -> State:
         """An episode of a trial drawn at random, with its own noise of the sensor."""
         choose, noise = jax.random.split(rng)
-        row = jax.random.randint(choose, (), 0, self.trial_count)
+        row = jax.random.randint(choose, (), 0, self.trial_count, jnp.int32)  # the same with 64 bits
         return self.reset_to(row, jax.random.bits(noise, (2,), jnp.uint32))
 
     def reset_to(self, row: Int[Array, ""], seed: Array | None = None) -> State:

@@ -131,6 +131,76 @@ def test_missing_values_of_masked_arrays_and_pandas_are_seen() -> None:
             rj.encode(form)
 
 
+def test_streams_see_missing_values_too() -> None:
+    high = float(WRENCH[1].max())
+    frame = pd.DataFrame(WRENCH[1], columns=NAMES)
+    for form in (np.ma.masked_equal(WRENCH[1], high), frame.mask(frame == high).astype("Float32")):
+        encoder = rj.Encoder(rj.EncoderConfig(), rj.preset())
+        with pytest.raises(InputError, match="not a finite number"):
+            encoder.push(form)
+        with pytest.raises(InputError, match="not a finite number"):
+            rj.SnapDetector(200.0, NAMES, least=3.0).push(form)
+        assert encoder.received == 0
+
+
+NUMBERS = {
+    "half": WRENCH.astype(np.float16),
+    "bfloat16": WRENCH.astype(jnp.bfloat16),
+    "on the device": jnp.asarray(WRENCH, jnp.bfloat16),
+    "other bytes": WRENCH.astype(">f4"),
+    "objects": WRENCH.astype(object),
+    "whole": WRENCH.round().astype(np.int16),
+}
+
+
+@pytest.mark.parametrize("form", NUMBERS)
+def test_numbers_of_any_type_are_those_of_single_precision(form: str) -> None:
+    given, plain = NUMBERS[form], np.asarray(NUMBERS[form]).astype(np.float32)
+    assert_trees_equal(labels_only(rj.encode(given)), labels_only(rj.encode(plain)))
+    np.testing.assert_array_equal(rj.Recordings.from_arrays(given).wrench, plain)
+    streams = [rj.Encoder(rj.EncoderConfig(), rj.preset()).push(one[0, :50]) for one in (given, plain)]
+    assert_trees_equal(*streams)
+
+
+def test_limits_that_are_changed_later_change_no_encoder() -> None:
+    memory = np.zeros(6 * 4 * 4 + 64, np.uint8)
+    start = -memory.ctypes.data % 64  # memory as JAX itself would use without a copy
+    limits = memory[start : start + 96].view(np.float32).reshape(6, 4)
+    limits[:] = rj.preset().limits
+    used, later = (rj.Encoder(rj.EncoderConfig(), limits) for _ in range(2))
+    features = rj.WrenchFeatures(thresholds=limits.astype(float))
+    published, learned = used.push(WRENCH[0]), features.fit(WRENCH).transform(WRENCH)
+    limits[:] = features.thresholds[:] = 1e6
+    assert_trees_equal(later.push(WRENCH[0]), published)
+    np.testing.assert_array_equal(features.transform(WRENCH), learned)
+
+
+READERS = {
+    "encode": lambda values: rj.encode([values]),
+    "from_arrays": lambda values: rj.Recordings.from_arrays([values]),
+    "features": lambda values: rj.WrenchFeatures().fit([values]),
+    "nominal": lambda values: rj.NominalMonitor().fit([values] * 3),
+    "stream": lambda values: rj.Encoder(rj.EncoderConfig(), rj.preset()).push(values),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    "values",
+    [WRENCH[0] + 1j, WRENCH[0].astype(str), np.full((9, 6), "x"), np.zeros((9, 6), "M8[s]"), [[1.0] * 6, [1.0]]],
+    ids=["complex", "digits", "text", "dates", "ragged"],
+)
+def test_what_is_no_number_is_refused_by_every_reader(reader: str, values: object) -> None:
+    with pytest.raises(InputError, match=r"expected numbers|different lengths"):
+        READERS[reader](values)
+
+
+@pytest.mark.parametrize("reader", ["encode", "features", "stream"])
+def test_numbers_beyond_single_precision_are_refused_without_a_warning(reader: str) -> None:
+    with pytest.raises(InputError, match="finite number"):
+        READERS[reader](np.full((50, 6), 1e300))
+
+
 def test_whole_numbers_keep_their_digits_in_double_precision() -> None:
     counts = np.cumsum(RNG.integers(-9, 10, (300, 1)), 0)
     with jax.enable_x64(True):
@@ -180,6 +250,9 @@ def test_repr_is_short_and_the_picture_shows_every_word() -> None:
             r"jumps by 98.005 s after 0.495 s",
         ),
         (lambda: rj.encode(pd.DataFrame(WRENCH[0]).assign(time="noon")), "expected seconds or dates"),
+        (lambda: rj.encode(pd.DataFrame(WRENCH[0], columns=["time", *NAMES[1:-1], "time"])), "2 columns of the name"),
+        (lambda: rj.Recordings.from_arrays(WRENCH[0]), r"shapes \[\(6,\)\]"),
+        (lambda: rj.Recordings.from_arrays(None), "NoneType; expected an array"),
         (lambda: rj.encode(xr.Dataset({"Fz": ("time", WRENCH[0, :, 2])})), "to_array"),
         (lambda: rj.encode(WRENCH[0]).words("Fw"), "Fw"),
         (lambda: rj.encode(WRENCH[0]).words(0, "word"), "word"),

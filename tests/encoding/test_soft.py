@@ -181,6 +181,13 @@ def test_training_moves_a_limit_between_the_classes(kind, batch):
     assert not ((LIMITS[0] > 2.8) & (LIMITS[0] < 7)).any()
 
 
+def test_training_begins_and_goes_alike_in_64_bit_mode():
+    data, options = two_class_corpus(2, 0), GradientOptions(steps=2, rate=0.15)
+    plain = calibrate(data, CONFIG, preset(), options)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(calibrate(data, CONFIG, preset(), options).path, plain.path, rtol=1e-5)
+
+
 def test_batches_see_every_trial_before_any_comes_again():
     rows = _orders(6, GradientOptions(batch=4))
     seen = [next(rows) for _ in range(3)]

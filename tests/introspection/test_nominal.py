@@ -184,6 +184,14 @@ def test_every_group_is_scored_without_itself() -> None:
         hold_out(NominalMonitor(), series, nominal, np.zeros(12))
 
 
+def test_a_fit_that_fails_changes_no_score() -> None:
+    monitor, new = NominalMonitor(rate=20).fit(pushes(6, 0)), pushes(1, 1)[0]
+    before = monitor.scores(new)
+    with pytest.raises(InputError, match="a single recording remains"):
+        monitor.fit([one[:, :1] for one in pushes(3, 2)], groups=[0, 0, 1])
+    np.testing.assert_array_equal(monitor.scores(new), before)
+
+
 def test_alarms_are_judged_by_the_onset() -> None:
     peaks = [[0, 0, 0, 0], [0, 9, 0, 0], [0, 0, 9, 9], [9, 9, 9, 9], [0, 0, 0, 1]]
     watched = Watched(

@@ -145,3 +145,16 @@ def test_what_cannot_be_learnt_is_said():
         WrenchSegmenter().fit(data, [np.full(n, UNKNOWN) for n in data.length.tolist()])
     with pytest.raises(InputError, match="other lengths"):
         WrenchSegmenter().fit(data, [np.zeros(3, int)] * 2)
+
+
+def test_a_fit_that_fails_leaves_what_was_fitted_before():
+    data = made(3)
+    y = [np.arange(n) // 20 % 2 for n in data.length.tolist()]
+    segmenter = WrenchSegmenter(**TREES).fit(data, y)
+    before = segmenter.predict_proba(data)[0]
+    segmenter.set_params(rule="fit", tolerance=[0.1] * 7)  # of seven axes, where there are two
+    with pytest.raises(InputError):
+        segmenter.fit(data, [np.where(part > 0, 7, 3) for part in y])
+    segmenter.set_params(rule="paper", tolerance=None)
+    assert segmenter.classes_.tolist() == [0, 1]
+    np.testing.assert_array_equal(segmenter.predict_proba(data)[0], before)

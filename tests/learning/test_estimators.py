@@ -11,6 +11,7 @@ import xarray as xr
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.ensemble import RandomForestClassifier
+from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import GridSearchCV, GroupKFold, LeaveOneGroupOut, cross_val_score
 from sklearn.neighbors import KNeighborsClassifier
 from sklearn.pipeline import make_pipeline
@@ -232,6 +233,32 @@ def test_balanced_columns_reach_the_machine():
     np.testing.assert_allclose(chain.classifier_.model_.width * weight, plain.classifier_.model_.width)
 
 
+def test_balance_is_for_classifiers_that_weigh_features():
+    spec = FeatureSpec(("histogram", "elapsed"), balance=True)
+    for classifier in (RandomForestClassifier(3), GridSearchCV(SvmClassifier(), {"cost": [1.0]}, cv=2)):
+        with pytest.raises(InputError, match=f"{type(classifier).__name__} takes no weights of features"):
+            StateClassifier(features=spec, classifier=classifier).fit(wrenches(), STATE)
+
+
+def test_a_fit_that_fails_changes_no_answer():
+    wrench, x = wrenches(), blobs(2)[0][:24]
+    chain, machine = StateClassifier().fit(wrench, STATE), SvmClassifier(probability=True).fit(x, STATE)
+    for estimator, given in ((chain, wrench), (machine, x)):
+        before = estimator.predict(given).tolist()
+        for y in (np.full(24, "one"), [None] * 24):
+            with pytest.raises(ValueError):
+                estimator.fit(given, y)
+            assert estimator.predict(given).tolist() == before
+    with pytest.raises(InputError, match="two of every class"):
+        machine.fit(x, np.where(np.arange(24) < 1, "rare", "usual"))
+    assert machine.predict(x).tolist() == before
+    for estimator, given in ((StateClassifier(), wrench), (SvmClassifier(), x), (WrenchFeatures(features="x"), wrench)):
+        with pytest.raises(InputError):
+            estimator.fit(given, np.full(24, "one"))
+        with pytest.raises(NotFittedError):
+            (estimator.transform if isinstance(estimator, WrenchFeatures) else estimator.predict)(given)
+
+
 def blobs(classes: int = 3, items: int = 120) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     code = np.arange(items) % classes
@@ -256,6 +283,14 @@ def test_the_classifier_equals_the_projects_machine(classes):
 def test_weights_that_are_not_one_for_each_feature_are_refused(weight):
     with pytest.raises(InputError, match="expected 3 positive numbers"):
         SvmClassifier(feature_weight=weight).fit(np.eye(3), [0, 1, 1])
+
+
+def test_folds_are_a_number_of_any_type_or_a_splitter():
+    x, y, _ = blobs(2)
+    plain, whole = (SvmClassifier(probability=True, cv=cv).fit(x, y) for cv in (3, np.int64(3)))
+    np.testing.assert_array_equal(whole.predict_proba(x), plain.predict_proba(x))
+    with pytest.raises(InputError, match="folds are list; expected a number"):
+        SvmClassifier(probability=True, cv=[([0], [1])]).fit(x, y)
 
 
 def test_groups_and_splitters_decide_which_samples_fit_the_sigmoids():

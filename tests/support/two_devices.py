@@ -6,7 +6,9 @@ Raises:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,10 @@ from rcbht_jax.calibration.dataset import device_calibration_data
 from rcbht_jax.calibration.search import SearchOptions, score_candidates, search
 from rcbht_jax.encoding.batch import encode_on_device
 from rcbht_jax.encoding.encoder import EncoderConfig, encode
+from rcbht_jax.encoding.fit import FitConfig
+from rcbht_jax.encoding.soft import soft_encode
 from rcbht_jax.encoding.thresholds import preset
+from rcbht_jax.encoding.tolerance import FitLimits
 
 CONFIG = EncoderConfig(5, 0.005)
 TRIALS, SAMPLES = 6, 200
@@ -60,12 +65,17 @@ def main() -> None:
         assert {place for leaf in jax.tree.leaves(labels) for place in leaf.devices()} == {device}
 
     rows, everywhere = PartitionSpec("recording"), PartitionSpec()
-    halves = jax.shard_map(
-        partial(encode, CONFIG), mesh=Mesh(np.array(both), ("recording",)), in_specs=(everywhere, rows, rows),
-        out_specs=rows, check_vma=False,
-    )  # fmt: skip
-    limits_there = jnp.asarray(preset().limits, jnp.float32)
-    same(jax.jit(partial(encode, CONFIG))(limits_there, *there), jax.jit(halves)(limits_there, *there))
+    limits_there, mesh = jnp.asarray(preset().limits, jnp.float32), Mesh(np.array(both), ("recording",))
+
+    def in_halves(run: Callable[..., Any]) -> Callable[..., Any]:
+        return jax.jit(jax.shard_map(run, mesh=mesh, in_specs=(everywhere, rows, rows), out_specs=rows))
+
+    dense = partial(encode, CONFIG)
+    same(jax.jit(dense)(limits_there, *there), in_halves(dense)(limits_there, *there))
+    for config, given in ((CONFIG, limits_there), (FitConfig(), FitLimits(limits_there, jnp.full(6, 0.5)))):
+        soft = partial(soft_encode, config, temperature=0.3)
+        made = jax.jit(soft)(given, *there), in_halves(soft)(given, *there)
+        jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), *made)  # a compiler rounds logarithms as it likes
 
 
 if __name__ == "__main__":
