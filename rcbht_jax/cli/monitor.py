@@ -50,7 +50,7 @@ class MonitorFit(Command):
     score_rate: ScoreRate = 20.0
     levels: Levels = ()
     exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Set the threshold on recordings held out from training, so that the share of false alarms is guaranteed."""
+    """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
     """Seed for the choice of held-out recordings."""
     out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
