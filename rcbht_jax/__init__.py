@@ -6,7 +6,7 @@
     >>> rj.encode(wrench, rate=200).words("Fz")
     ['FX', 'PS', 'FX']
 
-Everything that most users need is a name of this package, imported when it is first used. Modules below it hold the
+Names of this package cover what most users need; each is imported when it is first used. The modules below it hold the
 pure functions (:mod:`rcbht_jax.encoding.encoder`) and everything else.
 """
 

@@ -1,4 +1,4 @@
-"""Frozen pytree dataclasses that every room shares; each field states its shape and unit.
+"""Frozen pytree dataclasses that all packages share; each field states its shape and unit.
 
 Axes are usually Fx Fy Fz Mx My Mz, forces in N, moments in Nm, times in seconds unless a field says samples.
 Padding is stated per class. Shapes are checked under pytest, by jaxtyping.
@@ -86,7 +86,7 @@ class TrackInfo:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LabelTracks:
-    """Three layers of labels of the same recordings: primitives, motion compositions, low-level behaviours.
+    """Labels of the same recordings in three layers: primitives, motion compositions, low-level behaviours.
 
     Every array is ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several.
 
@@ -341,7 +341,7 @@ class Recordings:
         return self.columns[name]
 
     def starts(self, track: str) -> Float[np.ndarray, "recording label"]:
-        """First start of each label of a track, s; NaN = the recording has no such label.
+        """First start of each label of a track in each recording, s; NaN = the recording has no such label.
 
         Raises:
             InputError: there is no such track.

@@ -31,12 +31,13 @@ Values = dict[str, tuple[float, str]]  # name -> value, unit
 
 @dataclass(frozen=True)
 class Bench(Command):
-    """Measure speed and memory of encoders and store: lines "name value unit", medians, compile time separately.
+    """Measure speed and memory of the encoders and of a store.
 
-    A line ratio/... compares with a reference that took turns in the same run, so that it depends little on the
-    machine: the encoder with bare line fits of its windows, a streaming step with an empty one, the fit rule with the
-    published rule, reading of a store with loading and hashing the same bytes. The extra "bench" installs other
-    symbolic representations (tslearn, fABBA), which are measured on the same array.
+    Lines read "name value unit". Times are medians; compile time is separate. A line ratio/... compares with a
+    reference measured alternately in the same run, so it depends little on the machine: the encoder with plain line
+    fits of the same windows, a streaming step with an empty one, the fit rule with the published rule, reading a store
+    with loading and hashing the same bytes. The extra "bench" installs other symbolic representations (tslearn,
+    fABBA), which are measured on the same array.
 
     Example: rcbht bench --trials 100
 
@@ -49,12 +50,12 @@ class Bench(Command):
     samples: int = 2000
     """Samples per trial."""
     device: Flag = False
-    """Measure on the accelerator that JAX finds, in place of the processor."""
+    """Measure on the accelerator that JAX finds, instead of the CPU."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
     """Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has fallen by
     more than 20 %."""
     history: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
-    """File to add this run to; it is made if there is none."""
+    """File to append this run to; created if it does not exist."""
 
     def run(self) -> dict[str, Any]:
         import jax

@@ -84,7 +84,7 @@ class Calibrate(RuleCommand):
     rest, search and gradient find the tolerances of that rule as well. Pass training trials only: scores on the trials
     that chose the thresholds are optimistic.
 
-    Of a store with more than 128 MiB of wrenches, the thresholds come from trials spread evenly over those chosen.
+    If a store has more than 128 MiB of wrenches, thresholds are found on trials spread evenly over the chosen ones.
 
     Example: rcbht calibrate hiro.zarr --method search --session B -o thresholds.json
     """
@@ -96,13 +96,13 @@ class Calibrate(RuleCommand):
     method: Literal["rest", "context", "search", "gradient"] = "search"
     """Calibration method; rest needs neither annotations nor classes and fits any robot."""
     task: Task = "states"
-    """Classes that the labels are to separate."""
+    """Task whose classes the labels should separate."""
     boundaries: Boundaries = "harmonised"
     arm: Arm = "R"
     source: Sources = ()
     session: Sessions = ()
     own_axes: Flag = False
-    """Give every axis limits of its own, instead of copying them between axes as the authors do (context)."""
+    """Find separate limits for every axis, instead of copying them between axes as the authors do (context)."""
     groups: Literal["axis", "kind", "all"] = "kind"
     """Thresholds for each axis, for each unit (forces, moments), or for all axes together (search)."""
     candidates: int = 1024
@@ -123,10 +123,10 @@ class Calibrate(RuleCommand):
     """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
     devices: Annotated[str | None, option("GPUs of this machine that share the work (search, gradient).", "1")] = None
     rest_weight: float = 1.0
-    """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = rest does not matter. The
-    context method takes what rest does as the least constant limit, unless this is 0."""
+    """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = no penalty. Unless it is 0,
+    the context method takes the slopes at rest as the least constant limit."""
     plot: Path | None = None
-    """Figure to write: the thresholds over the gradients of each axis and state."""
+    """Figure to write: the thresholds, drawn over the gradients of each axis and state."""
     seed: int = 0
     """Seed of the random numbers."""
     compile_cache: CompileCache = None

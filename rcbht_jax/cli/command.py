@@ -80,15 +80,15 @@ Sources = Annotated[tuple[str, ...], option("Data sets to use.", "all")]
 SourcePrefix = Annotated[str, option("Data set, or the start of its name, if several have a trial of this name.", "")]
 Sessions = Annotated[tuple[str, ...], option("Recording sessions to use, for example A B.", "all")]
 Outcomes = Annotated[
-    tuple[str, ...], option("Outcomes to use.", "of a track the successes, if there are some; of a column all")
+    tuple[str, ...], option("Outcomes to use.", "for a track, successes if there are any; for a column, all")
 ]
 Arm = Annotated[str, option("Arm whose wrench to use, if the store has several.")]
 Task = Annotated[str, option("Track of annotations, or column, whose classes to distinguish.")]
 Boundaries = Annotated[
     str,
     option(
-        "Variant of the track: merged for the track states-merged; recorded for states itself, which also serves where "
-        "there is no states-harmonised."
+        "Variant of the track, for example of states: merged = states-merged; recorded = states itself, which is also "
+        "used if there is no states-harmonised."
     ),
 ]
 NewWindow = Annotated[
@@ -111,20 +111,20 @@ CompileCache = Annotated[
 BeliefRate = Annotated[float | None, option("Beliefs per second; 0 = one per window.", "about 10")]
 WordRule = Annotated[
     Literal["paper", "fit"],
-    option("Rule of the words: the paper's; or fit: words are runs of windows that one straight line explains."),
+    option("Rule of the words: paper; or fit, where a word is a run of windows that one straight line explains."),
 ]
 Tolerance = Annotated[
     tuple[float, ...],
     option(
-        "Difference of line and signal, root mean square, that --rule fit allows: one number in the unit of the axes, "
-        "or one for each axis.",
+        "Largest root-mean-square difference of line and signal that --rule fit allows: one number in the unit of the "
+        "axes, or one for each axis.",
         "those of --thresholds; else 1.5 % of an axis's usual range, or what its noise asks for",
     ),
 ]
 Weighing = Annotated[
     tuple[Literal["count", "time", "change"], ...],
     option(
-        "What labels weigh in the families histogram and ngram: one, their time, or their change of value.",
+        "Weights of labels in the families histogram and ngram: 1 each, their duration, or their change of value.",
         "time and count in histogram, count in ngram",
     ),
 ]
@@ -242,15 +242,15 @@ class EncodingCommand(Command):
     robot: Annotated[
         Literal["auto", "hiro", "baxter", "pa10"] | None,
         option(
-            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts of these recordings.",
-            "hiro for its own and simulated recordings, else auto",
+            "Robot whose preset gives the gradient thresholds; auto = from rest and contacts in these recordings.",
+            "hiro for recordings of HIRO and simulated ones, else auto",
         ),
     ] = None
     thresholds: Annotated[
         Path | None,
         option(
-            'File of "rcbht calibrate" with gradient thresholds, and tolerances if it is for --rule fit, in place of '
-            "the preset.",
+            'File of "rcbht calibrate" to use instead of the preset: gradient thresholds and, if it was made for '
+            "--rule fit, tolerances.",
             "",
             metavar="FILE.json",
         ),

@@ -13,8 +13,8 @@ from rcbht_jax.cli.snaps import SnapSize, detector_of
 class Describe(Command):
     """Describe a trial in sentences: which axes rise, fall or ring, when, by how much and how fast, and what snaps.
 
-    The store needs no labels; the lines of the fit rule are made on the way. Without --snap, a force snaps that is let
-    go within 50 ms by at least the smallest change that is reported of the force that changes most.
+    The store needs no labels: the lines of the fit rule are computed here. Without --snap, a snap is a force that falls
+    within 50 ms by at least the smallest reported change of the force that changes most.
 
     Example: rcbht describe hiro.zarr 20121127-HIROSA-S-05
     """

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 DrawnRule = Annotated[
     Literal["fit", "paper"],
     option(
-        "Rule of the words that are shown, where --tracks names none: fit, whose words follow the signal, or the "
-        "paper's. Words that the store has not are made on the way."
+        "Rule of the words shown if --tracks names none: fit, whose words follow the signal, or paper. Words that are "
+        "not in the store are computed."
     ),
 ]
 SAYS = {"fit": "words by the fit rule", "paper": "words by the published rules"}

@@ -27,8 +27,8 @@ class Encode(RuleCommand):
     """Encode every recording of a store as labels and add the label tracks to the store.
 
     The online mode is the streaming encoder of this library, as the paper defines it. The offline mode is the authors'
-    published program, which sees the whole trial. A store may be larger than memory; where thresholds or tolerances
-    come from the recordings (--robot auto, --rule fit), they then come from recordings spread evenly over it.
+    published program, which sees the whole trial. A store may be larger than memory: thresholds or tolerances that are
+    found from the recordings (--robot auto, --rule fit) then come from recordings spread evenly over the store.
 
     Example: rcbht encode hiro.zarr --mode online --window 5
     """
@@ -40,18 +40,18 @@ class Encode(RuleCommand):
     scale: float = 1.0
     """Factor on all thresholds; below 1, smaller gradients get labels of their own (online)."""
     gate: Flag = True
-    """Combine any two primitives; by default amplitudes must be within a factor of 2, durations of 5 (online)."""
+    """Combine any two primitives; by default amplitudes must agree within a factor of 2, durations of 5 (online)."""
     adj_exempt: Flag = True
     """Merge repeated adjustments; by default they stay separate, which distinguishes AL from SH (online)."""
     contact_first: Flag = False
-    """Let an impulse be the first of a pair only, never the second (online)."""
+    """Allow an impulse only as the first of a pair, never as the second (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
-    """Filter of each layer; one-slot compares a new label with the accumulated one only (online)."""
+    """Filter of each layer; one-slot compares a new label only with the accumulated one (online)."""
     rule: Literal["paper", "similar", "fit"] = field(default="paper", kw_only=True)  # type: ignore[assignment]  # one more
-    """Rule of durations and amplitudes for merging: the paper's, or that of the authors' older program; or fit: words
-    are runs of windows that one straight line explains (online)."""
+    """Rule of durations and amplitudes for merging: paper, or similar, that of the authors' older program; or fit,
+    where a word is a run of windows that one straight line explains (online)."""
     latency_cap: float | None = None
-    """Emit a label that is held back at the latest after this many seconds (online); by the rule fit, 0.2."""
+    """Emit a held-back label after this many seconds at the latest (online); default none, with --rule fit 0.2."""
     version: Literal["master", "a642c8b", "a1ca1d1", "wip"] = "master"
     """Revision of the authors' program (offline)."""
     clean: Flag = False

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 MOST = 20  # lines of one list in the text
 _HELP = """Import {what} into a store: a file, or a folder of files.
 
-Columns are guessed from their names, and a table says what was understood; --map states them instead, and
---write-map saves them for editing. Recordings are brought onto one steady grid. What is left out, and why, is
-reported; exact copies are imported once. A folder of "rcbht export" comes back as it was.
+The meaning of columns is guessed from their names and shown in a table; --map states it instead, and --write-map
+saves it for editing. All recordings get one uniform time grid. What is left out, and why, is reported; exact copies
+are imported once. A folder of "rcbht export" is restored unchanged.
 
 Example: rcbht import {kind} {example}"""
 
@@ -34,7 +34,7 @@ class Import(Command):
     source: Annotated[Path, tyro.conf.Positional, option("File, or folder of files.", metavar="SOURCE")]
     out: OutStore
     map: Annotated[Path | None, option("File that says what the columns mean.", "", metavar="FILE.toml")] = None
-    write_map: Annotated[Path | None, option("Save here what was understood.", "", metavar="FILE.toml")] = None
+    write_map: Annotated[Path | None, option("File to save the meaning of columns in.", "", metavar="FILE.toml")] = None
     rate: Annotated[float | None, option("Samples per second of the store.", "that of most recordings")] = None
     source_rate: Annotated[float | None, option("Samples per second of files without time stamps.", "")] = None
     tare: Annotated[float | None, option("Subtract the mean of this many seconds at the beginning.", "none")] = None

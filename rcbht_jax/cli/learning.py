@@ -55,7 +55,7 @@ class _Learning(Command):
     store: LabelledStore
     task: Task = "states"
     tracks: tuple[str, ...] = ()
-    """Label tracks to use; A+B concatenates the features of two, and of several choices one is cross-validated."""
+    """Label tracks to use; A+B concatenates the features of two. Cross-validation selects one of several choices."""
     boundaries: Boundaries = "harmonised"
     arm: str = "R"
     """Arm whose labels to use, if the store has several; both = side by side."""
@@ -66,7 +66,7 @@ class _Learning(Command):
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
     weighing: Weighing = ()
     ranks: Flag = True
-    """Replace every feature by its rank in the training set, which transfers best between data sets."""
+    """Scale features by mean and standard deviation; by default by ranks, which transfer best between data sets."""
     balance: Flag = False
     """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
@@ -130,7 +130,7 @@ class Evaluate(_Learning):
     """Folds of the cross-validation."""
     repeats: int = 10
     """Repetitions of the cross-validation, each with other folds."""
-    group: Annotated[str, option("Column whose groups no fold divides, for example operator or session.")] = "trial"
+    group: Annotated[str, option("Column whose groups are never split by folds, for example session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
@@ -219,12 +219,12 @@ class Train(_Learning):
 
 @dataclass(frozen=True)
 class Classify(Command):
-    """Classify every sentence of a store with a model of "rcbht train", and write a table.
+    """Classify every sentence of a store with a model of "rcbht train" and write a table.
 
     The table has a row per sentence: trial, arm, session, start and end in seconds, predicted class, true class (empty
     if the store has none), and a decision value for each pair of classes, positive for the first. If the store has
     true classes, the accuracy is printed, separately for trials that the model was trained on. The labels must come
-    from an encoder with the settings of the training.
+    from an encoder with the same settings as in training.
 
     Example: rcbht classify new.zarr --model states.model -o classes.csv
     """
@@ -233,11 +233,11 @@ class Classify(Command):
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"], metavar="MODEL"), CLASSIFIER]
     """Model file of "rcbht train"."""
     tracks: str = ""
-    """Label tracks to use in place of those of the training; A+B where the model uses two."""
+    """Label tracks to use instead of those used in training; A+B if the model uses two."""
     source: Sources = ()
     session: Sessions = ()
     outcome: tuple[str, ...] = ()
-    """Outcomes of the trials to classify; default those of the training, and unknown ones."""
+    """Outcomes of the trials to classify; default those used in training, and unknown."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
     """Table to write: .csv, or .jsonl for JSON lines."""
 

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from rcbht_jax.types import Recordings
 
 MONITOR = MadeBy('"rcbht monitor fit STORE.zarr -o {path}"')
-Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE, all of these.", "all")]
-Group = Annotated[str, option("Column of the days or sessions that differ from each other.")]
+Where = Annotated[tuple[str, ...], option("Recordings to use: COLUMN=VALUE; if several, all must hold.", "all")]
+Group = Annotated[str, option("Column of the days or sessions between which recordings differ.")]
 FalseAlarms = Annotated[float, option("Share of nominal recordings that may raise an alarm.")]
 ScoreRate = Annotated[float, option("Scores per second.")]
 Levels = Annotated[
-    tuple[str, ...], option("Axes whose values are compared beside their changes: sensors without a bias.", "none")
+    tuple[str, ...], option("Axes whose values are compared as well as their changes: sensors without bias.", "none")
 ]
 
 
@@ -50,9 +50,9 @@ class MonitorFit(Command):
     score_rate: ScoreRate = 20.0
     levels: Levels = ()
     exact: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Set the threshold by recordings that do not teach, so that its promise is exact."""
+    """Set the threshold on recordings held out from training, so that its guarantee on false alarms is exact."""
     seed: int = 0
-    """Seed of that choice."""
+    """Seed for the choice of held-out recordings."""
     out: Annotated[Path, option("File to write: arrays and JSON, no code.", aliases=["-o"], metavar="MONITOR")] = Path(
         "nominal.monitor"
     )
@@ -85,11 +85,12 @@ class MonitorFit(Command):
 
 @dataclass(frozen=True)
 class MonitorWatch(Command):
-    """Play recordings through a monitor, as JSON lines: one at the alarm, one at the end, one for each --snap.
+    """Play recordings through a monitor and print JSON lines: one at the alarm, one at the end, one for each --snap.
 
-    A time is what had passed when a sample was there: number of samples x period, a period later than its stamp.
+    Times are elapsed times: number of samples received x period, one period later than the stamp of the last sample.
 
-    A recording that taught the monitor is its own nearest neighbour and hardly ever raises an alarm: watch others.
+    A recording that the monitor was trained on is its own nearest neighbour and hardly ever raises an alarm: watch
+    others.
 
     Example: rcbht monitor watch kitting.zarr --monitor skill7.monitor --where skill=7 --false-alarms 0.1
     """
@@ -138,7 +139,7 @@ class MonitorWatch(Command):
 
 @dataclass(frozen=True)
 class MonitorEvaluate(Command):
-    """Measure a monitor on groups that it has not seen: each group in turn is held out, the nominal others teach.
+    """Measure a monitor on unseen groups: each is held out in turn, and nominal recordings of the others train.
 
     Example: rcbht monitor evaluate kitting.zarr --where skill=7 --group session --onset anomaly_rel --false-alarms 0.1
     """

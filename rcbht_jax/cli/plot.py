@@ -114,7 +114,7 @@ class PlotMap(Command):
 
 @dataclass(frozen=True)
 class PlotBeliefs(Command):
-    """Plot the beliefs of a model over one trial that is replayed: a row per class, a column per belief.
+    """Plot the beliefs of a model over one replayed trial: a row per class, a column per belief.
 
     Beliefs over a trial that the model was trained on do not show how it performs on new ones.
 
@@ -129,8 +129,8 @@ class PlotBeliefs(Command):
     arm: Arm = "R"
     source: SourcePrefix = ""
     starts: str = "harmonised"
-    """Track of annotations whose intervals begin the sub-tasks; recorded = the first one, harmonised = its corrected
-    variant where there is one, detected = found by the model (train-online --detect)."""
+    """Track of annotations whose intervals begin the sub-tasks; recorded = the first track, harmonised = its corrected
+    variant if there is one, detected = found by the model (train-online --detect)."""
     rate: BeliefRate = None
 
     def run(self) -> dict[str, Any]:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 class Segment(Command):
     """Label every sample of recordings whose intervals are unknown, and measure how well that works.
 
-    Annotated recordings are labelled by a model of the others, and scored; recordings without annotation are labelled
-    by a model of all annotated ones. The table has a row per interval: recording, trial, arm, label, start and end in
-    seconds, and whether the recording was annotated.
+    Annotated recordings are labelled by a model trained on others, and scored; recordings without annotation are
+    labelled by a model trained on all annotated ones. The table has a row per interval: recording, trial, arm, label,
+    start and end in seconds, and whether the recording was annotated.
 
     Example: rcbht segment caps.zarr --task phase -o segments.csv
     """
@@ -43,12 +43,12 @@ class Segment(Command):
     store: Store
     task: Annotated[str, option("Track of annotations whose labels to learn.", "the first")] = ""
     source: Sources = ()
-    group: Annotated[str, option("Column whose groups are not divided between training and test.")] = "trial"
-    folds: Annotated[int, option("Parts of which each is labelled by a model of the others; 0 = every group.")] = 5
+    group: Annotated[str, option("Column whose groups are never split between training and test.")] = "trial"
+    folds: Annotated[int, option("Parts, each labelled by a model of the others; 0 = one part per group.")] = 5
     one_shot: Flag = False
     """Train on one recording at a time and test on all others."""
     offline: Flag = False
-    """Read the future of a recording as well; else a label depends on no later sample."""
+    """Use later samples as well; by default no label depends on samples after it."""
     rule: WordRule = "paper"
     tolerance: Tolerance = ()
     seed: int = 0

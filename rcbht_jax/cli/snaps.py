@@ -14,7 +14,7 @@ SnapSize = Annotated[
     tuple[str, ...],
     option(
         "Report snaps, forces that are released within 50 ms: AXIS=LEAST, the smallest fall in N or Nm; "
-        "AXIS=LEAST,MOST; or AXIS=LEAST,MOST,LOW,HIGH with the load from which it falls.",
+        "AXIS=LEAST,MOST, the largest as well; or AXIS=LEAST,MOST,LOW,HIGH, the load before the fall as well.",
         "none",
         metavar="[AXIS=LEAST ...]",
     ),

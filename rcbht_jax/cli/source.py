@@ -48,31 +48,31 @@ class Source(RuleCommand):
     """Trials of a store; default all, one after the other."""
     arm: Arm = "R"
     starts: str = "harmonised"
-    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first one,
-    harmonised = its corrected variant where there is one, none, detected = found by the model (train-online
-    --detect)."""
+    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first track,
+    harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found by the model
+    (train-online --detect)."""
     topic: str = ""
     """Topic of a bag, if several have wrenches."""
     axes: tuple[str, ...] = ()
-    """Names of the axes, without a model; those that begin with M or T are moments. Default: Fx Fy Fz Mx My Mz if
+    """Names of the axes, if no model is given; those that begin with M or T are moments. Default: Fx Fy Fz Mx My Mz if
     there are six."""
     sampling_rate: float | None = None
-    """Samples per second of the encoder, without a model; default that of the recording or of its time stamps."""
+    """Samples per second of the encoder, if no model is given; default that of the recording or its time stamps."""
     lead: float = 10.0
-    """Seconds at the beginning from which --robot auto takes the thresholds, and --rule fit the tolerances, of a stream
-    that is not a store."""
+    """Seconds at the beginning of a stream (not of a store) from which --robot auto finds the thresholds and --rule fit
+    the tolerances."""
     rate: BeliefRate = None
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
     speed: float | None = None
-    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, and 1 for "rcbht serve" of a recording; lines
-    on standard input are read as they come."""
+    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, or 1 for a recording in "rcbht serve"; lines
+    on standard input are read as they arrive."""
     snap: SnapSize = ()
     max_gap: float | None = None
     """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
     tare: float = 0.0
-    """Subtract the mean of this many seconds at the beginning of each trial, whose beliefs come at their end; what
-    "rcbht join --tare" did to the training trials."""
+    """Subtract the mean of this many seconds at the beginning of each trial; beliefs of these seconds come at their
+    end. Give the value of "rcbht join --tare" for the training trials."""
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
     compile_cache: CompileCache = None

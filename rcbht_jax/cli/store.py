@@ -66,8 +66,8 @@ class Join(Command):
     """Join several stores into one, for example recorded and simulated trials that are to train together.
 
     The stores need the same axes, units and sampling rate. Annotations and columns are kept; label tracks and the
-    parameters of simulations are not: encode the new store. Exact copies are taken once. A sensor that was not tared
-    reads something else in free space than a simulated one: --tare 1.
+    parameters of simulations are not: encode the new store. Of exact copies, one is kept. A sensor that was not tared
+    reads an offset in free space that simulated sensors lack: use --tare 1.
 
     Example: rcbht join hiro.zarr trials.zarr -o both.zarr --tare 1
     """
@@ -99,9 +99,9 @@ class Join(Command):
 class Info(Command):
     """Summarise a store: recordings by source, session and outcome, annotations, columns, tasks, label tracks.
 
-    A small store is read whole, which verifies its checksums, and its tasks are examined. Of one larger than 256 MiB
-    only what was counted when it was written is shown; --check reads all of it, part by part. A store that is still
-    being written is described as far as it is there.
+    A small store is read whole, which verifies its checksums, and its tasks are examined. For a store larger than
+    256 MiB, only the counts made when it was written are shown; --check reads all of it, part by part. If a store is
+    still being written, the recordings written so far are described.
 
     Example: rcbht info hiro.zarr
     """

@@ -63,12 +63,12 @@ class TrainOnline(RuleCommand):
     false_alarms: float = 0.0
     """Rate of false alarms per nominal trial, for the task outcome, such as 0.02; 0 = alarm above --certainty."""
     first_seconds: float = 0.0
-    """Learn from so many seconds of each recording, the same of all, so that length reveals nothing; 0 = from all."""
+    """Learn from only the first so many seconds of each recording, so that its length reveals nothing; 0 = from all."""
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()
     families: tuple[Family, ...] = ()
-    """Feature families; none = those that serve a sub-task, or a whole trial, best."""
+    """Feature families; default those that work best for sub-tasks or for whole trials."""
     ranks: Flag = False
     """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
@@ -153,7 +153,7 @@ class TrainOnline(RuleCommand):
 class Stream(Source):
     """Compute words, beliefs and events from a stream of wrenches, as JSON lines.
 
-    Without --model the words of any axes are reported, with one the beliefs. INPUT is a store, the folder of one
+    Without --model, words are reported, for any axes; with a model, beliefs. INPUT is a store, the folder of one
     trial, a ROS 1 or ROS 2 bag, an MCAP file, or - for JSON lines on standard input, such as {"time": 0.005, "wrench":
     [Fx, Fy, Fz, Mx, My, Mz]} and {"begin": true} where a sub-task begins. Irregularities of the stream (gaps, repeated
     or late samples, NaN, jitter, silence) are reported as events.
@@ -162,13 +162,13 @@ class Stream(Source):
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
-    """File for the events, which appears when the stream ends; a pipe gets each at once. Default standard output."""
+    """File for the events, complete when the stream ends; a pipe gets each event at once. Default standard output."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False
-    """With a model, report words as well; without one they always are."""
+    """Report words as well as beliefs; without a model, words are always reported."""
     provisional: Flag = False
-    """Report words that still run as well, from their second window on and whenever their label changes."""
+    """Also report unfinished words, from their second window on and whenever their label changes."""
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax._util.atomic import atomic_lines
@@ -237,8 +237,8 @@ class Serve(Source):
     rule: Annotated[
         Literal["paper", "fit"],
         option(
-            "Rule of the words that are shown, also beside the beliefs of a model that reads others: fit, whose words "
-            "follow the signal and come in time; or the paper's."
+            "Rule of the words shown, even if the beliefs of the model use other words: fit, whose words follow the "
+            "signal and appear in time; or paper."
         ),
     ] = field(default="fit", kw_only=True)
 

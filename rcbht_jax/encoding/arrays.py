@@ -1,4 +1,4 @@
-"""Wrenches as people have them: NumPy, JAX, pandas, xarray, one recording or many, and labels of all of them."""
+"""Labels of wrenches in common forms: NumPy, JAX, pandas or xarray, one recording or many."""
 
 from __future__ import annotations
 
@@ -39,26 +39,26 @@ def encode(
     Args:
         wrench: one recording ``[time, axis]``, several ``[recording, time, axis]``, or a list of recordings of any
             lengths; NumPy, JAX, pandas or xarray; any number of axes, N and Nm. Names of axes are taken from pandas and
-            xarray; a column, index or coordinate "time" (s, or dates) must agree with the rate and have no gap. Of
-            xarray, the dimension "time" may be anywhere.
+            xarray; a column, index or coordinate "time" (s, or dates) must agree with the rate and have no gap. In
+            xarray, "time" may be any of the dimensions.
         rate: samples per second.
         window: samples per straight-line fit, >= 2.
         thresholds: gradient limits: an object or array ``[axis, 4]`` (or ``[recording, axis, 4]``), or the name of a
-            robot; None = the preset of HIRO, moments being axes whose names begin with M or T. By the fit rule also
-            FitLimits, whose tolerance counts unless another one is given.
-        lengths: samples that count of each recording, where ``[recording, time, axis]`` is padded.
-        config: all choices of the encoder at once, in place of ``rate``, ``window`` and ``rule``.
-        rule: "paper", or "fit": words are runs of windows that one straight line explains (docs/fit_rule.md).
-        tolerance: of the fit rule, root mean square by which a line may differ from the samples, N and Nm: a number,
-            or one for each axis; None = from these recordings.
+            robot; None = the preset of HIRO, where axes whose names begin with M or T are moments. For the fit rule
+            also FitLimits, whose tolerance is used unless ``tolerance`` is given.
+        lengths: number of valid samples of each recording, if ``[recording, time, axis]`` is padded.
+        config: all options of the encoder at once, instead of ``rate``, ``window`` and ``rule``.
+        rule: "paper"; or "fit", where a word is a run of windows that one straight line explains (docs/fit_rule.md).
+        tolerance: for the fit rule, the largest root-mean-square difference of line and samples, N and Nm: a number,
+            or one for each axis; None = found from these recordings.
 
     Returns:
         labels ``[axis, slot]`` for one recording, ``[recording, axis, slot]`` for several, on the host.
 
     Raises:
-        InputError: another shape, values that are not finite, recordings of different axes, a time that disagrees with
+        InputError: wrong shape, values that are not finite, recordings with different axes, a time that disagrees with
             the rate or has a gap, thresholds that do not fit, a tolerance for the paper's rule, or a rate, window or
-            rule that the config contradicts.
+            rule that contradicts the config.
 
     Source:
         Rojas et al., "Online Robot Introspection via Wrench-based Action Grammars", section III.

@@ -38,12 +38,12 @@ class EncoderConfig:
     Attributes:
         window: samples per straight-line fit, >= 2.
         dt: seconds between samples.
-        gate: pair primitives only when amplitudes are within 2 and durations within 5 times.
-        adj_exempt: repeated adjustments stay apart, so that alignments and shifts can be distinguished.
-        contact_first: impulses only lead pairs.
+        gate: pair primitives only if amplitudes agree within a factor of 2 and durations within a factor of 5.
+        adj_exempt: keep repeated adjustments separate, so that alignments and shifts can be distinguished.
+        contact_first: impulses are only the first of a pair.
         pipe: "two-slot", or "one-slot" which compares each arrival with the accumulator.
         rule: time-amplitude rule, "paper" or the reference's older "similar".
-        latency_cap: publish a waiting run at the latest after this many seconds of its successor, or None.
+        latency_cap: longest time in s that a run waits after its successor has begun; None = no limit.
         noise_below: single compositions shorter than this many seconds become noise.
 
     Raises:

@@ -131,18 +131,18 @@ def held(
 class Encoder:
     """Streaming encoder of one wrench: samples in as they come, labels out.
 
-    It remembers a state of fixed size and less than one window of samples. Labels come as LabelTracks ``[axis, slot]``
-    of host arrays, one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each); label
-    0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however the
-    samples are cut into chunks.
+    The encoder keeps a state of fixed size and less than one window of samples. Labels are LabelTracks ``[axis, slot]``
+    of host arrays, with one slot per window or, at the end, 1 + 2, 1 + 5 and 1 + 8 slots (by the fit rule 1 + 5 each);
+    label 0 marks a slot where nothing was published. They equal those of :func:`rcbht_jax.encode` bit for bit, however
+    the samples are divided into chunks.
 
     Args:
         config: static configuration; its type chooses the rule.
-        thresholds: limits ``[axis, 4]``; of the fit rule FitLimits.
+        thresholds: limits ``[axis, 4]``; for the fit rule FitLimits.
         dtype: float32 or float64 (the latter needs JAX's 64-bit mode).
 
     Raises:
-        InputError: thresholds of another shape, or not in order, or another dtype.
+        InputError: thresholds have the wrong shape or are not in order, or the dtype is not float32 or float64.
 
     Example:
         >>> import numpy as np, rcbht_jax as rj
@@ -171,7 +171,7 @@ class Encoder:
         return self._buffer.taken
 
     def push(self, samples: ArrayLike) -> list[LabelTracks]:
-        """Feed samples ``[time, axis]`` of any number; one entry per window that they complete.
+        """Feed any number of samples ``[time, axis]``; returns one entry per window that they complete.
 
         Raises:
             InputError: wrong shape, a value that is not finite, or more samples than are counted (``MOST_SAMPLES`` of
@@ -180,7 +180,7 @@ class Encoder:
         return list(self.windows(samples))
 
     def windows(self, samples: ArrayLike) -> Iterator[LabelTracks]:
-        """As :meth:`push`, one entry at a time: between two of them the stream stands at the end of the window."""
+        """Like :meth:`push`, but yields one entry at a time: in between, the stream is at the end of the window."""
         chunk = self._buffer.checked(samples)
         while len(chunk):
             chunk = self._buffer.fill(chunk, self._config.window)
@@ -190,18 +190,18 @@ class Encoder:
                 yield jax.tree.map(lambda leaf: np.asarray(leaf)[:, None], _unpack(packed))
 
     def lines(self, samples: ArrayLike) -> Iterator[tuple[StraightLines, StraightLines]]:
-        """As :meth:`windows`, many windows at a time: the lines of their primitives, and those of the runs that go on.
+        """Like :meth:`windows`, many windows at a time: the lines of their primitives and of the unfinished runs.
 
         Args:
             samples: ``[time, axis]``; they are consumed while the result is iterated over.
 
         Returns:
-            of several windows the words and the runs, each as first sample, end, mean and slope per sample
-            ``[window, axis]``; a window that published no word has one without samples.
+            words and runs of several windows, each as first sample, end, mean and slope per sample ``[window, axis]``;
+            a window that published no word has a word without samples.
 
         Raises:
-            InputError: the stream does not follow the fit rule, the only one with runs; wrong shape, or a value that
-                is not finite.
+            InputError: the stream does not use the fit rule (only this rule has runs), wrong shape, or a value that is
+                not finite.
 
         Example:
             >>> from rcbht_jax.encoding.tolerance import FitLimits
@@ -224,24 +224,24 @@ class Encoder:
                 yield jax.tree.map(lambda rows, count=count: np.asarray(rows)[:count], out)
 
     def peek(self) -> LabelTracks:
-        """Provisional labels of the words that are not published yet; nothing changes.
+        """Provisional labels of the words that are not published yet; the stream is unchanged.
 
-        Those of the paper's rule are what the stream would publish if it ended now, those of the fit rule what its
-        words will be if the present run goes on (:mod:`rcbht_jax.encoding.provisional`).
+        By the paper's rule they are what the stream would publish if it ended now; by the fit rule, what its words will
+        be if the present run continues (:mod:`rcbht_jax.encoding.provisional`).
         """
         return held(self._config, self._limits, self._state, self._buffer)
 
     def ending(self) -> LabelTracks:
-        """The labels that an end of the stream would publish now; nothing changes."""
+        """The labels that the stream would publish if it ended now; the stream is unchanged."""
         return held(self._config, self._limits, self._state, self._buffer, ends=True)
 
     def flush(self) -> LabelTracks:
-        """End of the stream: the labels still held. The stream starts anew afterwards."""
+        """End the stream and return the labels still held. Afterwards a new stream starts."""
         tracks = self.ending()
         self.restart()
         return tracks
 
     def restart(self) -> None:
-        """Start a new stream; what is still held is forgotten."""
+        """Start a new stream and discard the labels still held."""
         self._state = rule_of(self._config).init(self._config, (self._axes,), self._buffer.samples.dtype)
         self._buffer.count = self._buffer.taken = 0

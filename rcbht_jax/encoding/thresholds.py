@@ -37,10 +37,10 @@ MOMENT_SCALE = 10.0  # moments of a hand-sized lever are about a tenth of the fo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GradientThresholds:
-    """Gradient limits, largest first, mirrored for negative slopes (paper, section III-A).
+    """Gradient limits, largest first; negative slopes use the same limits, mirrored (paper, section III-A).
 
-    A plain pytree: ``jax.grad``, ``jax.tree.map`` and ``jax.device_get`` give another one. Nothing is checked when one
-    is made; encoders, files and models check what they are given (:meth:`validate`).
+    A plain pytree: ``jax.grad``, ``jax.tree.map`` and ``jax.device_get`` return another one. The constructor checks
+    nothing; encoders, files and models check the limits that they are given (:meth:`validate`).
 
     Attributes:
         limits: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, N/s for forces, Nm/s for moments.
@@ -55,7 +55,7 @@ class GradientThresholds:
     limits: Float[Array, "*batch axis 4"]
 
     def validate(self) -> GradientThresholds:
-        """These thresholds, if they are in order.
+        """Return these thresholds if they are valid.
 
         Raises:
             InputError: wrong shape, not finite, not positive or not ordered.
@@ -91,7 +91,7 @@ def preset(robot: str = "hiro", axes: Sequence[str] = AXES) -> GradientThreshold
 
     Args:
         robot: one of ``ROBOTS``.
-        axes: names; those that begin with M or T are moments, all others count as forces.
+        axes: their names; those that begin with M or T are moments, all others forces.
 
     Raises:
         InputError: unknown robot.
@@ -132,7 +132,7 @@ COLUMNS = {FORMAT_VERSION: LIMITS, FIT_VERSION: (*LIMITS, TOLERANCE)}
 def write_thresholds(
     path: Path | str, thresholds: Any, provenance: Mapping[str, Any], axes: Sequence[str] = AXES
 ) -> None:
-    """Write thresholds ``[axis, 4]``, in units of the axes per second, as a whole file or not at all.
+    """Write thresholds ``[axis, 4]``, in units of the axes per second, to a file, atomically.
 
     Args:
         path: file to write; an existing one is replaced.
@@ -190,11 +190,12 @@ def write_rows(
 
 
 def read_thresholds(path: Path | str, axes: Sequence[str] = AXES) -> tuple[GradientThresholds, dict[str, Any]]:
-    """Thresholds ``[axis, 4]`` of some axes, by name, and their provenance.
+    """Read thresholds ``[axis, 4]`` of the named axes, and their provenance.
 
     Raises:
-        InputError: not such a file, one of the fit rule (see :func:`rcbht_jax.encoding.limit_files.read_limits`), or
-            its limits are not ordered positive numbers for each of the axes.
+        InputError: not a file of thresholds, one of the fit rule (see
+            :func:`rcbht_jax.encoding.limit_files.read_limits`), or its limits are not ordered positive numbers for
+            each of the axes.
 
     Example:
         >>> import tempfile

@@ -1,7 +1,7 @@
-"""Feature sets that have proved themselves, by what they may see.
+"""Proven feature sets, by the information that they use.
 
-Time and absolute level are informative but treacherous: the time that has passed identifies a controller, and a
-constant added to the wrench identifies a session. Sets without them transfer between sessions.
+Time and absolute level are informative but can mislead: elapsed time identifies a controller, and a constant offset of
+the wrench identifies a session. Sets without them transfer between sessions.
 
 >>> from rcbht_jax.features import FeatureSpec, recipes
 >>> FeatureSpec(recipes.RICHER).families

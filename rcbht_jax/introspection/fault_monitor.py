@@ -1,11 +1,11 @@
 """Detection of faults in a stream: one classifier per sub-task and a time limit, both with few false alarms.
 
-A linear SVM per sub-task separates nominal trials from each cause of failure, from features of the sub-task so far; the
-probability that the trial is not nominal raises the alarm of the *words*. The *clock* raises the alarm when a sub-task
-lasts longer than it should. All alarm levels are conformal thresholds (Angelopoulos and Bates 2023, section 1) of
-nominal training trials, each streamed through a classifier that was not trained on it, so that a new nominal trial
-raises a false alarm with about the chosen probability or less. That is no theorem, since the classifier that is used
-learns from all of them, and the hold time is chosen afterwards; tests bear it out.
+A linear SVM per sub-task separates nominal trials from each cause of failure, using features of the sub-task so far;
+the probability that the trial is not nominal raises the alarm of the *words*. The *clock* raises the alarm when a
+sub-task lasts too long. All alarm levels are conformal thresholds (Angelopoulos and Bates 2023, section 1) of nominal
+training trials, each streamed through a classifier that was not trained on it, so that a new nominal trial raises a
+false alarm with about the chosen probability or less. This is not proved, because the final classifier is trained on
+all trials and the hold time is chosen afterwards; tests confirm it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ COLUMNS = ("trial", "subtask", "begin", "now", "features")  # of snapshots
 
 @dataclass(frozen=True)
 class SubtaskSnapshots:
-    """Features of streams at successive moments; those of a trial stand together, in the order of time.
+    """Features of streams at successive moments; rows of a trial are consecutive and in order of time.
 
     Raises:
         InputError: the rows are not in that order.
@@ -144,23 +144,23 @@ class FaultMonitor:
         config: FaultMonitorConfig | None = None,
         seed: int = 0,
     ) -> FaultMonitor:
-        """Learn from streamed trials; the hold time is the one with which most failures are detected, held out.
+        """Learn from streamed trials; the hold time is the one that detects most failures in held-out trials.
 
         Args:
             snapshots: of the training trials; trials without a snapshot are left out. Folds are grouped by trial.
             cause: class of each trial, NOMINAL or why it failed.
-            subtasks: that get a classifier, if both nominal and faulty trials reach them; None = all.
-            durations: s that a timed sub-task lasted, NaN where it did not end; none = no clock.
-            kind: over which the share of detected failures is averaged; None = ``cause``.
-            visible: s since the trial began, before which a fault cannot show and snapshots do not train; None = 0.
+            subtasks: those that get a classifier, if both nominal and faulty trials reach them; None = all.
+            durations: duration of each timed sub-task, s, NaN where it did not end; none = no clock.
+            kind: classes over which the share of detected failures is averaged; None = ``cause``.
+            visible: s since the trial began before which a fault cannot show; earlier snapshots do not train. None = 0.
             deadline: s; later alarms do not count as detection. NaN = the trial does not count. None = no deadline.
-            own: trials of the robot that is watched, whose nominal ones set alarm levels and time limits; None = all.
+            own: trials of the monitored robot; its nominal trials set alarm levels and time limits. None = all.
             config: None = the defaults.
             seed: of the folds.
 
         Raises:
-            InputError: no sub-task has both nominal and faulty trials, or there are too few nominal trials for so few
-                false alarms.
+            InputError: no sub-task has both nominal and faulty trials, or there are too few nominal trials for the
+                chosen probability of false alarms.
         """
         config = config or FaultMonitorConfig()
         nominal, streamed = cause == NOMINAL, np.isin(np.arange(len(cause)), snapshots.trial)

@@ -116,7 +116,7 @@ _begin = jit(static_argnums=(0, 1, 2))(begin_stream)  # one small program in pla
 
 
 class Introspector:
-    """Beliefs about one stream of wrenches; remembers a fixed-size state, whatever the length of the stream.
+    """Beliefs about one stream of wrenches, with a state of fixed size, whatever the length of the stream.
 
     Args:
         model: see :mod:`rcbht_jax.introspection.model`.
@@ -130,7 +130,7 @@ class Introspector:
             :class:`rcbht_jax.introspection.alarms.PhaseFilter`. Features of the sub-task then start at its detection.
         words: also report each published label, as a :class:`rcbht_jax.events.Word`.
 
-    Beliefs depend on the samples and on :meth:`begin`, not on how the samples are cut into chunks, bit for bit.
+    Beliefs depend on the samples and on :meth:`begin`; dividing the samples into other chunks does not change one bit.
 
     Example:
         >>> import rcbht_jax as rj
@@ -212,14 +212,14 @@ class Introspector:
         return self.model.heads
 
     def warm_up(self) -> None:
-        """Compile the chain now, which takes seconds, not in the first :meth:`push`; the stream is unchanged."""
+        """Compile the chain now (seconds), instead of in the first :meth:`push`; the stream is unchanged."""
         jax.block_until_ready(self._call())
         if self._words:
             self.provisional()
             self.finish()
 
     def provisional(self) -> list[Word]:
-        """Words that are not published yet, with labels that may still change; nothing changes."""
+        """Words that are not published yet, with labels that may still change; the stream is unchanged."""
         return self._held(ends=False)
 
     def _held(self, ends: bool) -> list[Word]:
@@ -227,11 +227,11 @@ class Introspector:
         return words_of_tracks(tracks, self.axes, self.received, self._now(), self._config.dt)
 
     def finish(self) -> list[Event]:
-        """The words still held at the end of a stream, if words are reported; :meth:`reset` begins the next one."""
+        """Words still held at the end of a stream, if words are reported; :meth:`reset` begins the next stream."""
         return [*self._held(ends=True)] if self._words else []
 
     def begin(self, label: str = "", detected: bool = False) -> list[Event]:
-        """Start a sub-task with the next sample, of this name; ``detected`` says that no controller announced it."""
+        """Start a sub-task of this name with the next sample; ``detected`` = it was not announced by a controller."""
         for number, scope in enumerate(self._chain.scopes):
             if scope == "subtask":
                 self._begins[number] = self.received

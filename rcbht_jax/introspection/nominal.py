@@ -1,8 +1,8 @@
 """Monitors that learn from successes alone: an anomaly score at every sample, and a threshold with few false alarms.
 
-A monitor sees nominal recordings of one skill only. At time t its score says how far the last moments are from what
-nominal recordings show around t; it uses no later sample. The threshold is a conformal quantile (Vovk et al. 2005;
-Angelopoulos and Bates 2023, section 1) of the peaks of nominal recordings that the score was not learned from, so that
+A monitor is trained on nominal recordings of one skill only. At time t its score says how far the last moments are from
+what nominal recordings show around t; it uses no later sample. The threshold is a conformal quantile (Vovk et al. 2005;
+Angelopoulos and Bates 2023, section 1) of the peak scores of nominal recordings that the score was not learned from, so
 false alarms are counted per recording and not per sample.
 
 :class:`NominalMonitor` compares with the nearest nominal recordings, channel by channel; see
@@ -42,11 +42,11 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         rate: samples per second of the recordings.
         score_rate: scores per second, at most ``rate``; samples between two scores are averaged.
         memory: s over which the score is averaged.
-        calibration: ``"cross"``: every nominal recording is scored by a monitor of the other groups, and all of them
-            learn. ``"split"``: a random half learns, the other half sets the threshold. The promise of
-            :meth:`threshold` is exact for ``"split"``.
-        folds: most groups that are left out in turn; more are dealt out to so many folds.
-        random_state: of the split, and of what is random in the score.
+        calibration: ``"cross"``: every nominal recording is scored by a monitor trained on the other groups, and the
+            final monitor is trained on all. ``"split"``: a random half trains, the other half sets the threshold. The
+            guarantee of :meth:`threshold` is exact for ``"split"``.
+        folds: largest number of groups left out in turn; more groups are distributed over this many folds.
+        random_state: seed of the split and of randomness in the score.
 
     Attributes:
         n_features_in_: axes of a recording.
@@ -68,12 +68,12 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
             X: recordings ``[time, axis]`` of any lengths, all nominal; NumPy, JAX, pandas or xarray, read as by
                 :func:`rcbht_jax.encode`.
             y: not used.
-            groups: day or session of each; the score is made insensitive to what differs between groups, and the
-                threshold covers it. None = each recording is a group of its own.
+            groups: day or session of each; the score is made insensitive to differences between groups, and the
+                threshold covers them. None = each recording is a group of its own.
 
         Raises:
-            InputError: fewer than three recordings, wrong shapes, other axes in some, values that are not finite, a
-                time that disagrees with the rate, or bad parameters.
+            InputError: fewer than three recordings, wrong shapes, recordings with different axes, values that are not
+                finite, a time that disagrees with the rate, or bad parameters.
         """
         if self.calibration not in CALIBRATIONS:
             raise InputError(f"calibration is {self.calibration!r}; expected one of {', '.join(CALIBRATIONS)}.")
@@ -99,7 +99,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return self
 
     def scores(self, series: ArrayLike) -> Float[np.ndarray, " time"]:
-        """Anomaly score at every sample of a recording ``[time, axis]``, from this sample and those before.
+        """Anomaly score at every sample of a recording ``[time, axis]``, from this and earlier samples.
 
         Raises:
             InputError: other axes than in :meth:`fit`, or values that are not finite.
@@ -107,11 +107,11 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
         return self.stream().push(series)
 
     def threshold(self, alpha: float = 0.05) -> float:
-        """Score that a new nominal recording exceeds, ever, with a probability of at most ``alpha``.
+        """Score that a new nominal recording exceeds at any time with a probability of at most ``alpha``.
 
         With ``calibration="split"`` this holds for any finite number of recordings, on average over fits, if the new
-        one and those of the held-out half are exchangeable. With ``"cross"`` it is not proved, but tests bear it out;
-        a new day is not exchangeable with those seen, and there the false alarms have to be measured.
+        recording and those of the held-out half are exchangeable. With ``"cross"`` it is not proved, but tests confirm
+        it. Recordings of a new day are not exchangeable with those seen: measure their false alarms.
 
         Raises:
             InputError: fewer than 1 / ``alpha`` - 1 recordings set the threshold.
@@ -199,7 +199,7 @@ class Monitor(BaseEstimator):  # type: ignore[misc]
 
 
 class MonitorStream:
-    """Scores of one recording as it comes; the same as those of the whole recording, however it is cut.
+    """Scores of one recording as it arrives; they equal those of the whole recording, whatever the chunks.
 
     >>> rng = np.random.default_rng(0)
     >>> monitor = NominalMonitor().fit(rng.normal(size=(8, 60, 2)))
@@ -258,26 +258,26 @@ class MonitorStream:
 class NominalMonitor(Monitor):
     """Distance to the nearest nominal recordings at about the same time, as surprise, averaged over the channels.
 
-    Each channel is described by its change since the beginning of the skill and within ``lags``, so that the bias of a
-    sensor does not count. Features are divided by what they differ between groups. The distance of a channel to its
+    Each channel is described by its change since the beginning of the skill and within ``lags``, so the bias of a
+    sensor has no effect. Features are divided by their differences between groups. The distance of a channel to its
     nearest nominal moments within ``slack`` + ``drift`` x elapsed time is divided by the usual distance of held-out
-    nominal recordings then, and its surprise is that of a Student t: log(1 + z^2 / 3). A single channel's burst counts
-    little, a deviation of several channels, or one that lasts, counts much.
+    nominal recordings at that time, and its surprise is that of a Student t: log(1 + z^2 / 3). A short burst in one
+    channel counts little; a deviation that lasts, or that several channels show, counts much.
 
-    A recording that lasts longer than nominal ones is compared with how those ended: lasting long is no anomaly by
-    itself, so that recordings that were cut at a failure and those that were not are scored alike.
+    A recording that lasts longer than the nominal ones is compared with their ends: a long duration alone is no
+    anomaly, so recordings that were cut at a failure and those that were not are scored alike.
 
     Args:
-        lags: s, of the changes.
+        lags: time differences of the changes, s.
         baseline: s at the beginning whose mean is subtracted.
-        levels: numbers of the axes whose values themselves are compared, too, as further channels: what is wrong from
-            the beginning, such as an object that is missing, is no change. For sensors without a bias of the day.
+        levels: numbers of the axes whose values are compared as well, as further channels: what is wrong from the
+            beginning, such as a missing object, does not show in changes. For sensors without a daily bias.
         slack: s by which a moment may be early or late.
         drift: the same, as a share of the elapsed time.
         neighbours: nearest nominal recordings whose distances are averaged.
 
     Attributes:
-        bank_: described nominal recordings, scales and usual distances: all that was learned.
+        bank_: all that was learned: features of the nominal recordings, scales and usual distances.
 
     Example:
         >>> rng = np.random.default_rng(0)

@@ -270,16 +270,16 @@ def line_of(
 
 
 class SnapDetector:
-    """Snaps of a stream of forces, words of the fit rule within; the same events however the samples are cut.
+    """Snaps in a stream of forces, found with words of the fit rule; chunks of any size give the same events.
 
     Args:
         rate: samples per second.
         axes: their names.
         least: smallest fall that is a snap, N or Nm: a number, or one for each axis.
         most: largest fall.
-        load: smallest and largest value, either way from zero, from which it falls; numbers, or one for each axis.
-        window: samples for each step of the encoder, >= 2: a snap is seen at the end of one. Default 10 ms of them.
-        tolerance: of the words; default a tenth of the smallest fall.
+        load: smallest and largest absolute value from which it falls; numbers, or one for each axis.
+        window: samples for each step of the encoder, >= 2; a snap is seen at the end of a step. Default 10 ms.
+        tolerance: of the fit rule; default a tenth of the smallest fall.
         config: what else counts as a snap.
 
     Raises:
@@ -320,10 +320,10 @@ class SnapDetector:
         return self._words.dt
 
     def columns(self, axes: Sequence[str], dt: float) -> list[int]:
-        """Where its axes are among those of a signal with ``dt`` s between samples.
+        """Column numbers of its axes in a signal with these axes and ``dt`` s between samples.
 
         Raises:
-            InputError: an axis is not among them, or the rate is another one.
+            InputError: the signal lacks an axis or has another rate.
 
         Example:
             >>> SnapDetector(200.0, ["Fz"], least=3.0).columns(("Fx", "Fy", "Fz"), 0.005)
@@ -337,7 +337,7 @@ class SnapDetector:
         return [tuple(axes).index(axis) for axis in self.axes]
 
     def warm_up(self) -> None:
-        """Compile the encoder now, not in the first :meth:`push`."""
+        """Compile the encoder now, instead of in the first :meth:`push`."""
         list(Encoder(self._words, self._limits).lines(np.zeros((self._words.window, len(self.axes)))))
 
     def reset(self) -> None:

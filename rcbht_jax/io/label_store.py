@@ -60,7 +60,7 @@ def write_tracks(
 def write_batches(
     path: Path, name: str, batches: Iterable[LabelTracks], attrs: Mapping[str, Any], *, created: str | None = None
 ) -> None:
-    """Add a set of label tracks that is made in batches, of which one at a time is in memory.
+    """Add a set of label tracks in batches, with one batch at a time in memory.
 
     >>> import rcbht_jax as rj
     >>> from rcbht_jax.io import store

@@ -88,10 +88,10 @@ def write_recordings(
         overwrite: replace an existing store once the new one is complete.
         created: creation date to store; default now. With a fixed text, equal content gives equal bytes.
         simulation: arrays ``[recording, ...]`` for the group ``simulation/``; text as NumPy strings.
-        part: recordings in a part; default: so many that a part has about 64 MiB.
+        part: number of recordings in a part; default: parts of about 64 MiB.
 
     Raises:
-        InputError: the recordings contradict themselves, ``path`` exists, or ``attrs`` is not JSON.
+        InputError: the recordings are inconsistent, ``path`` exists, or ``attrs`` is not JSON.
     """
     path = as_path(path)
     check_target(path, overwrite)

@@ -3,8 +3,8 @@
 ``WrenchFeatures`` turns recordings into a feature matrix, ``StateClassifier`` chains it with ``SvmClassifier``. They
 follow scikit-learn's conventions: ``clone``, ``Pipeline``, ``GridSearchCV`` over any parameter, ``set_output``, and
 groups and weights of samples by ``fit(X, y, groups=..., sample_weight=...)`` or metadata routing.
-Parameters are fields, from which ``dataclass`` writes the ``__init__`` that scikit-learn inspects. They are checked in
-``fit``, as scikit-learn expects, hence ``Any``.
+Parameters are fields, from which ``dataclass`` makes the ``__init__`` that scikit-learn inspects. They are checked in
+``fit``, as scikit-learn expects, and therefore annotated as ``Any``.
 """
 
 from __future__ import annotations
@@ -55,25 +55,26 @@ class Description:
 class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ignore[misc]
     """Label features of whole recordings.
 
-    Each recording is encoded into labels and described by one row of features. Of the values nothing is learnt but the
-    tolerance of the fit rule, where it is "auto".
+    Each recording is encoded into labels and described by one row of features. ``fit`` learns nothing from the values
+    except the tolerance of the fit rule, if it is "auto".
 
     Args:
         rate: samples per second.
         window: samples per straight-line fit, at least 2.
         thresholds: gradient thresholds: a robot's name, :class:`GradientThresholds`, limits ``[axis, 4]``, or
-            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name stands for its limits of moments where names of
-            axes begin with M or T, else of forces; six axes without names are Fx to Mz. By the fit rule also
-            :class:`FitLimits`, whose tolerance stands for "auto".
+            limits ``[4]`` of every axis, N/s or Nm/s. A robot's name gives the limits of moments to axes whose names
+            begin with M or T, and those of forces to all others; six axes without names are Fx to Mz. For the fit rule
+            also :class:`FitLimits`, whose tolerance is used for "auto".
         features: which features; None = ``FeatureSpec()``.
-        config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig by
+        config: other options of the encoder, whose ``window`` and ``dt`` are replaced: EncoderConfig, or FitConfig for
             the fit rule; None = its defaults.
-        rule: ``"paper"``, or ``"fit"``: words are runs of windows that one straight line explains (docs/fit_rule.md).
-        tolerance: of the fit rule, N and Nm: a number, or one for each axis; ``"auto"`` = from the recordings of
+        rule: ``"paper"``; or ``"fit"``, where a word is a run of windows that one straight line explains
+            (docs/fit_rule.md).
+        tolerance: for the fit rule, N and Nm: a number, or one for each axis; ``"auto"`` = from the recordings of
             ``fit``.
         layout: ``"time-axis"`` for arrays ``[n, time, axis]`` or lists of ``[time, axis]``; ``"axis-time"`` for aeon's
-            ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length. Of pandas, and
-            of xarray with a dimension "time" or "axis", the names say it: see :func:`rcbht_jax.encode`, also for time.
+            ``[n, axis, time]`` or lists of ``[axis, time]``. Recordings in a list may differ in length. In pandas, and
+            in xarray with a dimension "time" or "axis", names give the layout; see :func:`rcbht_jax.encode` for time.
 
     Attributes:
         n_features_in_: axes of a recording.
@@ -95,12 +96,12 @@ class WrenchFeatures(Description, TransformerMixin, BaseEstimator):  # type: ign
     layout: Any = "time-axis"
 
     def fit(self, X: Any, y: Any = None) -> WrenchFeatures:
-        """Learn the number of axes and, by the fit rule, the tolerance; check the parameters.
+        """Learn the number of axes and, for the fit rule, the tolerance; check the parameters.
 
         Raises:
-            InputError: wrong shapes, values that are not finite, an unknown layout, robot or rule, features that are no
-                FeatureSpec, thresholds or tolerances that do not fit the axes, or a tolerance or configuration of the
-                other rule.
+            InputError: wrong shapes, values that are not finite, an unknown layout, robot or rule, features that are
+                not a FeatureSpec, thresholds or tolerances that do not fit the axes, or a tolerance or configuration of
+                the other rule.
         """
         wrench, length, names = self._read(X)
         if not usable(wrench):
@@ -255,11 +256,11 @@ class StateClassifier(Description, ClassifierMixin, BaseEstimator):  # type: ign
             X: recordings.
             y: classes.
             groups: trial of each recording, for a classifier whose own ``fit`` takes groups; others need none.
-            sample_weight: of each recording, for the classifier; a tolerance "auto" is of all recordings alike.
+            sample_weight: weight of each recording for the classifier; a tolerance "auto" ignores it.
 
         Raises:
-            InputError: as the two parts do, weights for a classifier whose own ``fit`` takes none, or features with
-            balance for one that cannot weigh features.
+            InputError: as both parts raise, weights for a classifier whose own ``fit`` takes none, or features with
+                balance for one that cannot weigh features.
         """
         described = {field.name: getattr(self, field.name) for field in fields(WrenchFeatures)}
         features = WrenchFeatures(**described).fit(X)

@@ -121,13 +121,13 @@ def evaluate(
         recordings: the data set.
         tracks: its labels, arrays ``[recording, axis, slot]``, or candidates by name; inner folds choose one.
         task: what to classify.
-        features: one specification, or several by name of which the inner folds choose one; ties go to the earlier.
+        features: one specification, or several by name, of which the inner folds choose one; ties go to the earlier.
         protocol: how to measure.
-        label_attrs: how the labels were made; goes into the result.
-        splitter: scikit-learn splitter to use in place of the protocol's folds; its groups are those of the
-            protocol, usually the trials.
+        label_attrs: how the labels were made; stored in the result.
+        splitter: scikit-learn splitter to use instead of the protocol's folds; it gets the groups of the protocol,
+            usually the trials.
         progress: called with 1 after each fold of the SVM.
-        facts: of the wrenches, if the recordings have no samples.
+        facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: unknown sessions or group, too few trials for the folds, fewer than two classes, a splitter that
@@ -173,8 +173,8 @@ def score(
 ) -> EvaluationResult:
     """Score feature matrices ``[item, feature]`` of any origin, and the two baselines, on the same splits.
 
-    ``facts`` serve to find copies; ``groups`` ``[item]``, by default the trials, are not divided by a fold; everything
-    else is as in :func:`evaluate`.
+    ``facts`` are used to find copies; ``groups`` ``[item]``, by default the trials, are never split by folds; all other
+    arguments are those of :func:`evaluate`.
     """
     groups = items.trial if groups is None else groups
     estimators = {
@@ -258,19 +258,19 @@ def train(
     progress: Callable[[int], Any] | None = None,
     facts: WrenchFacts | None = None,
 ) -> TrainedModel:
-    """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation among them.
+    """Fit on all intervals of a task, with hyper-parameters selected by grouped cross-validation on these intervals.
 
     Args:
         recordings: the data set.
-        tracks: its labels, or candidates by name of which one is selected as well.
+        tracks: its labels, or candidates by name, of which one is selected as well.
         task: what to classify.
         features: which features.
         grid: what to select from; None = everything.
-        encoder: how the labels were made, thresholds included (JSON values), by the names of the labels where
-            candidates are given; stored in the model, by name only where the selected candidate has several encoders.
-        seed: of the folds.
+        encoder: how the labels were made, including thresholds (JSON values), by the names of the labels if candidates
+            are given; stored in the model, by name only if the selected candidate has several encoders.
+        seed: seed of the folds.
         progress: called with 1 after each inner fold of the choice of hyper-parameters.
-        facts: of the wrenches, if the recordings have no samples.
+        facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: fewer than two classes, a class with a single trial, or labels of more or fewer recordings.

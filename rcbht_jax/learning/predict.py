@@ -1,7 +1,7 @@
-"""A trained model applied to label tracks: the class of every sentence, and how often it is right where that is known.
+"""A trained model applied to label tracks: the class of every sentence, and the accuracy where classes are known.
 
-The machine has no probabilities: its decision values, one per pair of classes, say how clear each choice was.
-Probabilities while a stream goes on are :mod:`rcbht_jax.introspection`.
+The classifier gives no probabilities: its decision values, one per pair of classes, say how clear each choice was.
+For probabilities during a stream, see :mod:`rcbht_jax.introspection`.
 """
 
 from __future__ import annotations
@@ -128,15 +128,15 @@ def classify(
     spec: TaskSpec,
     facts: WrenchFacts | None = None,
 ) -> Classification:
-    """Apply a model.
+    """Classify every sentence of a data set with a trained model.
 
     Args:
-        model: trained by :func:`rcbht_jax.learning.evaluation.train`.
+        model: made by :func:`rcbht_jax.learning.evaluation.train`.
         recordings: the data set.
-        tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``; see
-            :func:`check_encoders`; or batches of them.
-        spec: of :func:`task_of`.
-        facts: of the wrenches, if the recordings have no samples.
+        tracks: its labels by the names that the model gives them, arrays ``[recording, axis, slot]``, or batches of
+            them; see :func:`check_encoders`.
+        spec: made by :func:`task_of`.
+        facts: facts about the wrenches, if the recordings have no samples.
 
     Raises:
         InputError: no sentence passes the filters, or the labels give other features than the model reads.

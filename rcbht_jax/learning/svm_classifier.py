@@ -33,13 +33,13 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     Args:
         kernel: ``"linear"``, ``"poly"`` (degree 3) or ``"rbf"``.
         cost: C, positive.
-        scaling: standardise the features by mean and deviation of the training data.
+        scaling: standardise the features by mean and standard deviation of the training data.
         ranks: scale by ranks among the training data instead; needs ``scaling``.
         gamma: of the kernel: ``"auto"`` = 1 / features, ``"scale"`` = 1 / (features x variance).
         balanced: weigh classes by the inverse of their frequency.
-        floor: least deviation to divide by when scaling.
+        floor: smallest standard deviation to divide by when scaling.
         feature_weight: positive factors ``[feature]`` of the scaled features; None = ones.
-        probability: fit Platt sigmoids on held-out groups as well, so that ``predict_proba`` is available.
+        probability: also fit Platt sigmoids on held-out groups, which ``predict_proba`` needs.
         cv: number of folds for the sigmoids, or a scikit-learn splitter that tests every sample once.
         random_state: seed of these folds.
 
@@ -80,12 +80,12 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             y: classes.
             groups: trial of each sample; samples of one trial stay together when probabilities are fitted. None = each
                 sample is a trial of its own.
-            sample_weight: how often each sample counts, not negative; 0 leaves it out, None = once. It counts in the
-                cost, the scaling (but for ranks) and the sigmoids.
+            sample_weight: how often each sample counts, not negative; 0 leaves it out, None = once. It affects the
+                cost, the scaling (except ranks) and the sigmoids.
 
         Raises:
-            InputError: fewer than two classes, bad parameters, weights that are not positive (of features) or negative
-                (of samples) or not one for each, or too few groups for probabilities.
+            InputError: fewer than two classes, bad parameters, feature weights that are not positive, sample weights
+                that are negative, a wrong number of weights, or too few groups for probabilities.
         """
         X, y = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         check_classification_targets(y)
@@ -117,7 +117,7 @@ class SvmClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return self.classes_[self.model_.predict_index(x)]
 
     def decision_function(self, X: Any) -> Float[np.ndarray, " sample"] | Float[np.ndarray, "sample class"]:
-        """Two classes: positive for the second. More: votes plus a share of the decision values, as in ``SVC``."""
+        """Two classes: positive for the second. More: votes plus a fraction of the decision values, as in ``SVC``."""
         x = self._features(X)
         decision = self.model_.decision(x)
         if len(self.classes_) == 2:

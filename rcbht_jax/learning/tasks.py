@@ -32,7 +32,7 @@ USUAL, PLAIN = "harmonised", "recorded"  # boundaries: corrected ones where ther
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """A task and the recordings it is about; empty filters let everything pass.
+    """A task and the recordings that it covers; an empty filter selects everything.
 
     >>> TaskSpec("states", sessions=("A", "B")).sessions
     ('A', 'B')
@@ -120,7 +120,8 @@ def labelled_intervals(recordings: Recordings, spec: TaskSpec) -> LabelledInterv
     """The intervals of a task with their classes: sub-tasks, or whole trials.
 
     Raises:
-        InputError: a filter names an unknown source or session, fewer than two classes remain, or seconds of a track.
+        InputError: a filter names an unknown source or session, fewer than two classes remain, or ``seconds`` is set
+            for a track.
 
     Example:
         >>> recordings = Recordings.from_arrays(np.zeros((3, 400, 6)), outcome=["success", "failure", "unknown"])
@@ -200,13 +201,13 @@ def extract_features(
     """Features of every item, both arms side by side where the task has two.
 
     Args:
-        tracks: labels, or those of several encoders by name, which are put side by side; or batches of such.
+        tracks: labels, or those of several encoders by name, whose features are put side by side; or batches of these.
         items: from :func:`labelled_intervals` or :func:`unlabelled_intervals`.
         spec: which features.
-        count: recordings that the items were found in; labels of more or fewer are refused.
+        count: number of recordings that the items come from; labels of more or fewer recordings are rejected.
 
     Raises:
-        InputError: labels of other recordings than those of the items, as far as their numbers tell.
+        InputError: the number of recordings shows that the labels belong to other recordings than the items.
 
     Example:
         >>> import rcbht_jax as rj

@@ -17,7 +17,7 @@ from rcbht_jax.errors import InputError
 class Doctor(Command):
     """Check this machine: versions, devices, folder of compiled programs, disk, and speed in a few seconds.
 
-    With a store: check every checksum, whether all is there that its simulation made, and whether the installed
+    With a store: check every checksum, whether everything that its simulation made is there, and whether the installed
     versions are those that made it. The exit status is 2 if the store is damaged.
 
     Example: rcbht doctor
@@ -26,10 +26,10 @@ class Doctor(Command):
     """
 
     store: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE] = None
-    """Store to check, in place of the machine."""
+    """Store to check, instead of the machine."""
     repair: Flag = False
     """Simulate a damaged store again from its seed, if the installed versions are those that made it; label tracks of
-    "rcbht encode" are lost, and named."""
+    "rcbht encode" are lost; the result lists them."""
 
     def run(self) -> dict[str, Any]:
         from sim_mjx.validation import health

@@ -62,7 +62,7 @@ class Fidelity(Command):
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of the recorded trials, to compare positions of the arm with."""
     session: tuple[Session, ...] = ("hooked-A", "hooked-B", "hooked-C", "rigid-openhrp")
-    """Sessions to measure, with the parts named before them."""
+    """Sessions to measure; a prefix such as hooked names the parts."""
     engines: tuple[Literal["mjx", "warp"], ...] = ()
     """Engines to compare with the native one; slow without a GPU."""
     trials: int = 64
@@ -288,10 +288,10 @@ class FidelityFit(Command):
     trials: int | None = None
     """Simulated trials per candidate; default 4 for session A, 9 for the others."""
     outcomes: Flag = False
-    """Also penalise trials whose outcome differs from the recorded one, in a session without a grid those that do not
-    seat; simulates whole trials."""
+    """Also penalise trials whose outcome differs from the recorded one or, in a session without a grid, trials that do
+    not seat; simulates whole trials."""
     snaps: Flag = False
-    """Also penalise seated trials without a snap in the force, if the recorded ones have it; simulates whole trials."""
+    """Also penalise seated trials without a snap in the force, if recorded ones have one; simulates whole trials."""
     population: int = 12
     """Candidates per generation."""
     generations: int = 30

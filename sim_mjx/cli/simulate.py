@@ -28,8 +28,8 @@ class Simulate(Command):
     """Simulate randomised trials of an assembly, nominal and faulty, into a store.
 
     After an interruption the same command resumes: finished trials are in the folder STORE.zarr.work beside the store.
-    With the engine native, and processors with the same instructions, the same options give the same bytes. The same
-    command, called again while it runs, shares the work, on any machine that sees the same folder.
+    With the native engine, the same options give the same bytes on processors with the same instruction set. To share
+    the work, run the same command again while it runs, on any machine that sees the same folder.
 
     Example: rcbht simulate trials.zarr --trials 200 --seed 1
 
@@ -51,15 +51,15 @@ class Simulate(Command):
         Preset | None,
         option(
             "Recorded session whose controller is simulated. hooked-A, -B, -C: one set of parts whose hooks catch and "
-            "hold; A, B, C: blocks that rub, some three times as fast; openhrp: the authors' simulation; "
-            "rigid-openhrp: with harder contacts, and what its sensor and solver add; two: two arms, the left one "
-            "compliant; two-fixed: fixed.", "hooked-B",
+            "hold; A, B, C: blocks with friction, which simulate some three times as fast; openhrp: the authors' "
+            "simulation; rigid-openhrp: the same with harder contacts, and what its sensor and solver add; two: two "
+            "arms, the left one compliant; two-fixed: the left one fixed.", "hooked-B",
         ),
     ] = None  # fmt: skip
     trials: int = 200
     """Number of trials."""
     seed: int = 0
-    """Seed of the random numbers; with its index it determines a trial."""
+    """Seed of the random numbers; a trial is determined by this seed and its index."""
     nominal_share: float = 0.5
     """Fraction of the trials without a fault, 0 to 1."""
     shard: int = 256
@@ -69,8 +69,8 @@ class Simulate(Command):
     engine: Literal["native", "mjx", "warp"] = "native"
     """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""
     lanes: int | None = None
-    """Trials that a GPU steps at once; default and most: its share of all, 8192 with mjx, 32768 with warp, and one
-    for each 2 MB of its memory."""
+    """Trials that a GPU steps at once; default and maximum: its share of all trials, but at most 8192 with mjx, 32768
+    with warp, and one per 2 MB of its memory."""
     window: int | None = None
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None
@@ -79,19 +79,17 @@ class Simulate(Command):
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
     processes: int | None = None
-    """Worker processes that share the work; default one for 4 cores, with a GPU 1; of Ray one a node or GPU."""
+    """Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node or GPU."""
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
     launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
     launch_options: Annotated[
         tuple[str, ...],
-        option(
-            "Of the Slurm jobs, as submitit names them: timeout_min=60, slurm_partition=gpu.", "", metavar="KEY=VALUE"
-        ),
+        option("Options of the Slurm jobs, named as in submitit: timeout_min=60.", "", metavar="KEY=VALUE"),
     ] = ()
     worker: Flag = False
-    """Be one worker of this job: begin or join it, and end when nothing is left to simulate."""
+    """Run as one worker of this job: start or join it, and exit when nothing is left to simulate."""
     status: Flag = False
-    """Only show how far the job is, who works on it and what failed."""
+    """Only show the progress of the job, its workers and what failed."""
 
     FORMER: ClassVar[dict[str, str]] = {"--longest": "--max-seconds", "-o": "", "--out": ""}
     LARGEST_SEED: ClassVar[int] = 2**64 - 1  # a key of Philox

@@ -1,4 +1,4 @@
-"""Learning environments on the simulator: pure functions ``reset`` and ``step``, to be mapped and compiled.
+"""Learning environments on the simulator: pure functions ``reset`` and ``step`` for ``jax.vmap`` and :func:`jit`.
 
 >>> from sim_mjx import env
 >>> sorted(env.ALIASES)

@@ -16,7 +16,7 @@ DAMPING = 0.05  # of the inverse of the Jacobian, m and rad: a nearly singular a
 
 
 def action_size(config: EnvConfig, joints: int, wrists: int) -> int:
-    """Numbers of an action.
+    """Size of an action.
 
     Args:
         config: its ``action`` decides.
@@ -30,11 +30,11 @@ def action_size(config: EnvConfig, joints: int, wrists: int) -> int:
 
 
 def with_set_points(params: Any, offset: Float[Array, "*batch 6"]) -> Any:
-    """A trial's parameters with other set-points of the force law, the same in all of its phases.
+    """A trial's parameters with set-points of the force law shifted by the same offset in all phases.
 
     Args:
         params: of a trial or a batch, with a :class:`sim_mjx.assembly.task.TaskParams` as ``task``.
-        offset: what is added, N and Nm, in the frame of the set-points.
+        offset: added to the set-points, N and Nm, in their frame.
 
     Raises:
         InputError: the scenario's controller has no force law.
@@ -49,7 +49,7 @@ def with_set_points(params: Any, offset: Float[Array, "*batch 6"]) -> Any:
 def joint_increments(
     config: EnvConfig, action: Float[Array, " action"], jacobian: Float[Array, "twist joint"]
 ) -> Float[Array, " joint"]:
-    """Increments of the joint references in one control period, rad; a step's are equal.
+    """Increments of the joint references in one control period, rad; equal in all periods of a step.
 
     Args:
         config: says what the action is.

@@ -1,4 +1,4 @@
-"""Choices that make an environment of a scenario."""
+"""Options that turn a scenario into an environment."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class EnvConfig:
     """What an action does, what is observed, and when an episode has succeeded; hashable.
 
     Attributes:
-        action: "set-points" = what is added to the force law's set-points F* and M* as long as the step lasts, in their
-            frame; "joint" = increments of the joint references; "cartesian" = increments of the hand's pose in world
-            axes, which the Jacobian turns into joint increments. Within -1 and 1; the ranges below say of what.
-        controller: "recorded" = the action is added to what the scenario's controller does, so that zero changes
-            nothing; "none" = the references stay at home but for the action.
-        periods: control periods of 5 ms per step, the action staying the same; a multiple of the encoder's window.
+        action: "set-points" = added to the force law's set-points F* and M* during the step, in their frame; "joint" =
+            increments of the joint references; "cartesian" = increments of the hand's pose in world axes, which the
+            Jacobian turns into joint increments. Each number is between -1 and 1; the attributes below set the scale.
+        controller: "recorded" = the action is added to the output of the scenario's controller, so that a zero action
+            changes nothing; "none" = only the action moves the references away from home.
+        periods: control periods of 5 ms per step, all with the same action; a multiple of the encoder's window.
         observe: parts of the observation, in this order.
-        hold: s, for which all tabs must have been seated without interruption for success.
+        hold: time for which all tabs must have been seated without interruption for success, s.
         force: N, set-point that an action of 1 adds. moment: Nm, likewise.
         angle: rad, joint increment per step. shift: m, of the hand per step. turn: rad, of the hand per step.
 

@@ -1,6 +1,6 @@
-"""An environment: one trial at a time, pure, so that its user maps and compiles it.
+"""An environment: pure functions of one trial, for users to map and compile.
 
-In the manner of MuJoCo Playground's ``MjxEnv``: ``reset(rng) -> State``, ``step(state, action) -> State``.
+The interface follows MuJoCo Playground's ``MjxEnv``: ``reset(rng) -> State``, ``step(state, action) -> State``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class State:
         reward: of the last step.
         done: 1 = the episode has ended; further steps mean nothing.
         metrics: "seated" (share of tabs), "success" (0 or 1), "force" (N, size of the measured force), and what
-            wrappers add, which stays.
+            wrappers add; ``step`` keeps the latter.
         info: "truncation" (1 = ended by time), "diverged" (1 = the physics failed), "trial" (row of the
             environment's trials), "time" (s), "phase" (of the controller), and what wrappers add.
     """
@@ -78,7 +78,7 @@ class State:
     info: dict[str, Any]
 
     def replace(self, **changes: Any) -> State:
-        """The state with other values, as wrappers of MuJoCo Playground and Brax ask for them.
+        """The state with changed values; wrappers of MuJoCo Playground and Brax call this.
 
         Args:
             changes: of the attributes.
@@ -92,12 +92,12 @@ class Environment:
     Args:
         program: of the scenario.
         physics: of the scene.
-        trials: that episodes are drawn from.
+        trials: from which episodes are drawn.
         senses: what is observed.
         config: what an action does and when an episode has succeeded.
 
     Raises:
-        InputError: set-points of a controller that has no force law.
+        InputError: actions are set-points, but the controller has no force law.
     """
 
     def __init__(self, program: Program, physics: Physics, trials: Trials, senses: Senses, config: EnvConfig) -> None:
@@ -107,18 +107,18 @@ class Environment:
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action, each within -1 and 1."""
+        """Size of an action; each number is between -1 and 1."""
         twist, joints = self.trials.glance.jacobian.shape[1:]
         return action_size(self.config, joints, twist // 6)
 
     @property
     def observation_size(self) -> int:
-        """Numbers of an observation."""
+        """Size of an observation."""
         return sum(self.senses.sizes.values())
 
     @property
     def observation_slices(self) -> dict[str, slice]:
-        """Where the parts of an observation are."""
+        """Slices of the parts of an observation, by name."""
         out, at = {}, 0
         for part, size in self.senses.sizes.items():
             out[part] = slice(at, at + size)
@@ -147,17 +147,17 @@ class Environment:
 
     @property
     def trial_count(self) -> int:
-        """Trials that episodes are drawn from."""
+        """Number of trials from which episodes are drawn."""
         return int(self.trials.glance.seated.shape[0])
 
     def reset(self, rng: Key) -> State:
-        """An episode of a trial drawn at random, with its own noise of the sensor."""
+        """Begin an episode of a randomly drawn trial, with new sensor noise."""
         choose, noise = jax.random.split(rng)
         row = jax.random.randint(choose, (), 0, self.trial_count, jnp.int32)  # the same with 64 bits
         return self.reset_to(row, jax.random.bits(noise, (2,), jnp.uint32))
 
     def reset_to(self, row: Int[Array, ""], seed: Array | None = None) -> State:
-        """An episode of a certain trial, without chance.
+        """Begin an episode of a given trial, without randomness.
 
         Args:
             row: of ``trials``.
@@ -167,11 +167,11 @@ class Environment:
 
     @single
     def begin(self, trial: Trials, row: Int[Array, ""], seed: Array | None = None) -> State:
-        """An episode of a trial that need not be one of ``trials``.
+        """Begin an episode of a trial that need not be one of ``trials``.
 
         Args:
-            trial: leaves of one trial; thousands are better mapped over than closed over, as ``reset_to`` does.
-            row: a number by which ``info`` names it.
+            trial: leaves of one trial. To run thousands, map over them; ``reset_to`` closes over its trials.
+            row: the number of the trial in ``info``.
             seed: key of the sensor's noise, uint32 [2]; None = the trial's own.
         """
         params = trial.params if seed is None else replace(trial.params, seed=seed)
@@ -189,12 +189,12 @@ class Environment:
 
     @single
     def step(self, state: State, action: Float[Array, " action"]) -> State:
-        """Go on for ``config.periods`` control periods with one action, which is clipped to -1 and 1.
+        """Run ``config.periods`` control periods with one action, which is clipped to -1 and 1.
 
-        The reward is the rise of the share of seated tabs, and 1 more for success.
+        The reward is the increase of the share of seated tabs, plus 1 for success.
 
         Raises:
-            InputError: an action of another shape.
+            InputError: the action has the wrong shape.
         """
         if jnp.shape(action) != (self.action_size,):
             raise InputError(f"An action has shape {jnp.shape(action)}; expected ({self.action_size},).")

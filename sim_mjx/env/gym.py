@@ -1,7 +1,7 @@
-"""Environments for learners that speak Gymnasium; needs the extra ``gym``.
+"""Environments for learners that use Gymnasium; needs the extra ``gym``.
 
-:class:`VectorEnv` steps many at once in one compiled call, and begins the next episode of those that have ended;
-:class:`SingleEnv` is one of them.
+:class:`VectorEnv` steps many environments in one compiled call, and starts the next episode where one has ended;
+:class:`SingleEnv` is a single environment.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ def spaces(env: Environment) -> tuple[Any, Any]:
 
 
 class VectorEnv(gymnasium.vector.VectorEnv):
-    """Environments that step at once; one that has ended begins its next episode with the next step.
+    """Environments that step together; where an episode has ended, the next step begins a new one.
 
     Args:
-        env: of :func:`sim_mjx.env.load`.
-        num_envs: how many.
-        seed: of the first episodes, unless :meth:`reset` is given another.
+        env: made by :func:`sim_mjx.env.load`.
+        num_envs: number of environments.
+        seed: seed of the first episodes, unless :meth:`reset` is given another.
 
     Raises:
-        InputError: fewer than one.
+        InputError: fewer than one environment.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # Gymnasium wants a plain class attribute
@@ -68,10 +68,10 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         return _host(self._state.obs), _infos(self._state)
 
     def step(self, actions: ArrayLike) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
-        """One step of all; where an episode had ended the action is not used, and the next one begins.
+        """Step all environments; where an episode had ended, the action is ignored and the next episode begins.
 
         Raises:
-            InputError: before the first :meth:`reset`, or actions of another shape or NaN.
+            InputError: before the first :meth:`reset`, or actions with a wrong shape or NaN.
         """
         state, values = _started(self._state), _checked(actions, (self.num_envs, self.env.action_size))
         self._key, key = jax.random.split(self._key)
@@ -86,8 +86,8 @@ class SingleEnv(gymnasium.Env):
     """One environment.
 
     Args:
-        env: of :func:`sim_mjx.env.load`.
-        seed: of the first episode, unless :meth:`reset` is given another.
+        env: made by :func:`sim_mjx.env.load`.
+        seed: seed of the first episode, unless :meth:`reset` is given another.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # Gymnasium wants a plain class attribute
@@ -111,7 +111,7 @@ class SingleEnv(gymnasium.Env):
         """One step.
 
         Raises:
-            InputError: before the first :meth:`reset`, or an action of another shape or NaN.
+            InputError: before the first :meth:`reset`, or an action with a wrong shape or NaN.
         """
         self._state = self._step(_started(self._state), _checked(action, (self.env.action_size,)))
         truncated = bool(self._state.info["truncation"] > 0.5)

@@ -40,24 +40,24 @@ def load(
     engine: str = "mjx",
     parallel: int = 8192,
 ) -> Environment:
-    """An environment of a scenario; its trials are drawn, put on the device and settled now.
+    """Make an environment of a scenario: draw its trials, put them on the device and settle them.
 
     Args:
-        name: of a task, such as "camera-snap" or "peg-in-hole", or of a scenario, such as "hooked-A" or "plug@ur5e".
+        name: a task, such as "camera-snap" or "peg-in-hole", or a scenario, such as "hooked-A" or "plug@ur5e".
         config: what an action does and what is observed; None = the defaults.
         spec: distributions of the trials, as the scenario's ``draw`` takes them; None = the defaults, without faults.
-        trials: how many are drawn, from which :meth:`Environment.reset` chooses.
-        seed: of the trials.
-        params: a batch of trials in place of drawn ones; then ``spec``, ``trials`` and ``seed`` are not used.
-        model: makes the beliefs that are observed, and the words; None = no beliefs.
-        thresholds: of the words without a model, ``[6, 4]`` of every wrist or ``[axis, 4]``, in N/s and Nm/s; None =
+        trials: number of trials to draw, from which :meth:`Environment.reset` chooses.
+        seed: seed of the trials.
+        params: a batch of trials to use instead of drawn ones; then ``spec``, ``trials`` and ``seed`` are not used.
+        model: makes the observed beliefs, and the words; None = no beliefs.
+        thresholds: for words without a model, ``[6, 4]`` for every wrist or ``[axis, 4]``, in N/s and Nm/s; None =
             HIRO's.
         engine: "mjx", or "warp" on an NVIDIA GPU.
-        parallel: environments that step at once at most, for which "warp" reserves memory.
+        parallel: largest number of environments that step at once; "warp" reserves memory for this number.
 
     Raises:
-        InputError: an unknown scenario or engine, one that does not run on the device, no batch of trials, or a model,
-            thresholds or a configuration that does not fit the scenario.
+        InputError: an unknown scenario or engine, one that does not run on the device, ``params`` that are not a batch
+            of trials, or a model, thresholds or a configuration that does not fit the scenario.
     """
     config = config or EnvConfig()
     engines.check(engine)
@@ -83,11 +83,11 @@ def load(
 
 
 def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    """``jax.jit`` with the options that the physics needs: on a CPU it is far slower without them.
+    """``jax.jit`` with the compiler options that the physics needs: without them it is far slower on a CPU.
 
     Args:
-        function: of environments, such as ``jax.vmap(env.step)``.
-        options: of ``jax.jit``.
+        function: a function of environments, such as ``jax.vmap(env.step)``.
+        options: options of ``jax.jit``.
 
     >>> float(jit(lambda x: x + 1)(2.0))
     3.0
