@@ -130,7 +130,7 @@ class Evaluate(_Learning):
     """Folds of the cross-validation."""
     repeats: int = 10
     """Repetitions of the cross-validation, each with other folds."""
-    group: Annotated[str, option("Column whose groups are never split by folds, for example session.")] = "trial"
+    group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec
