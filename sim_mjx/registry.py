@@ -1,7 +1,7 @@
-"""What can be simulated by name, each with its scene and its trials.
+"""Scenarios that can be simulated, by name, each with its scene and its trials.
 
-A name is that of a preset of the recorded camera snap ("A", "two"), or ASSEMBLY@ROBOT: "peg-in-hole@panda". Either half
-may be somebody's own: FILE.py:NAME is the object NAME of a Python file, see docs/howto/own_assembly.md.
+A name is a preset of the recorded camera snap ("A", "two"), or ASSEMBLY@ROBOT: "peg-in-hole@panda". Either half may be
+your own: FILE.py:NAME is the object NAME of a Python file, see docs/howto/own_assembly.md.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ TWO_ARM_PARAMETERS = (
 
 @dataclass(frozen=True)
 class Scenario:
-    """A preset with its scene, what is logged of it and how its trials are drawn."""
+    """A preset with its scene, its logged quantities and the distribution of its trials."""
 
     preset: Any  # SessionPreset or Pairing, which ``sample_batch`` takes
     arms: tuple[str, ...]  # whose wrenches are logged, in this order
@@ -80,7 +80,7 @@ class Scenario:
 
 
 def get_scenario(name: str) -> Scenario:
-    """What a name simulates.
+    """The scenario of a name.
 
     Raises:
         InputError: unknown preset, assembly or robot.

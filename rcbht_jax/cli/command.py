@@ -97,7 +97,7 @@ NewWindow = Annotated[
 Model = Annotated[Path, option('Model file of "rcbht train-online".', aliases=["-m"], metavar="MODEL"), ONLINE_MODEL]
 OnlineModel = Annotated[
     Path | None,
-    option('Model file of "rcbht train-online".', "none: words alone", aliases=["-m"], metavar="MODEL"),
+    option('Model file of "rcbht train-online".', "none: words only", aliases=["-m"], metavar="MODEL"),
     ONLINE_MODEL,
 ]
 OutModel = Annotated[Path, option("Model file to write: arrays and JSON, no code.", aliases=["-o"], metavar="MODEL")]
@@ -118,7 +118,7 @@ Tolerance = Annotated[
     option(
         "Largest root-mean-square difference of line and signal that --rule fit allows: one number in the unit of the "
         "axes, or one for each axis.",
-        "those of --thresholds; else 1.5 % of an axis's usual range, or what its noise asks for",
+        "those of --thresholds; else 1.5 % of an axis's usual range, or more if its noise requires it",
     ),
 ]
 Weighing = Annotated[

@@ -66,7 +66,7 @@ class _Learning(Command):
     """Feature families; duration, offset, edges and levels hold absolute values, which differ between data sets."""
     weighing: Weighing = ()
     ranks: Flag = True
-    """Scale features by mean and standard deviation; by default by ranks, which transfer best between data sets."""
+    """Scale features by mean and standard deviation, instead of ranks, which transfer best between data sets."""
     balance: Flag = False
     """Give equal weights to offset, edges and levels; to elapsed; and to all other families."""
     kernels: tuple[Literal["linear", "poly", "rbf"], ...] = ("linear", "poly", "rbf")
@@ -130,7 +130,7 @@ class Evaluate(_Learning):
     """Folds of the cross-validation."""
     repeats: int = 10
     """Repetitions of the cross-validation, each with other folds."""
-    group: Annotated[str, option("Column whose groups are never split by folds, for example session.")] = "trial"
+    group: Annotated[str, option("Column whose groups no fold splits, for example operator or session.")] = "trial"
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.features import FeatureSpec

@@ -162,7 +162,7 @@ class Stream(Source):
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
-    """File for the events, complete when the stream ends; a pipe gets each event at once. Default standard output."""
+    """File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard output."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False

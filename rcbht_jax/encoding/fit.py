@@ -49,15 +49,15 @@ class FitConfig:
     Attributes:
         window: samples per straight-line fit, >= 2.
         dt: seconds between samples.
-        gate: pair primitives only when amplitudes are within 2 and durations within 5 times.
-        adj_exempt: repeated adjustments stay apart, so that alignments and shifts can be distinguished.
-        contact_first: impulses only lead pairs.
-        latency_cap: seconds that a composition or behaviour waits for its successor, or None: without limit.
+        gate: pair primitives only if amplitudes agree within a factor of 2 and durations within a factor of 5.
+        adj_exempt: keep repeated adjustments separate, so that alignments and shifts can be distinguished.
+        contact_first: impulses are only the first of a pair.
+        latency_cap: longest time in s that a composition or behaviour waits for its successor; None = no limit.
         impulse_below: a steep run longer than this many seconds is a big gradient, not an impulse.
         noise_below: single compositions shorter than this many seconds become noise.
-        lead_below: a primitive longer than this many seconds does not pair with an impulse after it, or None: all do.
-        evidence: seconds for which a line must be wrong by one tolerance, or half as long by 1.4 of them, to break.
-        lookback: seconds before now within which a break may still be found, at least two windows.
+        lead_below: a primitive longer than this many seconds does not pair with an impulse after it; None = all do.
+        evidence: seconds for which a line must be off by one tolerance (or half as long by 1.4 tolerances) to break.
+        lookback: seconds back from now within which a break may still be found, at least two windows.
 
     Raises:
         InputError: a value is out of range.

@@ -1,4 +1,4 @@
-"""What the fit rule needs to know of every axis: gradient limits, and how far a line may be from the signal."""
+"""Parameters of the fit rule for every axis: gradient limits, and how far a line may be from the signal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FitLimits:
 
     Attributes:
         gradients: float ``[..., axis, 4]``, impulse >= big >= medium >= small > 0, units of the axis per second.
-        tolerance: float ``[..., axis]``, root mean square by which a line may differ from the samples; > 0.
+        tolerance: float ``[..., axis]``, largest root-mean-square difference of line and samples; > 0.
     """
 
     gradients: Float[Array, "*batch axis 4"]

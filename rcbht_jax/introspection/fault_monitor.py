@@ -104,8 +104,8 @@ class FaultMonitorConfig:
     clock_false_alarms: float = 0.0025  # of the clock, per nominal trial and timed sub-task
     holds: tuple[float, ...] = (0.3, 0.5, 1.0, 2.0, 4.0)  # s for which an alarm must last; one of them is chosen
     cost: float = 0.1  # of the linear SVM
-    snapshots: int = 8  # of a sub-task of a trial that train, evenly spaced
-    fewest: int = 3  # trials of a cause; rarer causes do not train
+    snapshots: int = 8  # per sub-task and trial used in training, evenly spaced
+    fewest: int = 3  # trials of a cause; rarer causes are not used in training
 
 
 @dataclass(frozen=True)

@@ -55,10 +55,11 @@ class Head:
         machine: gives a probability per class.
         alarm: the class that raises an anomaly; "" = none does.
         alarm_level: probability above which it does; 0 = the introspector's own level.
-        progress: calibrates the probabilities by the time since the interval began; None = they are as they are.
+        progress: calibrates the probabilities by the time since the interval began; None = no such calibration.
 
     Raises:
-        InputError: features that a stream cannot make or the classifier does not know, or an unknown scope or class.
+        InputError: features that a stream cannot compute or that the classifier does not know, or an unknown scope or
+            class.
     """
 
     name: str

@@ -1,9 +1,9 @@
 """Segmentation: a label for every sample of recordings whose intervals are unknown.
 
-Two ensembles of extremely randomised trees (Geurts et al. 2006) in a row. The first sees the wrench and its words in
-windows that end at the sample; the second sees the same and what the first believed until then, which it learns from
+Two ensembles of extremely randomised trees (Geurts et al. 2006) in series. The first sees the wrench and its words in
+windows that end at the sample. The second sees the same and the beliefs of the first until then; it is trained on
 beliefs about recordings that the first was not trained on (stacked sequential learning, Cohen and Carvalho 2005).
-Few recordings are completed by copies at other speeds and forces.
+If there are few recordings, copies at other speeds and forces are added.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
     """Labels every sample of recordings.
 
     Args:
-        words: also read the newest published words of each axis.
-        offline: read the future as well; else a label depends on no later sample.
-        trees: in each ensemble.
+        words: also use the newest published words of each axis.
+        offline: use later samples as well; by default no label depends on samples after it.
+        trees: number of trees in each ensemble.
         window: samples per straight-line fit of the words.
         random_state: seed of trees, folds and copies.
         rule: of the words, ``"paper"`` or ``"fit"`` (docs/fit_rule.md).
-        tolerance: of the fit rule, in the units of the axes: a number, or one for each axis; ``"auto"`` = from the
+        tolerance: for the fit rule, in the units of the axes: a number, or one for each axis; ``"auto"`` = from the
             recordings of ``fit``.
 
     Attributes:
@@ -92,7 +92,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
             y: class of each sample of each recording; UNKNOWN = not annotated.
 
         Raises:
-            InputError: fewer than two classes, labels of other lengths than the recordings, an unknown rule, or a
+            InputError: fewer than two classes, labels whose lengths differ from the recordings', an unknown rule, or a
                 tolerance that does not fit the axes or the rule.
         """
         if [len(part) for part in y] != recordings.length.tolist():
@@ -126,7 +126,7 @@ class WrenchSegmenter(BaseEstimator):  # type: ignore[misc]
         """Probability of each class ``[sample, class]`` of each recording.
 
         Raises:
-            InputError: recordings of other axes, units or another rate than in :meth:`fit`.
+            InputError: recordings whose axes, units or rate differ from those in :meth:`fit`.
         """
         check_is_fitted(self, "second_")
         # units that are not stated count too: norms are of the axes of one unit
@@ -241,13 +241,13 @@ def _copy(
 
 @dataclass(frozen=True)
 class Protocol:
-    """Which recordings teach and which are labelled.
+    """Which recordings are used for training and which are labelled.
 
     Attributes:
         track: of the annotations; "" = the usual one, see :meth:`rcbht_jax.annotations.Annotations.choose`.
         group: column whose groups stay together.
         folds: of the groups; 0 = each group is held out by itself.
-        one_shot: one recording teaches, all of other groups are tests; every annotated recording has its turn.
+        one_shot: train on one recording and test on all of other groups, for every annotated recording in turn.
     """
 
     track: str = ""
@@ -263,14 +263,14 @@ class Protocol:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Labels of every sample, made by models that the recording had no part in.
+    """Labels of every sample, made by models that were not trained on the recording.
 
     Attributes:
-        recordings: that were labelled.
-        protocol: with the name of the track that was used.
+        recordings: the labelled recordings.
+        protocol: the protocol, with the name of the track that was used.
         classes: by code.
-        predicted: class of each sample ``[sample]`` of each recording; of one shot those of the last turn.
-        truth: the same of the annotations, UNKNOWN = not annotated.
+        predicted: class of each sample ``[sample]`` of each recording; with one shot, those of the last turn.
+        truth: the same from the annotations, UNKNOWN = not annotated.
         score: of the annotated recordings.
     """
 
@@ -283,7 +283,7 @@ class Segmentation:
 
     @property
     def annotated(self) -> NDArray[np.bool_]:
-        """Recordings of which a sample is annotated."""
+        """Recordings with at least one annotated sample."""
         return np.array([(part != UNKNOWN).any() for part in self.truth])
 
     def rows(self) -> list[tuple[int, str, str, str, float, float, bool]]:
@@ -297,7 +297,7 @@ class Segmentation:
         ]  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
-        """Scores and what they are about."""
+        """Scores and a description of what was scored."""
         y = np.concatenate(self.truth)
         count, groups = self.protocol.folds_of(self.recordings.column(self.protocol.group)[self.annotated])
         folds = f"{count} folds" if count < groups else "one group held out at a time"
@@ -319,10 +319,10 @@ def segment(
     protocol: Protocol = Protocol(),
     progress: Callable[[int], Any] | None = None,
 ) -> Segmentation:
-    """Label every recording by a model that it had no part in, and score those that are annotated.
+    """Label every recording by a model that was not trained on it, and score the annotated ones.
 
     Args:
-        recordings: some or all annotated.
+        recordings: the data set; some or all recordings are annotated.
         segmenter: a copy is fitted for each part.
         protocol: how they are divided.
         progress: called with 1 after each model.

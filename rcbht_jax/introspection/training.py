@@ -195,8 +195,8 @@ def train_head(
 ) -> Head:
     """Train one classifier on the training snapshots of its task.
 
-    What it says of a whole trial is calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs about
-    trials that were held out.
+    Its probabilities for a whole trial are calibrated by progress (:mod:`rcbht_jax.learning.progress`), on beliefs
+    about held-out trials.
 
     ``progress`` is called with the number of snapshots since the last call and the total.
 
@@ -276,8 +276,8 @@ def train_model(
 ) -> IntrospectionModel:
     """Train a model with one classifier per specification; see :func:`train_head`.
 
-    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings; the fit
-    rule takes FitConfig with FitLimits, whose tolerance is best of the recordings that teach
+    ``config`` and ``thresholds`` default to those of the encoder, with the sampling period of the recordings. The fit
+    rule takes FitConfig with FitLimits, whose tolerance should come from the training recordings
     (:func:`rcbht_jax.encoding.rules.limits_for`).
     """
     config = config or EncoderConfig(dt=recordings.dt)

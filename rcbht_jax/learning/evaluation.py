@@ -43,7 +43,7 @@ class EvaluationProtocol:
     grid: Grid = field(default_factory=Grid)
     train_on: tuple[str, ...] = ()  # sessions; empty = cross-validation
     test_on: tuple[str, ...] = ()
-    group: str = "trial"  # column whose values no fold divides: an operator, a part, a day
+    group: str = "trial"  # column whose groups are never split by folds: an operator, a part, a day
 
     def __post_init__(self) -> None:
         if bool(self.train_on) != bool(self.test_on):

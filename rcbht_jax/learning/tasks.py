@@ -39,15 +39,15 @@ class TaskSpec:
     """
 
     task: str = "states"  # track of annotations, or column
-    boundaries: str = USUAL  # variant of the track: TASK-harmonised where there is one, else TASK; or PLAIN
-    arms: str = "R"  # one arm, or "both" side by side; where there is only one, that one
+    boundaries: str = USUAL  # variant of the track: TASK-harmonised if there is one, else TASK; or PLAIN
+    arms: str = "R"  # one arm, or "both" side by side; if there is only one arm, that one
     sources: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
-    # None = of a track the successes, if there are some, the others being counted as left out; of a column all
+    # None = for a track, the successes if there are any (the others are counted as left out); for a column, all
     outcomes: tuple[str, ...] | None = None
     classes: tuple[str, ...] = ()  # in this order; empty = all, those of a column sorted
-    complete: bool = False  # only recordings that have every label of the track, each after the one before
-    seconds: float = 0.0  # of every whole recording, from its beginning, shorter ones left out; 0 = to its end
+    complete: bool = False  # only recordings that have every label of the track, in order
+    seconds: float = 0.0  # use only the first seconds of whole recordings, leave out shorter ones; 0 = to the end
 
 
 @dataclass(frozen=True)

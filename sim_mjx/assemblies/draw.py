@@ -30,12 +30,12 @@ class Pairing:
 
 
 def uniform(rng: np.random.Generator, span: Range, size: int | None = None) -> Any:
-    """A number, or several, of a range."""
+    """One or several random numbers from a range."""
     return np.asarray(rng.uniform(span[0], span[1], size))
 
 
 def check(spec: Variation, assembly: Assembly) -> None:
-    """Refuse distributions that no trial could be drawn from.
+    """Raise an error for distributions from which no trial can be drawn.
 
     Raises:
         InputError: a share, range, lag, fault or time is not one.
@@ -54,9 +54,9 @@ def sample(pairing: Pairing, seed: int, index: int, spec: Variation) -> tuple[As
     """One trial.
 
     Args:
-        pairing: what is put together by whom.
-        seed: of the whole set, 0 to 2^64 - 1.
-        index: of the trial within the set, >= 0.
+        pairing: the assembly and its robot.
+        seed: seed of the whole set, 0 to 2^64 - 1.
+        index: number of the trial within the set, >= 0.
         spec: the distributions.
 
     Returns:
@@ -108,7 +108,7 @@ def _sensor(spec: Variation, rng: np.random.Generator) -> SensorParams:
 
 
 def moved_part(trial: AssemblyTrial, spec: Variation, rng: np.random.Generator) -> AssemblyTrial:
-    """The female part stands where no search finds it."""
+    """The female part stands where no search can find it."""
     angle, distance = uniform(rng, (0.0, 2 * np.pi)), uniform(rng, spec.moved_by)
     return with_mount(trial, position=np.array([np.cos(angle) * distance, np.sin(angle) * distance, 0.0]))
 

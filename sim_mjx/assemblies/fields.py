@@ -16,17 +16,17 @@ MALE, FEMALE, MARK = (0.25, 0.45, 0.75, 1.0), (0.45, 0.45, 0.45, 1.0), (0.9, 0.5
 
 
 def ball(body: mujoco.MjsBody, name: str, place: Vector, radius: float, rgba: Any = MALE) -> None:
-    """A sphere without mass that touches only what a pair says."""
+    """A sphere without mass that touches only the geoms it is paired with."""
     body.add_geom(name=name, size=(radius, 0.0, 0.0), pos=place, mass=0.0, contype=0, conaffinity=0, rgba=rgba)
 
 
 def box(body: mujoco.MjsBody, name: str, place: Vector, half: Vector, turn: float = 0.0, rgba: Any = FEMALE) -> None:
-    """A box without mass that touches only what a pair says.
+    """A box without mass that touches only the geoms it is paired with.
 
     Args:
-        body: that carries it. name: of the geom.
-        place: m, of its centre. half: m, half its sizes.
-        turn: rad, about z.
+        body: the body that carries it. name: of the geom.
+        place: position of its centre, m. half: half its sizes, m.
+        turn: rotation about z, rad.
         rgba: colour.
     """
     body.add_geom(
@@ -36,7 +36,7 @@ def box(body: mujoco.MjsBody, name: str, place: Vector, half: Vector, turn: floa
 
 
 def mark(body: mujoco.MjsBody, name: str, place: Vector = (0.0, 0.0, 0.0)) -> None:
-    """A place of a part that success is asked of; it is not drawn and touches nothing."""
+    """A place of a part by which success is decided; it is not drawn and touches nothing."""
     ball(body, name, place, 1e-4, (0.0, 0.0, 0.0, 0.0))
 
 

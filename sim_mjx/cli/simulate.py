@@ -84,7 +84,11 @@ class Simulate(Command):
     launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
     launch_options: Annotated[
         tuple[str, ...],
-        option("Options of the Slurm jobs, named as in submitit: timeout_min=60.", "", metavar="KEY=VALUE"),
+        option(
+            "Options of the Slurm jobs, named as in submitit: timeout_min=60, slurm_partition=gpu.",
+            "",
+            metavar="KEY=VALUE",
+        ),
     ] = ()
     worker: Flag = False
     """Run as one worker of this job: start or join it, and exit when nothing is left to simulate."""

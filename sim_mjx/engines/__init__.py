@@ -1,4 +1,4 @@
-"""Physics engines behind one function; they are independent of the task."""
+"""Physics engines behind one function, independent of the task."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def simulate(
 
 
 def check(engine: str) -> None:
-    """Refuse an engine that cannot run here.
+    """Raise an error if an engine cannot run here.
 
     Raises:
         InputError: unknown engine, or what it needs is not installed.

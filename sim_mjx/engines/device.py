@@ -131,13 +131,13 @@ def simulate(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], 
 
 
 def to_host(out: Outcome) -> Rollouts:
-    """Copy what came of the trials to the host and cut it where they ended."""
+    """Copy the results of the trials to the host and cut them where the trials ended."""
     wrench, joints, phase, past = jax.device_get((out.wrench, out.joints, out.phase, out.past))
     return collect(wrench, joints, phase, past, out.program)
 
 
 def run(scene: Scene, params: Any, impl: str, *, progress: Callable[[int], None] | None = None) -> Outcome:
-    """As :func:`simulate`, but what comes out stays on the device."""
+    """Like :func:`simulate`, but the results stay on the device."""
     from sim_mjx.engines.lanes import Lanes  # which is made of this module's functions
 
     count = batch_size(params)

@@ -1,4 +1,4 @@
-"""What is observed: joints, wrench, the latest words, and beliefs."""
+"""Observations: joints, wrench, the latest words, and beliefs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Senses:
 
     @property
     def begun(self) -> SensesState:
-        """Before the first sample: no words, and beliefs that know nothing."""
+        """The state before the first sample: no words, and uniform beliefs."""
         uniform = [np.full(head.classes, 1.0 / head.classes, np.float32) for head in self.chain.heads]
         return SensesState(
             begin_stream(self.chain.config, self.chain.views, self.axes),
@@ -82,7 +82,7 @@ class Senses:
     def take(
         self, state: SensesState, wrench: Float[Array, "time axis"], phase: Int[Array, " time"], before: Int[Array, ""]
     ) -> SensesState:
-        """Hear the samples of one step.
+        """Process the samples of one step.
 
         Args:
             state: before.
@@ -119,7 +119,7 @@ class Senses:
     def observe(
         self, state: SensesState, joints: Float[Array, " joint"], wrench: Float[Array, " axis"]
     ) -> Float[Array, " size"]:
-        """The observation: finite and within :attr:`bounds`, whatever the physics gave.
+        """The observation: finite and within :attr:`bounds`, whatever the physics returned.
 
         Args:
             state: of the senses.

@@ -33,7 +33,7 @@ PATTERNS = {"x": 31, "y": 44, "r": 55, "xy": 59, "xr": 58, "yr": 72, "xyr": 79}
 
 @dataclass(frozen=True)
 class DomainRandomization:
-    """What varies between trials; ranges are uniform distributions (lowest, highest).
+    """Quantities that vary between trials; ranges are uniform distributions (lowest, highest).
 
     The end of each comment is the source: "recordings" = measured in them, "CAD" = the model of the parts,
     "controller" = regression on the logged references, "signature" = the comparison with session B, "chosen" = ours.
@@ -197,10 +197,10 @@ def sample_batch(
 
     Args:
         preset: nominal values.
-        seed: of the whole set, 0 to 2^64 - 1.
-        indices: of the trials within the set, >= 0.
+        seed: seed of the whole set, 0 to 2^64 - 1.
+        indices: numbers of the trials within the set, >= 0.
         spec: the distributions.
-        mating_time: s, recorded after mating begins; None = as ``spec`` says.
+        mating_time: time recorded after mating begins, s; None = that of ``spec``.
 
     Returns:
         their parameters ``[trial, ...]`` and their faults; a trial's do not depend on the others.

@@ -1,4 +1,4 @@
-"""Robots that assemblies can be given to, by name."""
+"""Robots for assemblies, by name."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ TOOL_RADIUS = 0.03  # m, of the ball that has the tool's inertia
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """An arm that assemblies can be given to.
+    """An arm that can carry out assemblies.
 
     Example:
         >>> from sim_mjx.robots import get_robot
@@ -54,12 +54,12 @@ def from_mjcf(
     """A robot from an MJCF file; its actuators, sensors, contacts and options are not used.
 
     Args:
-        path: of the file.
-        site: at the wrist, whose z axis points out of the hand.
-        home: rad, angles of the joints from the base on, the hand about above ``place`` and pointing down.
-        place: m, world, where parts are put together.
+        path: the file.
+        site: name of the site at the wrist; its z axis points out of the hand.
+        home: joint angles from the base on, rad, with the hand about above ``place`` and pointing down.
+        place: where parts are put together, m, in world axes.
         name: default the file's.
-        tool_mass: kg, of what hangs behind the wrist's sensor.
+        tool_mass: mass carried by the wrist's sensor, kg.
 
     Raises:
         InputError: the file cannot be read as MJCF, or has no such site.
@@ -108,12 +108,12 @@ def _joints(robot: Robot) -> tuple[str, ...]:
 def equipped(robot: Robot) -> mujoco.MjSpec:
     """The robot with servos, a body ``HAND`` at its wrist, and a force and torque sensor between the two.
 
-    The hand's frame is the wrist's. The arm's weight is carried beside the servos, as by the integral part of a real
-    controller; the weight of the hand and of what it carries is not. Nothing of the arm touches anything: only the
-    pairs that an assembly adds do.
+    The hand's frame is the wrist's. The weight of the arm is compensated in addition to the servos, as by the integral
+    part of a real controller; the weight of the hand and its load is not. The arm has no contacts except the pairs
+    that an assembly adds.
 
     Raises:
-        InputError: the robot has no such site, or a joint that moves it is no hinge.
+        InputError: the robot has no such site, or a joint that moves it is not a hinge.
     """
     spec = robot.build()
     # Euler's method needs shorter steps than the servos' damping allows

@@ -1,15 +1,15 @@
 """Simulate trials into a store: in shards, by any number of workers, resumable, with the same bytes in every case.
 
-The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``), of which each shard is a part; when
-all are there it is completed and moved to its place. A trial depends on seed and index alone, so the shard size
-decides only how much an interruption costs and how the files of the store are divided. (On a GPU, engines do not give
-the same bytes twice.) The store holds no date. Its group ``simulation/`` has one row per recording: index, fault,
-failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). Passes of tabs are a track of
-annotations (``sim_mjx.synthesis.passes``). A two-arm trial is two recordings, right arm and left arm, as the importer
-stores them.
+The store grows in a work folder beside the target (``sim_mjx.synthesis.shards``); each shard is a part of the store.
+When all shards are there, the store is completed and moved to the target. A trial depends on seed and index alone, so
+the shard size decides only how much an interruption costs and how the files of the store are divided. (On a GPU,
+engines do not give the same bytes twice.) The store holds no date. Its group ``simulation/`` has one row per recording:
+index, fault, failed_in, seated [4], noise_key [2] and the drawn parameters (``Scenario.parameters``). Passes of tabs
+are a track of annotations (``sim_mjx.synthesis.passes``). A two-arm trial is two recordings, right arm and left arm,
+as the importer stores them.
 
-Processes that are given the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on
-several that see the same folder. The last one completes the store.
+Processes with the same job and target share the work (``sim_mjx.synthesis.workers``), on one machine or on several that
+see the same folder. The last one completes the store.
 """
 
 from __future__ import annotations
@@ -83,10 +83,10 @@ def synthesise(
         overwrite: replace an existing store, once the new one is complete.
         simulate: what simulates a batch; default ``job.engine``. A trial's result must not depend on its batch.
         progress: called at the start and after each shard.
-        notice: called with a sentence on what the user should know, such as a batch that was halved.
-        helpers: starts other workers of the same job and waits for them; this process does what they leave.
-        lanes: trials that a device steps together, if there are as many, its memory allows it and they are no more
-            than those of ``LANES``; default: as many as that.
+        notice: called with a sentence that the user should read, for example that a batch was halved.
+        helpers: starts other workers of the same job and waits for them; this process does the remaining work.
+        lanes: largest number of trials that a device steps together; the number of trials, the device's memory and
+            ``LANES`` also limit it. Default: only these limits.
 
     Raises:
         InputError: impossible options, the target exists, the work folder belongs to other options, shards failed
@@ -132,9 +132,9 @@ def work_on(
     notice: Callable[[str], None] | None = None,
     lanes: int | None = None,
 ) -> tuple[int, bool]:
-    """Be one worker of a job, which this begins where nobody has; the worker that is last completes the store.
+    """Run one worker of a job, which it starts if no other has; the last worker completes the store.
 
-    Where the store is complete there is nothing to do. An existing one is never replaced: where a run with
+    If the store is complete, there is nothing to do. An existing store is never replaced here: if a run with
     ``overwrite`` replaces it, that run completes the new one.
 
     Args:
@@ -144,7 +144,7 @@ def work_on(
         trials that this worker simulated, and whether the store is complete.
 
     Raises:
-        InputError: as in :func:`synthesise`, but failed shards are not tried anew.
+        InputError: as in :func:`synthesise`, but failed shards are not tried again.
     """
     scenario = check(job)
     _check_lanes(lanes)
@@ -244,18 +244,18 @@ def _work(
 
 
 def lanes_for(trials: int, engine: str) -> int:
-    """Lanes for so many trials on JAX's default device."""
+    """Number of lanes for this many trials on JAX's default device."""
     memory = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")  # a CPU reports none
     return balanced(trials, LANES[engine], memory)
 
 
 def balanced(trials: int, most: int, memory: int | None) -> int:
-    """Lanes for so many trials, which are of similar length: in each wave of them the same number.
+    """Number of lanes for this many trials of similar length, so that every wave of trials has the same size.
 
     Args:
         trials: 1 or more.
-        most: lanes.
-        memory: bytes of the device; ``None`` = enough.
+        most: largest number of lanes.
+        memory: memory of the device in bytes; ``None`` = enough.
 
     >>> balanced(10_000, 32_768, None), balanced(100_000, 32_768, None), balanced(100_000, 32_768, 24 << 30)
     (10000, 25000, 11112)
