@@ -51,9 +51,14 @@ class Bench(Command):
     """Samples per trial."""
     device: Flag = False
     """Measure on the accelerator that JAX finds, instead of the CPU."""
-    check: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
-    """Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has fallen by
-    more than 20 %."""
+    check: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="HISTORY.json"),
+        option(
+            "Compare the ratios with the newest record of this device and these sizes; exit status 2 if one has "
+            "fallen by more than 20 %."
+        ),
+    ] = None
     history: Annotated[Path | None, tyro.conf.arg(metavar="HISTORY.json")] = None
     """File to append this run to; created if it does not exist."""
 

@@ -122,9 +122,13 @@ class Calibrate(RuleCommand):
     straight_through: Flag = False
     """Use hard labels in the forward pass: the straight-through estimator (gradient)."""
     devices: Annotated[str | None, option("GPUs of this machine that share the work (search, gradient).", "1")] = None
-    rest_weight: float = 1.0
-    """Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = no penalty. Unless it is 0,
-    the context method takes the slopes at rest as the least constant limit."""
+    rest_weight: Annotated[
+        float,
+        option(
+            "Weight of the penalty on rest that is not labelled constant (search, gradient); 0 = no penalty. "
+            "Unless it is 0, the context method takes the slopes at rest as the least constant limit."
+        ),
+    ] = 1.0
     plot: Path | None = None
     """Figure to write: the thresholds, drawn over the gradients of each axis and state."""
     seed: int = 0

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcbht_jax.cli.command import Flag, RuleCommand, Store, checked_tolerance, progress_bar
+from rcbht_jax.cli.command import Flag, RuleCommand, Store, checked_tolerance, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,17 +47,28 @@ class Encode(RuleCommand):
     """Allow an impulse only as the first of a pair, never as the second (online)."""
     pipe: Literal["two-slot", "one-slot"] = "two-slot"
     """Filter of each layer; one-slot compares a new label only with the accumulated one (online)."""
-    rule: Literal["paper", "similar", "fit"] = field(default="paper", kw_only=True)  # type: ignore[assignment]  # one more
-    """Rule of durations and amplitudes for merging: paper, or similar, that of the authors' older program; or fit,
-    where a word is a run of windows that one straight line explains (online)."""
-    latency_cap: float | None = None
-    """Emit a held-back label after this many seconds at the latest (online); default none, with --rule fit 0.2."""
+    rule: Annotated[
+        Literal["paper", "similar", "fit"],
+        option(
+            "Rule of durations and amplitudes for merging: paper, or similar, that of the authors' older program; "
+            "or fit, where a word is a run of windows that one straight line explains (online)."
+        ),
+    ] = field(default="paper", kw_only=True)  # type: ignore[assignment]  # one more
+    latency_cap: Annotated[
+        float | None,
+        option(
+            "Emit a held-back label after this many seconds at the latest (online); default none, with --rule fit 0.2.",
+            "",
+        ),
+    ] = None
     version: Literal["master", "a642c8b", "a1ca1d1", "wip"] = "master"
     """Revision of the authors' program (offline)."""
     clean: Flag = False
     """Correct the known errors of the authors' program (offline)."""
-    name: str | None = None
-    """Name of the label tracks; default: composed of the options, such as online-W5 or offline-master."""
+    name: Annotated[
+        str | None,
+        option("Name of the label tracks; default: composed of the options, such as online-W5 or offline-master.", ""),
+    ] = None
 
     def run(self) -> dict[str, Any]:
         from rcbht_jax.io.label_store import list_tracks, write_batches

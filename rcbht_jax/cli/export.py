@@ -17,6 +17,7 @@ from rcbht_jax.cli.command import (
     Tolerance,
     Tracks,
     WordRule,
+    option,
     progress_bar,
 )
 from rcbht_jax.cli.drawn import DrawnRule, stored_by, thresholds_now
@@ -92,8 +93,7 @@ class Report(Command):
     window: NewWindow = None
     rule: DrawnRule = "fit"
     tolerance: Tolerance = ()
-    trial: tuple[str, ...] = ()
-    """Trials to show; default --max-trials of them, evenly spaced."""
+    trial: Annotated[tuple[str, ...], option("Trials to show; default --max-trials of them, evenly spaced.", "")] = ()
     max_trials: int = 100
     """Number of recordings to show, if --trial names none."""
     title: str = "Wrench introspection"

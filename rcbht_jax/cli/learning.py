@@ -236,8 +236,9 @@ class Classify(Command):
     """Label tracks to use instead of those used in training; A+B if the model uses two."""
     source: Sources = ()
     session: Sessions = ()
-    outcome: tuple[str, ...] = ()
-    """Outcomes of the trials to classify; default those used in training, and unknown."""
+    outcome: Annotated[
+        tuple[str, ...], option("Outcomes of the trials to classify; default those used in training, and unknown.", "")
+    ] = ()
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CLASSES.csv")] = Path("classes.csv")
     """Table to write: .csv, or .jsonl for JSON lines."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from rcbht_jax.cli.command import (
     Tracks,
     Trial,
     belief_rate,
+    option,
 )
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, drawn_words, rule_of
 from rcbht_jax.errors import InputError
@@ -44,8 +45,9 @@ class PlotTrial(Command):
     """Arm to plot, if the trial has both."""
     source: SourcePrefix = ""
     tracks: Tracks = ""
-    seconds: tuple[float, float] | None = None
-    """Start and end of the interval to show, s; default the whole trial."""
+    seconds: Annotated[
+        tuple[float, float] | None, option("Start and end of the interval to show, s; default the whole trial.", "")
+    ] = None
     rule: DrawnRule = "fit"
 
     def run(self) -> dict[str, Any]:
@@ -87,10 +89,11 @@ class PlotMap(Command):
     """Layer of the labels."""
     by: Literal["word", "state"] = "word"
     """Columns: words of the sentence, or time normalised within each state."""
-    max_words: int | None = None
-    """Number of words to show; default all."""
-    source: tuple[str, ...] = ()
-    """Data sets to show, or the beginnings of their names, for example REAL; default all."""
+    max_words: Annotated[int | None, option("Number of words to show; default all.", "")] = None
+    source: Annotated[
+        tuple[str, ...],
+        option("Data sets to show, or the beginnings of their names, for example REAL; default all.", ""),
+    ] = ()
     tracks: Tracks = ""
     rule: DrawnRule = "fit"
 
@@ -128,9 +131,13 @@ class PlotBeliefs(Command):
     model: Model = Path("online.model")
     arm: Arm = "R"
     source: SourcePrefix = ""
-    starts: str = "harmonised"
-    """Track of annotations whose intervals begin the sub-tasks; recorded = the first track, harmonised = its corrected
-    variant if there is one, detected = found by the model (train-online --detect)."""
+    starts: Annotated[
+        str,
+        option(
+            "Track of annotations whose intervals begin the sub-tasks; recorded = the first track, harmonised = "
+            "its corrected variant if there is one, detected = found by the model (train-online --detect)."
+        ),
+    ] = "harmonised"
     rate: BeliefRate = None
 
     def run(self) -> dict[str, Any]:

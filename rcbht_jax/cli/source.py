@@ -21,6 +21,7 @@ from rcbht_jax.cli.command import (
     RuleCommand,
     belief_rate,
     checked_tolerance,
+    option,
 )
 from rcbht_jax.cli.snaps import SnapSize, detector_of
 from rcbht_jax.errors import InputError
@@ -44,35 +45,68 @@ class Source(RuleCommand):
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")]
     """Store, folder of one trial, ROS bag or MCAP file with wrenches; - = JSON lines on standard input."""
     model: OnlineModel = None
-    trial: tuple[str, ...] = ()
-    """Trials of a store; default all, one after the other."""
+    trial: Annotated[tuple[str, ...], option("Trials of a store; default all, one after the other.", "")] = ()
     arm: Arm = "R"
-    starts: str = "harmonised"
-    """Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first track,
-    harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found by the model
-    (train-online --detect)."""
+    starts: Annotated[
+        str,
+        option(
+            "Track of annotations whose intervals begin the sub-tasks of a recorded trial; recorded = the first "
+            "track, harmonised = its corrected variant if there is one, none = no sub-tasks, detected = found by "
+            "the model (train-online --detect)."
+        ),
+    ] = "harmonised"
     topic: str = ""
     """Topic of a bag, if several have wrenches."""
-    axes: tuple[str, ...] = ()
-    """Names of the axes, if no model is given; those that begin with M or T are moments. Default: Fx Fy Fz Mx My Mz if
-    there are six."""
-    sampling_rate: float | None = None
-    """Samples per second of the encoder, if no model is given; default that of the recording or its time stamps."""
-    lead: float = 10.0
-    """Seconds at the beginning of a stream (not of a store) from which --robot auto finds the thresholds and --rule fit
-    the tolerances."""
+    axes: Annotated[
+        tuple[str, ...],
+        option(
+            "Names of the axes, if no model is given; those that begin with M or T are moments. Default: Fx Fy Fz "
+            "Mx My Mz if there are six.",
+            "",
+        ),
+    ] = ()
+    sampling_rate: Annotated[
+        float | None,
+        option(
+            "Samples per second of the encoder, if no model is given; default that of the recording or its time "
+            "stamps.",
+            "",
+        ),
+    ] = None
+    lead: Annotated[
+        float,
+        option(
+            "Seconds at the beginning of a stream (not of a store) from which --robot auto finds the thresholds "
+            "and --rule fit the tolerances."
+        ),
+    ] = 10.0
     rate: BeliefRate = None
     certainty: float = 0.70
     """Probability above which a belief counts as certain."""
-    speed: float | None = None
-    """Playback speed: 1 = real time, 0 = as fast as possible. Default 0, or 1 for a recording in "rcbht serve"; lines
-    on standard input are read as they arrive."""
+    speed: Annotated[
+        float | None,
+        option(
+            'Playback speed: 1 = real time, 0 = as fast as possible. Default 0, or 1 for a recording in "rcbht '
+            'serve"; lines on standard input are read as they arrive.',
+            "",
+        ),
+    ] = None
     snap: SnapSize = ()
-    max_gap: float | None = None
-    """Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 samples."""
-    tare: float = 0.0
-    """Subtract the mean of this many seconds at the beginning of each trial; beliefs of these seconds come at their
-    end. Give the value of "rcbht join --tare" for the training trials."""
+    max_gap: Annotated[
+        float | None,
+        option(
+            "Longest gap, s, that is filled by interpolation; a longer one resets the encoder. Default 0.05, or 4 "
+            "samples.",
+            "",
+        ),
+    ] = None
+    tare: Annotated[
+        float,
+        option(
+            "Subtract the mean of this many seconds at the beginning of each trial; beliefs of these seconds come "
+            'at their end. Give the value of "rcbht join --tare" for the training trials.'
+        ),
+    ] = 0.0
     timeout: float = 1.0
     """Report a live source that is silent for this many seconds."""
     compile_cache: CompileCache = None

@@ -67,8 +67,10 @@ class TrainOnline(RuleCommand):
     source: Sources = ()
     session: Sessions = ()
     outcome: Outcomes = ()
-    families: tuple[Family, ...] = ()
-    """Feature families; default those that work best for sub-tasks or for whole trials."""
+    families: Annotated[
+        tuple[Family, ...],
+        option("Feature families; default those that work best for sub-tasks or for whole trials.", ""),
+    ] = ()
     ranks: Flag = False
     """Replace every feature of a whole trial by its rank in the training set."""
     relative: Flag = False
@@ -161,8 +163,15 @@ class Stream(Source):
     Example: rcbht stream hiro.zarr --trial 20121127-HIROSA-S-13 --model states.model --speed 1
     """
 
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl")] = None
-    """File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard output."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(aliases=["-o"], metavar="EVENTS.jsonl"),
+        option(
+            "File for the events; it appears when the stream ends, but a pipe gets each at once. Default standard "
+            "output.",
+            "",
+        ),
+    ] = None
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="OUT.mcap")] = None
     """MCAP file for wrench, labels, words, beliefs and events, to open in Foxglove or PlotJuggler."""
     words: Flag = False

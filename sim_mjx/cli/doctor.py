@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from rcbht_jax.cli.command import STORE, Command, Flag
+from rcbht_jax.cli.command import STORE, Command, Flag, option
 from rcbht_jax.errors import InputError
 
 
@@ -27,9 +27,13 @@ class Doctor(Command):
 
     store: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="STORE.zarr"), STORE] = None
     """Store to check, instead of the machine."""
-    repair: Flag = False
-    """Simulate a damaged store again from its seed, if the installed versions are those that made it; label tracks of
-    "rcbht encode" are lost; the result lists them."""
+    repair: Annotated[
+        Flag,
+        option(
+            "Simulate a damaged store again from its seed, if the installed versions are those that made it; "
+            'label tracks of "rcbht encode" are lost; the result lists them.'
+        ),
+    ] = False
 
     def run(self) -> dict[str, Any]:
         from sim_mjx.validation import health

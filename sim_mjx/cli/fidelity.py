@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 import rcbht_jax
-from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, progress_bar
+from rcbht_jax.cli.command import Command, Flag, Folder, MadeBy, announce, option, progress_bar
 from rcbht_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -281,15 +281,21 @@ class FidelityFit(Command):
     """Recorded session."""
     parameters: tuple[str, ...] = tuple(BOUNDS)
     """Parameters to fit, for example parts.friction, parts.hook_overlap[0:2] or sensor.delay."""
-    bound: tuple[str, ...] = ()
-    """Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units."""
+    bound: Annotated[
+        tuple[str, ...], option("Ranges in place of the default ones, as NAME=LOW:HIGH, in SI units.", "")
+    ] = ()
     fixed: tuple[str, ...] = ()
     """Parameters with a fixed value, as NAME=VALUE."""
-    trials: int | None = None
-    """Simulated trials per candidate; default 4 for session A, 9 for the others."""
-    outcomes: Flag = False
-    """Also penalise trials whose outcome differs from the recorded one or, in a session without a grid, trials that do
-    not seat; simulates whole trials."""
+    trials: Annotated[
+        int | None, option("Simulated trials per candidate; default 4 for session A, 9 for the others.", "")
+    ] = None
+    outcomes: Annotated[
+        Flag,
+        option(
+            "Also penalise trials whose outcome differs from the recorded one or, in a session without a grid, "
+            "trials that do not seat; simulates whole trials."
+        ),
+    ] = False
     snaps: Flag = False
     """Also penalise seated trials without a snap in the force, if recorded ones have one; simulates whole trials."""
     population: int = 12

@@ -45,8 +45,11 @@ class Simulate(Command):
     out: OutStore
     assembly: Annotated[str, tyro.conf.arg(metavar="NAME")] = "camera-snap"
     """camera-snap (recorded, see --preset), peg-in-hole, square-peg, clip, plug, or FILE.py:NAME for your own."""
-    robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """panda, ur5e, hiro, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's."""
+    robot: Annotated[
+        str,
+        tyro.conf.arg(metavar="NAME"),
+        option("panda, ur5e, hiro, or FILE.py:NAME for your own; default panda. The camera snap is HIRO's.", ""),
+    ] = ""
     preset: Annotated[
         Preset | None,
         option(
@@ -64,13 +67,19 @@ class Simulate(Command):
     """Fraction of the trials without a fault, 0 to 1."""
     shard: int = 256
     """Trials that are saved together; an interruption loses unsaved ones."""
-    max_seconds: float | None = None
-    """Longest duration of a trial, s; default the limit of the session."""
+    max_seconds: Annotated[
+        float | None, option("Longest duration of a trial, s; default the limit of the session.", "")
+    ] = None
     engine: Literal["native", "mjx", "warp"] = "native"
     """Physics engine: MuJoCo on all cores; MJX, or MJX with Warp, for GPUs."""
-    lanes: int | None = None
-    """Trials that a GPU steps at once; default and maximum: its share of all trials, but at most 8192 with mjx, 32768
-    with warp, and one per 2 MB of its memory."""
+    lanes: Annotated[
+        int | None,
+        option(
+            "Trials that a GPU steps at once; default and maximum: its share of all trials, but at most 8192 with "
+            "mjx, 32768 with warp, and one per 2 MB of its memory.",
+            "",
+        ),
+    ] = None
     window: int | None = None
     """Also encode the trials, with this many samples per linear fit, as "rcbht encode" does."""
     physical: Annotated[Path | None, tyro.conf.arg(metavar="FIT.json"), FIT] = None
@@ -78,8 +87,14 @@ class Simulate(Command):
     compile_cache: CompileCache = None
     overwrite: Flag = False
     """Replace an existing store, once the new one is complete."""
-    processes: int | None = None
-    """Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node or GPU."""
+    processes: Annotated[
+        int | None,
+        option(
+            "Worker processes that share the work; default one per 4 cores, with a GPU 1, with Ray one per node "
+            "or GPU.",
+            "",
+        ),
+    ] = None
     devices: Annotated[str | None, option("GPUs of this machine to use, with a worker process each.", "1")] = None
     launch: Annotated[Literal["ray", "slurm"] | None, option("Run the workers as Ray tasks or Slurm jobs.", "")] = None
     launch_options: Annotated[

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, progress_bar
+from rcbht_jax.cli.command import Arm, Command, SourcePrefix, Store, Tracks, Trial, option, progress_bar
 from rcbht_jax.cli.drawn import SAYS, DrawnRule, rule_of, stored_by
 from rcbht_jax.errors import InputError
 
@@ -38,8 +38,11 @@ class View(Command):
     store: Store
     """Store made by "rcbht simulate" or "rcbht import hiro"."""
     trial: Trial
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = None
-    """File to write; default the viewer, without a display TRIAL.png."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(aliases=["-o"], metavar="OUT"),
+        option("File to write; default the viewer, without a display TRIAL.png.", ""),
+    ] = None
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder that a recorded trial was imported from, which has the joint angles."""
     arm: Arm = "R"

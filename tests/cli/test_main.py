@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import hypothesis.strategies as st
@@ -31,6 +33,18 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     out = capsys.readouterr().out
     assert f"Example: rcbht {name}" in out
     assert "--json" in out
+
+
+@pytest.mark.parametrize("name", list(main.all_commands()))
+def test_help_of_an_option_flows(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """tyro keeps line breaks of docstrings: a text of several lines belongs into ``option``."""
+    monkeypatch.setenv("COLUMNS", "1000")  # nothing else breaks a line
+    assert main.main([*name.split(), "--help"]) == 0
+    rows = [line.strip("│ \n") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    breaks = [(row, after) for row, after in pairwise(rows) if not re.match(r"-|[A-Z.]+( |$)", after)]
+    assert all(re.match(r"-|[A-Z.]+( |$)", row) and "  " not in row for row, _ in breaks), breaks
 
 
 def test_overview_imports_no_command() -> None:
