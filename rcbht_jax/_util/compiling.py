@@ -1,4 +1,4 @@
-"""``jax.jit`` for large programs: on a CPU, they compile in half of the time without XLA's fusion emitters.
+"""``jax.jit`` for large programs: on a CPU, most compile in two thirds of the time without XLA's fusion emitters.
 
 JAX takes options of the compiler only for programs that are no part of another one. So this is for functions that the
 host calls, not for those that users may call under ``jax.jit``.
