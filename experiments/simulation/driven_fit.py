@@ -28,7 +28,7 @@ from sim_mjx.assembly.scene import Scene, hooked
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import driven_fit, gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial, Wrench
+from sim_mjx.validation.driven_fit import DrivenObjective, DrivenTrial, Wrench, block_means
 from sim_mjx.validation.gauss_newton import Iteration, LeastSquares
 from sim_mjx.validation.system_id import Bound, Fit, Generation, Losses, Search, Values
 
@@ -201,13 +201,13 @@ def traces(data: Trials, scene: Scene, start: Values, fitted: Values) -> dict[st
         objective = DrivenObjective(scene, {name: HOOKED[name] for name in NAMES}, (trial,))
         (before,), (after,) = objective.simulate([start, fitted])
         curves = {"recorded": trial.wrench, "presets": before, "fitted": after}
-        whole = len(trial.path) // PER_TRACE * PER_TRACE
         out[title] = {
             "trial": trial.name,
             **{
                 name: {
-                    axis: np.round(w[:whole, AXES.index(axis)].reshape(-1, PER_TRACE).mean(1), 3).tolist()
-                    for axis in SHOWN
+                    axis: column
+                    for axis, column in zip(AXES, block_means(w, PER_TRACE).round(3).T.tolist(), strict=True)
+                    if axis in SHOWN
                 }
                 for name, w in curves.items()
             },

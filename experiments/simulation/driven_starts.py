@@ -37,7 +37,7 @@ from sim_mjx.assembly.task import CONTROL_PERIOD
 from sim_mjx.presets import HOOKED
 from sim_mjx.validation import gauss_newton, sessions, system_id
 from sim_mjx.validation.driven import driven
-from sim_mjx.validation.driven_fit import AFTER, EARLY, DrivenObjective, DrivenTrial, Wrench
+from sim_mjx.validation.driven_fit import AFTER, EARLY, DrivenObjective, DrivenTrial, Wrench, block_means
 from sim_mjx.validation.fidelity import rerun
 from sim_mjx.validation.gauss_newton import Iteration
 from sim_mjx.validation.system_id import Bound, Search, Values
@@ -67,7 +67,7 @@ BATCH = 1024  # candidates that are simulated together
 BEFORE, SINCE, LONG = 1.0, 1.0, 0.5  # s: before mating begins, after it began, and how long each stretch is
 FORWARD = 10e-3  # m, by which the load must move to count as moved
 SHALLOW = {"parts.hook_overlap[0]": 0.4e-3, "parts.hook_overlap[1]": 0.5e-3, "parts.hook_overlap[2:4]": 0.5e-3}  # m
-SHOWN, POINT = ("presets", "from many starts"), 20  # parts of the picture, and samples of its points
+SHOWN = ("presets", "from many starts")  # parts of the picture
 
 
 def search(name: str = NAMES[0]) -> list[Search]:
@@ -163,10 +163,9 @@ def traces(
         at = first + moved[first:].index(which)
         curves: dict[str, Any] = {"trial": objective.trials[at].name}
         for name, those in wrenches.items():
-            whole = len(those[at]) // POINT * POINT
             drawn = np.column_stack([those[at][:, [0, 2, 4]], objective.load_point(at, those[at])[:, 0] * 1e3])
             drawn[: objective.trials[at].begin, 3] = np.nan  # nothing is touched yet
-            means = np.clip(drawn[:whole].reshape(-1, POINT, 4).mean(1), -99.0, 99.0)
+            means = np.clip(block_means(drawn, joint.PER_TRACE), -99.0, 99.0)
             curves[name] = {
                 axis: [None if np.isnan(value) else round(value, 3) for value in column]
                 for axis, column in zip(("Fx", "Fz", "My", "load"), means.T.tolist(), strict=True)

@@ -7,7 +7,7 @@ host calls, not for those that users may call under ``jax.jit``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, lru_cache, update_wrapper
+from functools import cache, update_wrapper
 from typing import Any
 
 import jax
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 _CPU_OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
 
 
-@lru_cache
+@cache
 def compiler_options(backend: str) -> dict[str, str | bool]:
     """Options of ``jax.jit`` for programs of a backend; a version of JAX that does not know them gets none."""
     if backend != "cpu":

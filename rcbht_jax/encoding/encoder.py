@@ -223,7 +223,7 @@ def encode(
         then 2, 5 and 8 slots for what the end of the stream publishes.
     """
     trials, _, axes = wrench.shape
-    wrench = segments.in_precision(wrench)
+    wrench = segments.as_floating(wrench)
     lane_limits = _lane_limits(limits_of(thresholds), jnp.empty((1, trials * axes), wrench.dtype), (trials, axes))
     length, run = length.astype(jnp.int32), partial(_scan_whole, config)
     if jax.default_backend() == "gpu":

@@ -132,7 +132,7 @@ def soft_windows(slope: Array, limits: Array, temperature: Array | float) -> Arr
     return jnp.concatenate(parts, -1)
 
 
-def in_precision(wrench: Array) -> Float[Array, "..."]:
+def as_floating(wrench: Array) -> Float[Array, "..."]:
     """A signal as encoders take it: float64 stays, as far as JAX has it, all else becomes float32."""
     wrench = jnp.asarray(wrench)
     return wrench if wrench.dtype == np.float64 else wrench.astype(jnp.float32)

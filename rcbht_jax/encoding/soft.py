@@ -77,7 +77,7 @@ def soft_encode(
         straight_through: give the hard labels, with the gradients of the soft ones.
     """
     trials, samples, axes = wrench.shape
-    wrench, limits = segments.in_precision(wrench), limit_values(thresholds)
+    wrench, limits = segments.as_floating(wrench), limit_values(thresholds)
     temperature = jnp.asarray(temperature, wrench.dtype)
     lane_limits = jnp.broadcast_to(jnp.asarray(limits, wrench.dtype)[None], (trials, *limits.shape))
     lane_limits = lane_limits.reshape(trials * axes, limits.shape[1])

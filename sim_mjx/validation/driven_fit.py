@@ -157,8 +157,7 @@ class DrivenObjective:
         """By windows in which the recorded hand was pressed."""
         pressed, recorded = self._recorded_loads[at]
         away = (self.load_point(at, wrench) - recorded)[self.trials[at].begin :] / LOAD_UNIT
-        windows = len(pressed)
-        means = away[: windows * WINDOW].reshape(windows, WINDOW, 2).mean(1)[pressed]
+        means = block_means(away, WINDOW)[pressed]
         means = np.clip(np.nan_to_num(means, nan=LOAD_LOST), -LOAD_LOST, LOAD_LOST)
         return (means / np.sqrt(max(len(means), 1))).ravel()
 
@@ -197,9 +196,18 @@ class DrivenObjective:
 
 def _residual(trial: DrivenTrial, wrench: Wrench, unit: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " residual"]:
     away = np.nan_to_num((wrench - trial.wrench)[trial.begin :] / unit, nan=LOST)
-    windows = len(away) // WINDOW
-    means = away[: windows * WINDOW].reshape(windows, WINDOW, 6).mean(1)
-    return (np.clip(means, -LOST, LOST) / np.sqrt(windows)).ravel()
+    means = block_means(away, WINDOW)
+    return (np.clip(means, -LOST, LOST) / np.sqrt(len(means))).ravel()
+
+
+def block_means(values: Float64[np.ndarray, "time column"], samples: int) -> Float64[np.ndarray, "block column"]:
+    """Means of blocks of so many samples; what is left at the end is not used.
+
+    >>> block_means(np.arange(5.0)[:, None], 2).tolist()
+    [[0.5], [2.5]]
+    """
+    blocks = len(values) // samples
+    return values[: blocks * samples].reshape(blocks, samples, values.shape[1]).mean(1)
 
 
 def explained(trial: DrivenTrial, wrench: Wrench) -> Float64[np.ndarray, " 6"]:

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Float64
 
-from rcbht_jax._util.compiling import compiler_options
+from rcbht_jax._util.compiling import jit
 from rcbht_jax.types import Array
 from sim_mjx.assembly.parts import Fields, PartParams
 from sim_mjx.assembly.scene import Scene
@@ -132,14 +132,14 @@ def wrench_and_derivatives(
         still = {name: jnp.zeros_like(leaf) for name, leaf in job.fixed.fields.items() if name not in names}
         return jax.jvp(job.run, (job.fixed.fields,), (still | directions,))
 
-    found, derivatives = job.compiled(jax.vmap(forward, out_axes=(None, -1)))(along)
+    found, derivatives = jit()(jax.vmap(forward, out_axes=(None, -1)))(along)
     return np.asarray(found, np.float64), np.asarray(derivatives, np.float64)
 
 
 def values(scene: Scene, params: Any, statistics: Statistics) -> Float64[np.ndarray, "trial statistic"]:
     """The statistics alone; arguments as of :func:`wrench_and_derivatives`."""
     job = _Job(scene, params, statistics)
-    return np.asarray(job.compiled(job.run)(job.fixed.fields), np.float64)
+    return np.asarray(jit()(job.run)(job.fixed.fields), np.float64)
 
 
 class _Job:
@@ -170,7 +170,3 @@ class _Job:
         )  # fmt: skip
         wrench = log.wrench.reshape(-1, *log.wrench.shape[2:])[settling : settling + self.periods]
         return self.statistics(jnp.swapaxes(wrench, 0, 1))
-
-    @staticmethod
-    def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-        return jax.jit(function, compiler_options=compiler_options(jax.default_backend()))
