@@ -45,7 +45,7 @@ from sim_mjx.synthesis import claims, launch, shards
 SEED = 0
 LOOK, QUANTILES = 0.2, (0.1, 0.5, 0.9, 1.0)  # s between two looks at a running command
 SIZES = ((32_768, 5), (32_768, 20))  # recordings of a device, and the window
-CALLS = (1, 4)  # in flight
+CALLS = (1, 16)  # one after another, none waited for
 Section = Literal["simulation", "search", "labels"]
 SECTIONS: tuple[Section, ...] = ("simulation", "search", "labels")
 
@@ -160,8 +160,7 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
     parts, first = jax.device_put((limits, wrench, length), places), (limits, wrench[:count], length[:count])
 
     def compiled(layout: Format | None) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        alone = jax.jit(partial(encode, config), out_shardings=layout).lower(*first).compile()
-        return alone, jax.jit(shared, out_shardings=layout).lower(*parts).compile()
+        return compiled_for(config, layout, first), jax.jit(shared, out_shardings=layout).lower(*parts).compile()
 
     # in the usual layout: JAX 0.11 reads back wrongly what several devices hold in one of the compiler's choice
     plain, plain_shared = compiled(None)
@@ -174,13 +173,33 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
     one, several = compiled(Format(Layout.AUTO))
     about = {"recordings": count, "together": count * len(devices), "window": window, "samples": SAMPLES}
 
-    def called(times: int, function: Callable[..., Any], given: tuple[Array, ...]) -> list[Any]:
-        return [function(*given) for _ in range(times)]
-
-    return [
-        compared(partial(called, n, one, first), partial(called, n, several, parts), 1.0, same, calls=n, **about)
+    made = [
+        compared(partial(repeated, n, one, *first), partial(repeated, n, several, *parts), 1.0, same, calls=n, **about)
         for n in CALLS
     ]
+    pieces = [[piece.data for piece in part.addressable_shards] for part in parts]
+    tasks = [partial(compiled_for(config, Format(Layout.AUTO), given), *given) for given in zip(*pieces, strict=True)]
+    return [row | {"seconds_each": each_alone(tasks, row["calls"])} for row in made]
+
+
+def compiled_for(config: EncoderConfig, layout: Format | None, given: tuple[Array, ...]) -> Callable[..., Any]:
+    """The encoder for one device, the one that holds what it is given."""
+    return jax.jit(partial(encode, config), out_shardings=layout).lower(*given).compile()
+
+
+def repeated(times: int, function: Callable[..., Any], *given: Any) -> Any:
+    """The last of several calls, none of which is waited for: a program that goes through a data set."""
+    made = None
+    for _ in range(times):
+        made = function(*given)
+    return made
+
+
+def each_alone(tasks: list[Callable[[], Any]], times: int) -> list[float]:
+    """Seconds of as many calls of each device's task while the others rest, each timed in turn with the first."""
+    many = [lambda task=task: jax.block_until_ready(repeated(times, task)) for task in tasks]
+    timed = [interleaved(one, many[0]) for one in many]
+    return [round(found.seconds, 5) for found in timed]
 
 
 def same_bits(alone: Array, number: int, shared: Array) -> bool:
@@ -199,12 +218,15 @@ def compact_labels(count: int, window: int) -> list[dict[str, Any]]:
     with ExitStack() as stack:
         threads = [stack.enter_context(ThreadPoolExecutor(1)) for _ in devices]
 
-        def shared() -> list[LabelTracks]:
-            begun = [thread.submit(task) for thread, task in zip(threads, tasks, strict=True)]
+        def shared(times: int = 1) -> list[LabelTracks]:
+            begun = [thread.submit(repeated, times, task) for thread, task in zip(threads, tasks, strict=True)]
             return [one.result() for one in begun]
 
         same = all(equal_bits(tasks[0], lambda one=one: jax.device_put(one, devices[0])) for one in shared())
-        return [compared(tasks[0], shared, 1.0, same, **about, compact=True)]
+        return [
+            compared(partial(repeated, n, tasks[0]), partial(shared, n), 1.0, same, calls=n, **about, compact=True)
+            for n in CALLS
+        ]
 
 
 def main(

@@ -3,6 +3,7 @@
 A run that has just begun is short, so that a level nearly always explains it, and most compositions of it would be
 noise if it ended now. It does not end now. :func:`labels` therefore names what the run will be when it has gone on, as
 its newest samples do, for as long as evidence for a break is missing: ``FitConfig.evidence``, less what there is.
+The primitive of a young run looks further ahead, to the age of ``LASTS``, unless a break already gathers evidence.
 Labels and pairs look ahead; spans and values end with the samples received. Published labels do not depend on this.
 """
 
@@ -18,6 +19,9 @@ from rcbht_jax.encoding.fit import FitConfig, primitive_of
 from rcbht_jax.encoding.fit_line import Line, best_break, fenced, join, residuals_after, span_line
 from rcbht_jax.encoding.tolerance import by_lane
 from rcbht_jax.types import Array, LabelTracks, Segment
+
+LASTS = 0.11  # seconds that a run is expected to last; this and the next chosen on the even trials of session A
+DOUBTED = 0.25  # share of the evidence for a break from which on a run is not expected to last
 
 
 def labels(
@@ -51,25 +55,37 @@ def labels(
     """
     samples = jnp.concatenate([state.reals[fit.REALS :], jnp.asarray(rest, state.reals.dtype)])
     lanes, count = by_lane(limits, samples), count.astype(jnp.int32)
-    missing = _missing(config, lanes[4], state, samples, config.kept + count)
+    saved = _saved(lanes[4], state, samples, config.kept, count)
     state, out = fit.step_partial(config, limits, state, rest, count)
     first = jax.tree.map(lambda leaf: leaf[..., None], unpack(out))
     t0, t1, line, held = fit.running(config, state)
-    missing = jnp.where(first.primitive.label[..., 0] > 0, config.needed, missing)  # the rest began a new run
-    ahead = _ahead(config, line, samples, config.kept + count, missing)
-    later = primitive_of(config, lanes, t0, t1 + missing, join(line, ahead))
+    saved = jnp.where(first.primitive.label[..., 0] > 0, 0.0, saved)  # the rest began a new run
+
+    def later(missing: Array) -> Segment:
+        ahead = _ahead(config, line, samples, config.kept + count, missing)
+        return primitive_of(config, lanes, t0, t1 + missing, join(line, ahead))
+
+    missing, lasts = jnp.maximum(config.needed - saved, 0), round(LASTS / config.dt)
+    trust = jnp.maximum(1 - fenced(saved * (1 / (DOUBTED * config.needed))), 0)
+    young = (lasts - line.count).astype(trust.dtype) * trust
+    rounds = [stages[::2] for stages in fit.drain_stages(config, lanes, state, later(_whole(missing)))]
+    longer = later(_whole(jnp.where(line.count < lasts, young, missing)))
+    rounds[0][0] = pipe.keep(t1 > t0, longer)
     parts = [*held, primitive_of(config, lanes, t0, t1, line)]
-    rounds = fit.drain_stages(config, lanes, state, later)
-    rounds = [[_so_far(word, parts, state.time) for word in stages[::2]] for stages in rounds]
+    rounds = [[_so_far(word, parts, state.time) for word in layers] for layers in rounds]
     return join_tracks(first, fit.tracks_of(rounds, state.time))
 
 
-def _missing(config: FitConfig, tolerance: Array, state: EncoderState, samples: Array, stop: Array) -> Array:
-    """Samples by which evidence for a break of the run is short."""
+def _whole(samples: Array) -> Array:
+    return jnp.round(samples).astype(jnp.int32)
+
+
+def _saved(tolerance: Array, state: EncoderState, samples: Array, kept: int, count: Array) -> Array:
+    """What the best break of the run would save, in squared tolerances."""
     t0, t1, line, _ = fit.opened(state)
-    start = config.kept - (t1 - t0 - line.count)
+    start, stop = kept - (t1 - t0 - line.count), kept + count
     _, saved = best_break(line, samples, residuals_after(samples, stop), start, stop, fit.SHORTEST)
-    return jnp.round(jnp.maximum(config.needed - saved / (tolerance * tolerance), 0)).astype(jnp.int32)
+    return saved / (tolerance * tolerance)
 
 
 def _ahead(config: FitConfig, line: Line, samples: Array, stop: Array, count: Array) -> Line:
