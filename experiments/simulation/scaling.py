@@ -179,7 +179,15 @@ def labels(count: int, window: int) -> list[dict[str, Any]]:
     ]
     pieces = [[piece.data for piece in part.addressable_shards] for part in parts]
     tasks = [partial(compiled_for(config, Format(Layout.AUTO), given), *given) for given in zip(*pieces, strict=True)]
-    return [row | {"seconds_each": each_alone(tasks, row["calls"])} for row in made]
+    size = count * SAMPLES * parts[1].shape[-1]
+    return [
+        row | {"samples_per_s_one": rate(size, row), "seconds_each": each_alone(tasks, row["calls"])} for row in made
+    ]
+
+
+def rate(samples: int, row: dict[str, Any]) -> float:
+    """Samples a second of one device, each axis counted."""
+    return float(f"{samples * row['calls'] / row['seconds_one']:.4g}")
 
 
 def compiled_for(config: EncoderConfig, layout: Format | None, given: tuple[Array, ...]) -> Callable[..., Any]:
