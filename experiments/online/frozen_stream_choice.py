@@ -11,8 +11,8 @@ Finished rows are stored; the same command resumes an interrupted run. Reads the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,19 +59,16 @@ def permitted(known: Recordings) -> Recordings:
     return known.take((known.session == "A") | (known.source == SIM1))
 
 
-def row(data: Recordings, option: str) -> Callable[[], Any]:
-    def make() -> Any:
-        method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
-        found: dict[str, list[dict[str, float]]] = {}
-        for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
-            stream = causal.Stream(method, data, **filters)
-            for seed in range(SEED, SEED + REPEATS):
-                beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
-                for belief, scores in beliefs.items():
-                    found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
-        return {belief: _means(scores) for belief, scores in found.items()}
-
-    return make
+def row(data: Recordings, option: str) -> dict[str, Any]:
+    method = frozen.FrozenMethod({"thresholds": "hiro", **ENCODER, "streamed": heads(option)})
+    found: dict[str, list[dict[str, float]]] = {}
+    for name, filters in (("SIM1", {"sources": (SIM1,)}), ("A", {"sources": (REAL,), "sessions": ("A",)})):
+        stream = causal.Stream(method, data, **filters)
+        for seed in range(SEED, SEED + REPEATS):
+            beliefs = causal.unaided(stream, False, halves(stream.items, seed), seed)
+            for belief, scores in beliefs.items():
+                found.setdefault(belief, []).append({name: scores["macro step accuracy"]})
+    return {belief: _means(scores) for belief, scores in found.items()}
 
 
 ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
@@ -91,7 +88,7 @@ def main(only: Only = ALL_ROWS) -> None:
         "options": {name: heads(name) for name in OPTIONS},
     }
     rows = Rows("frozen_stream_choice", "python -m experiments.online.frozen_stream_choice", about, SEED)
-    rows.fill({name: row(data, name) for name in OPTIONS}, only)
+    rows.fill({name: partial(row, data, name) for name in OPTIONS}, only)
 
 
 if __name__ == "__main__":
