@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 from experiments._lib import tasks
+from experiments._lib.benchmarks import SIM2
 from experiments._lib.catalogue import DATA
 from experiments._lib.results_io import write_result
-from experiments.classification.two_arm import SOURCE, as_recordings, simulated
+from experiments.classification.two_arm import as_recordings, simulated
 from rcbht_jax.encoding.batch import encode_batch
 from rcbht_jax.encoding.encoder import EncoderConfig
 from rcbht_jax.encoding.thresholds import preset as thresholds
@@ -73,7 +74,7 @@ def interval(score: dict[str, Any]) -> dict[str, float]:
 
 
 def main() -> None:
-    recorded, _ = read_hiro(DATA / SOURCE)
+    recorded, _ = read_hiro(DATA / SIM2)
     mild = DomainRandomization(nominal_share=1.0)
     sets = {name: as_recordings(simulated(name, TRIALS, mild)[0], name) for name in TWO_ARM}
     note = (

@@ -22,7 +22,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments._lib.benchmarks import recorded, with_interval
+from experiments._lib.benchmarks import REAL, SIM1, SIM2, recorded, with_interval
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments._lib.tasks import states
 from rcbht_jax.encoding.encoder import EncoderConfig
@@ -48,7 +48,7 @@ KINDS = {"all": SUBTASK, "relative": SUBTASK_RELATIVE}
 MAIN_RATE = 10.0
 RATES = (MAIN_RATE, 2.0, 100.0)
 FRACTIONS = 10  # of the sub-task, for the early-classification curve
-SETS = {"REAL": "REAL_HIRO_ONE_SA_SUCCESS", "SIM1": "SIM_HIRO_ONE_SA_SUCCESS", "SIM2": "SIM_HIRO_TWO_SA_SUCCESS"}
+SETS = {"REAL": REAL, "SIM1": SIM1, "SIM2": SIM2}
 TARGETS = {
     "REAL": {"macro step accuracy": 0.90, "full-sequence accuracy": 0.98, "OverallPr": 0.93, "own m at .70": 0.60},
     "SIM1": {"full-sequence accuracy": 0.95, "OverallPr": 0.88},
