@@ -95,11 +95,11 @@ class Experiment:
         make = method.svm if member == "words" else method.trees
         return lambda train, test, seed: (make(x, y, train, test, seed).argmax(1), {})
 
-    def peer(self, name: str, make: Callable[[Any, int], Any]) -> validation.Estimator:
+    def peer(self, kind: str, name: str) -> validation.Estimator:
         """A classifier of aeon on the series themselves."""
         recordings, items = self.data(name)
         x = np.stack([part.T for part in segments(recordings, items)])
-        return raw.estimator(x, items.y, lambda seed: make(_aeon(), seed))
+        return raw.of_aeon(kind, x, items.y)
 
     def makers(self) -> dict[str, Make]:
         return {
@@ -110,11 +110,9 @@ class Experiment:
             "tuned in the folds": self.tuned,
             "naive Bayes on the values": self.naive_bayes,
             "majority": lambda name: validation.majority(self.data(name)[1].y),
-            "MiniRocket": lambda name: self.peer(name, lambda aeon, seed: aeon.MiniRocketClassifier(random_state=seed)),
-            "MultiRocketHydra": lambda name: self.peer(
-                name, lambda aeon, seed: aeon.MultiRocketHydraClassifier(random_state=seed)
-            ),
-            "QUANT": lambda name: self.peer(name, lambda aeon, seed: aeon.QUANTClassifier(random_state=seed)),
+            "MiniRocket": partial(self.peer, "MiniRocketClassifier"),
+            "MultiRocketHydra": partial(self.peer, "MultiRocketHydraClassifier"),
+            "QUANT": partial(self.peer, "QUANTClassifier"),
         }
 
     def naive_bayes(self, name: str) -> validation.Estimator:
@@ -127,17 +125,6 @@ class Experiment:
         splits = validation.repeated_folds(y, np.arange(len(y)), FOLDS, self.repeats, self.seed)
         scores = validation.cross_validate(make(name), y, splits, self.seed)
         return rounded(scores.summary()) | {"repeats": self.repeats}
-
-
-class _aeon:
-    """The classifiers of aeon, wherever they are kept."""
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            from aeon.classification import convolution_based, interval_based
-        except ImportError as error:
-            raise SystemExit('the peers need the library aeon; see "make peers".') from error
-        return getattr(convolution_based, name, None) or getattr(interval_based, name)
 
 
 def main(repeats: int = 4, seed: int = 0, only: Only = ALL_ROWS) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 from experiments._lib import frozen
-from experiments._lib.benchmarks import REAL, SIM1, recorded
+from experiments._lib.benchmarks import REAL, SIM1, recorded, rounded
 from experiments._lib.checkpointed_rows import ALL_ROWS, Only, Rows
 from experiments.online import causal
 from experiments.online.table2 import halves
@@ -76,7 +76,7 @@ ENCODER = {"encoders": {"W5": {"window": 5, "scale": 1.0}}}
 
 def _means(scores: list[dict[str, float]]) -> dict[str, float]:
     sets = {name: float(np.mean([one[name] for one in scores if name in one])) for name in ("SIM1", "A")}
-    return {name: round(value, 4) for name, value in {**sets, "mean": float(np.mean(list(sets.values())))}.items()}
+    return rounded(sets | {"mean": float(np.mean(list(sets.values())))})
 
 
 def main(only: Only = ALL_ROWS) -> None:
